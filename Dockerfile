@@ -1,0 +1,33 @@
+# syntax=docker/dockerfile:1
+# Two stages: the first has pip and fetches the segmentation network, the second only serves.
+
+FROM python:3.11-slim AS build
+WORKDIR /srv
+RUN python -m venv /srv/.venv
+COPY pyproject.toml ./
+COPY app app
+COPY descriptor descriptor
+COPY index index
+COPY scripts/fetch_model.py scripts/fetch_model.py
+RUN /srv/.venv/bin/pip install --no-cache-dir -e . \
+ && /srv/.venv/bin/python scripts/fetch_model.py \
+ && rm -rf scripts
+
+FROM python:3.11-slim
+ARG REVISION=unknown
+LABEL org.opencontainers.image.title="silhouette-pose" \
+      org.opencontainers.image.revision="${REVISION}"
+# Nothing is written at run time: the root may be read-only, uploads stay in memory.
+ENV HOST=0.0.0.0 \
+    PORT=8000 \
+    POSE_REVISION="${REVISION}" \
+    PYTHONDONTWRITEBYTECODE=1 \
+    PYTHONUNBUFFERED=1
+COPY --from=build /srv /srv
+WORKDIR /srv
+USER 10001:10001
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=2s --start-period=10s \
+  CMD ["/srv/.venv/bin/python", "-c", "import os, urllib.request; urllib.request.urlopen(f\"http://127.0.0.1:{os.environ['PORT']}/readyz\", timeout=2)"]
+STOPSIGNAL SIGTERM
+CMD ["/srv/.venv/bin/python", "-m", "app"]

@@ -1,0 +1,67 @@
+# Every target sets up what it needs. On a fresh Debian: python3 (3.11+), python3-venv, make.
+
+HOST ?= 127.0.0.1
+PORT ?= 8000
+# Data and documents beside the project; tests that need them skip where they are absent.
+SHARED ?= ../shared
+PYTHON ?= python3
+export HOST PORT SHARED
+
+# One environment to serve from, one to work in; a stamp file says when each was made.
+RUN := .venv
+DEV := .venv-dev
+BUILD := .venv-build
+REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
+
+.PHONY: run test test-all check index evaluate bench openapi clean
+
+run: $(RUN)/.stamp
+	@$(RUN)/bin/python scripts/fetch_model.py \
+	  || echo "make run: serving without the segmentation network, with GrabCut instead" >&2
+	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
+
+test: $(DEV)/.stamp
+	$(DEV)/bin/python -m pytest -q $(ARGS)
+
+# Also what is slow, and what needs the build extra (torch) or ../shared.
+test-all: $(BUILD)/.stamp
+	$(BUILD)/bin/python -m pytest -q -m "slow or not slow" $(ARGS)
+
+check: $(DEV)/.stamp
+	$(DEV)/bin/ruff check .
+	$(DEV)/bin/ruff format --check .
+	$(DEV)/bin/mypy
+
+index: $(BUILD)/.stamp
+	$(BUILD)/bin/python -m scripts.build_index \
+	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments $(ARGS)
+
+evaluate: $(BUILD)/.stamp
+	$(BUILD)/bin/python -m scripts.evaluate --shared $(SHARED) $(ARGS)
+
+bench: $(DEV)/.stamp
+	$(DEV)/bin/python -m scripts.benchmark $(ARGS)
+
+openapi: $(DEV)/.stamp
+	$(DEV)/bin/python -m scripts.export_openapi
+
+$(RUN)/.stamp: pyproject.toml
+	$(PYTHON) -m venv $(RUN)
+	$(RUN)/bin/pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+$(DEV)/.stamp: pyproject.toml
+	$(PYTHON) -m venv $(DEV)
+	$(DEV)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@
+
+# torch first and pinned: another way round, pip takes gigabytes of CUDA libraries.
+$(BUILD)/.stamp: pyproject.toml
+	$(PYTHON) -m venv $(BUILD)
+	$(BUILD)/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
+	$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,contract,evaluate,test]'
+	touch $@
+
+clean:
+	rm -rf $(RUN) $(DEV) $(BUILD) *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,52 @@
+"""API keys: asked for only where the operator has set some."""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Iterable
+from typing import Annotated
+
+from fastapi import Depends, Security
+from fastapi.security import APIKeyHeader, HTTPAuthorizationCredentials, HTTPBearer
+
+from app.errors import ProblemError
+from app.runtime import RuntimeDep
+from app.settings import Settings
+
+_header = APIKeyHeader(
+    name="X-API-Key", auto_error=False, description="Only where the operator has set keys."
+)
+_bearer = HTTPBearer(auto_error=False, description="The same key as a bearer token.")
+
+
+def check_key(settings: Settings, given: Iterable[str | None]) -> None:
+    """Raise a 401 unless one of the given keys is one of the configured ones.
+
+    All pairs are compared, each in constant time: how long it takes tells nothing.
+    """
+    if not settings.api_keys:
+        return
+    matches = [
+        hmac.compare_digest(key.get_secret_value().encode(), candidate.encode())
+        for candidate in given
+        if candidate
+        for key in settings.api_keys
+    ]
+    if not any(matches):
+        raise ProblemError(
+            401,
+            "expected an API key in the header X-API-Key or as a bearer token",
+            reason="unauthorised",
+            headers={"WWW-Authenticate": "Bearer"},
+        )
+
+
+def _require_key(
+    runtime: RuntimeDep,
+    header: Annotated[str | None, Security(_header)],
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
+) -> None:
+    check_key(runtime.settings, (header, bearer.credentials if bearer else None))
+
+
+RequireKey = Depends(_require_key)

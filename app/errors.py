@@ -1,0 +1,164 @@
+"""Every error as ``application/problem+json`` (RFC 9457), never a stack trace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.types import Receive, Scope, Send
+
+from app.estimator import UploadError
+from app.observation import note_rejection
+from app.pool import ClientGoneError, DeadlineError, OverloadedError
+from app.schemas import Problem
+
+MEDIA_TYPE = "application/problem+json"
+RETRY_AFTER_S = 1
+
+
+class ProblemError(Exception):
+    """An answer other than success, raised where it is found.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    detail : str
+        One sentence for the caller.
+    field : str, optional
+        The parameter or form field it is about.
+    headers : mapping, optional
+    reason : str, optional
+        One word for logs and metrics; by default the status in words.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        *,
+        field: str | None = None,
+        headers: Mapping[str, str] | None = None,
+        reason: str | None = None,
+    ) -> None:
+        super().__init__(detail)
+        self.reason = reason or HTTPStatus(status).phrase.lower().replace(" ", "_")
+        self.status = status
+        self.detail = detail
+        self.field = field
+        self.headers = dict(headers or {})
+
+
+def problem_response(error: ProblemError) -> Response:
+    """Turn an error into its answer."""
+    problem = Problem(
+        type="about:blank",
+        title=HTTPStatus(error.status).phrase,
+        status=error.status,
+        detail=error.detail,
+        field=error.field,
+    )
+    return _ProblemResponse(problem, error.headers, error.reason)
+
+
+class _ProblemResponse(Response):
+    """Tells the observation why the request was refused, from wherever it is sent."""
+
+    media_type = MEDIA_TYPE
+
+    def __init__(self, problem: Problem, headers: Mapping[str, str], reason: str) -> None:
+        super().__init__(problem.model_dump_json(exclude_none=True), problem.status, headers)
+        self._reason = reason
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        note_rejection(scope, self._reason)
+        await super().__call__(scope, receive, send)
+
+
+def overloaded(detail: str, reason: str) -> ProblemError:
+    """Make a 503 that says when to come back."""
+    return ProblemError(503, detail, headers={"Retry-After": str(RETRY_AFTER_S)}, reason=reason)
+
+
+def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Describe error responses of a route for the OpenAPI document."""
+    return {
+        status: {
+            "description": _MEANINGS[status],
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+        }
+        for status in statuses
+    }
+
+
+_MEANINGS = {
+    400: "An upload is not a decodable image.",
+    401: "An API key is configured, and the request's is missing or wrong.",
+    404: "There is no such thing.",
+    408: "The upload took too long.",
+    413: "Too many bytes or pixels.",
+    415: "The body is not multipart/form-data.",
+    422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
+    503: "Overloaded (with Retry-After), or the index is not loaded.",
+}
+
+_STATUS_OF_UPLOAD = {"undecodable": 400, "too_large": 413, "misfit": 422}
+
+
+def register_error_handlers(app: FastAPI) -> None:
+    """Have ``app`` answer all errors, its own and the framework's, as problems."""
+
+    @app.exception_handler(ProblemError)
+    async def _(request: Request, error: ProblemError) -> Response:
+        return problem_response(error)
+
+    @app.exception_handler(UploadError)
+    async def _(request: Request, error: UploadError) -> Response:
+        status = _STATUS_OF_UPLOAD[error.reason]
+        return problem_response(
+            ProblemError(status, str(error), field=error.field, reason=error.reason)
+        )
+
+    @app.exception_handler(OverloadedError)
+    async def _(request: Request, error: OverloadedError) -> Response:
+        return problem_response(overloaded(str(error), "queue_full"))
+
+    @app.exception_handler(DeadlineError)
+    async def _(request: Request, error: DeadlineError) -> Response:
+        return problem_response(overloaded(str(error), "deadline"))
+
+    @app.exception_handler(ClientGoneError)
+    async def _(request: Request, error: ClientGoneError) -> Response:
+        note_rejection(request.scope, "client_gone")
+        return Response(status_code=499)  # Nobody reads it but the log.
+
+    @app.exception_handler(RequestValidationError)
+    async def _(request: Request, error: RequestValidationError) -> Response:
+        content_type = request.headers.get("content-type", "")
+        if request.method == "POST" and not content_type.startswith("multipart/form-data"):
+            return problem_response(
+                ProblemError(
+                    415,
+                    "expected a body of type multipart/form-data, "
+                    f"got {content_type[:100] or 'none'}",
+                )
+            )
+        first = error.errors()[0]
+        # A location starts with where it was found: query, path, body.
+        field = ".".join(str(part) for part in first["loc"][1:]) or None
+        return problem_response(ProblemError(422, f"{field}: {first['msg']}", field=field))
+
+    @app.exception_handler(HTTPException)
+    async def _(request: Request, error: HTTPException) -> Response:
+        return problem_response(
+            ProblemError(error.status_code, str(error.detail), headers=error.headers)
+        )
+
+    @app.exception_handler(Exception)
+    async def _(request: Request, error: Exception) -> Response:
+        return problem_response(ProblemError(500, "an error of the service; its log says more"))

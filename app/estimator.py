@@ -1,0 +1,421 @@
+"""The one use case: a frame in, persons with hypotheses out. Knows images, not HTTP."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.facing import Facing, weigh, weigh_by_image
+from app.png_chunks import check_png_chunks
+from app.settings import Settings
+from app.vision.background import BackgroundSegmenter
+from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
+from app.vision.detect import Detector, load_detector
+from app.vision.facing_evidence import FacingReader, load_facing_reader
+from app.vision.people import Box, Silhouette
+from app.vision.segment import Segmenter, load_segmenter, silhouettes_from_labels
+from descriptor.silhouette import normalise
+from index.matching import Hypothesis, match
+from index.store import Entry, PoseIndex
+
+T = TypeVar("T")
+Source = Literal["hog", "mask", "boxes", "background"]
+Check = Callable[[], None]
+"""Called between steps; raises where the work is no longer wanted."""
+
+REACH, MORE = 1.5, 5
+"""Where the photograph tells which way a person faces, so many times (and so many) more poses
+are looked at than asked for: those that face the right way may lie farther down."""
+
+STAGES = ("decode", "detect", "segment", "describe", "search")
+
+
+class UploadError(ValueError):
+    """What a caller sent cannot be used.
+
+    Parameters
+    ----------
+    field : str
+        ``frame``, ``mask``, ``background`` or ``boxes``.
+    reason : str
+        ``undecodable``, ``too_large``, or ``misfit``: sound, but not for this frame.
+    message : str
+        One sentence.
+    """
+
+    def __init__(
+        self, field: str, reason: Literal["undecodable", "too_large", "misfit"], message: str
+    ) -> None:
+        super().__init__(message)
+        self.field = field
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Upload:
+    """What a caller sends: encoded images, and where people are if that is known.
+
+    Parameters
+    ----------
+    frame : bytes
+        Encoded photograph.
+    mask : bytes, optional
+        Encoded label image of the same size: 0 background, k = person k.
+    background : bytes, optional
+        Encoded photograph of the empty scene, of the same size.
+    boxes : sequence of Box, optional
+        In pixels of the frame. A mask says all, so neither of the others may come with it.
+    """
+
+    frame: bytes
+    mask: bytes | None = None
+    background: bytes | None = None
+    boxes: Sequence[Box] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("background", "boxes"):
+            if self.mask is not None and getattr(self, name) is not None:
+                raise UploadError(name, "misfit", f"expected a mask or {name}, got both")
+
+
+@dataclass(frozen=True)
+class Found:
+    """A person found in a frame.
+
+    Parameters
+    ----------
+    box : Box
+        Pixels of the frame.
+    source : str
+    detection_score : float or None
+        None where nothing was detected because the caller said where people are.
+    silhouette : Silhouette or None
+        None where a caller's box holds none.
+    """
+
+    box: Box
+    source: Source
+    detection_score: float | None
+    silhouette: Silhouette | None
+
+
+@dataclass(frozen=True)
+class PlacedHypothesis:
+    """A hypothesis, its entry, and its skeleton laid over the photograph.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    entry : Entry
+    points_2d : (24, 2) float64 array
+        Pixels of the frame; rows are ``POINT_NAMES``.
+    """
+
+    hypothesis: Hypothesis
+    entry: Entry
+    points_2d: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person found and the poses that fit; without a silhouette there are none."""
+
+    found: Found
+    facing: Facing | None
+    hypotheses: tuple[PlacedHypothesis, ...]
+
+
+@dataclass
+class Stopwatch:
+    """Milliseconds spent in each of :data:`STAGES`, and in all since its making."""
+
+    milliseconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
+    _started: float = field(default_factory=time.perf_counter, repr=False)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to a stage."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.milliseconds[name] += (time.perf_counter() - started) * 1000
+
+    def total(self) -> float:
+        """Return the milliseconds since its making."""
+        return (time.perf_counter() - self._started) * 1000
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A decoded frame and the people in it, ordered left to right.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR.
+    people : tuple of Found
+    """
+
+    frame: NDArray[np.uint8]
+    people: tuple[Found, ...]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A decoded frame, its persons ordered left to right, and where the time went."""
+
+    frame: NDArray[np.uint8]
+    persons: tuple[Person, ...]
+    timings_ms: dict[str, float]
+
+
+class Estimator:
+    """Frames to poses; holds what is loaded once, and changes nothing afterwards.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    detector : Detector
+    segmenter : Segmenter
+    min_person_px : float
+        Height of the smallest person wanted, where a background is given.
+    max_pixels : int
+        Of each image.
+    max_persons : int
+        Detections beyond are dropped, the least sure first; a caller who names more people
+        is refused.
+    facing_reader : FacingReader, optional
+        Tells from the photograph which way a person faces; without it, nothing does.
+    """
+
+    def __init__(
+        self,
+        index: PoseIndex,
+        detector: Detector,
+        segmenter: Segmenter,
+        *,
+        min_person_px: float,
+        max_pixels: int,
+        max_persons: int,
+        facing_reader: FacingReader | None = None,
+    ) -> None:
+        self.index = index
+        self.detector = detector
+        self.segmenter = segmenter
+        self._min_person_px = min_person_px
+        self._max_pixels = max_pixels
+        self._max_persons = max_persons
+        self._facing_reader = facing_reader
+
+    @classmethod
+    def load(cls, settings: Settings) -> Estimator:
+        """Load index and network.
+
+        Raises
+        ------
+        ArtefactError
+            If the index cannot be used.
+        """
+        return cls(
+            PoseIndex.load(settings.index),
+            load_detector(settings.segmentation_model, min_person_px=settings.min_person_px),
+            load_segmenter(settings.segmentation_model),
+            min_person_px=settings.min_person_px,
+            max_pixels=settings.max_pixels,
+            max_persons=settings.max_persons,
+            facing_reader=load_facing_reader(settings.segmentation_model),
+        )
+
+    def warm_up(self) -> None:
+        """Do once what is slow the first time, so that the first caller does not wait for it."""
+        frame = np.full((240, 320, 3), 127, np.uint8)
+        self.detector.detect(frame)
+        self.segmenter.segment(frame, [Box(120.0, 40.0, 60.0, 160.0)])
+        silhouette = self.index.silhouette(0)
+        match(self.index, silhouette, 1)
+        if self._facing_reader is not None:
+            body = Silhouette(np.ones((160, 60), bool), 120, 40, "mask", False)
+            frame[::2] = 0  # A blank head is not looked at.
+            self._facing_reader.read(frame, body)
+
+    def estimate(self, upload: Upload, n: int, check: Check) -> Estimate:
+        """Find the ``n`` nearest distinct poses of every person.
+
+        Parameters
+        ----------
+        upload : Upload
+        n : int
+        check : callable
+            Called between steps; raises where the work is no longer wanted.
+
+        Raises
+        ------
+        UploadError
+            If the images or boxes cannot be used.
+        """
+        watch = Stopwatch()
+        scene = self.find_people(upload, check, watch)
+        persons = []
+        for found in scene.people:
+            check()
+            persons.append(self.with_hypotheses(scene.frame, found, n, watch))
+        return Estimate(scene.frame, tuple(persons), {**watch.milliseconds, "total": watch.total()})
+
+    def find_people(self, upload: Upload, check: Check, watch: Stopwatch) -> Scene:
+        """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
+        check()
+        with watch.stage("decode"):
+            frame = self._decode("frame", upload.frame, decode_image)
+        check()
+        if upload.mask is not None:
+            people = self._from_mask(upload.mask, frame, watch)
+        else:
+            scene = self._background(upload.background, frame, watch)
+            check()
+            if upload.boxes is not None:
+                people = self._in_boxes(upload.boxes, frame, scene or self.segmenter, watch)
+            elif scene is not None:
+                people = self._detected(frame, "background", scene, scene, check, watch)
+            else:
+                people = self._detected(frame, "hog", self.detector, self.segmenter, check, watch)
+        return Scene(frame, tuple(sorted(people, key=lambda found: found.box.x)))
+
+    def detect(self, frame: bytes, check: Check) -> tuple[Found, ...]:
+        """Find the people of a frame by their boxes alone, the surest first."""
+        check()
+        pixels = self._decode("frame", frame, decode_image)
+        check()
+        detections = self.detector.detect(pixels)[: self._max_persons]
+        return tuple(Found(d.box, "hog", d.score, None) for d in detections)
+
+    def _detected(
+        self,
+        frame: NDArray[np.uint8],
+        source: Source,
+        detector: Detector,
+        segmenter: Segmenter,
+        check: Check,
+        watch: Stopwatch,
+    ) -> list[Found]:
+        with watch.stage("detect"):
+            detections = detector.detect(frame)[: self._max_persons]
+        check()
+        with watch.stage("segment"):
+            silhouettes = segmenter.segment(frame, [d.box for d in detections])
+        # Where no silhouette is found in a detection, it was hardly a person.
+        return [
+            Found(detection.box, source, detection.score, silhouette)
+            for detection, silhouette in zip(detections, silhouettes, strict=True)
+            if silhouette is not None
+        ]
+
+    def _in_boxes(
+        self,
+        boxes: Sequence[Box],
+        frame: NDArray[np.uint8],
+        segmenter: Segmenter,
+        watch: Stopwatch,
+    ) -> list[Found]:
+        self._check_count("boxes", len(boxes))
+        height, width = frame.shape[:2]
+        inside = [_clip(box, width, height, position) for position, box in enumerate(boxes)]
+        with watch.stage("segment"):
+            silhouettes = segmenter.segment(frame, inside)
+        return [
+            Found(box, "boxes", None, silhouette)
+            for box, silhouette in zip(inside, silhouettes, strict=True)
+        ]
+
+    def _from_mask(self, data: bytes, frame: NDArray[np.uint8], watch: Stopwatch) -> list[Found]:
+        with watch.stage("decode"):
+            labels = self._decode("mask", data, decode_mask)
+        _check_size("mask", labels, frame)
+        with watch.stage("segment"):
+            silhouettes = silhouettes_from_labels(labels)
+        self._check_count("mask", len(silhouettes))
+        return [Found(s.box, "mask", None, s) for s in silhouettes]
+
+    def _background(
+        self, data: bytes | None, frame: NDArray[np.uint8], watch: Stopwatch
+    ) -> BackgroundSegmenter | None:
+        if data is None:
+            return None
+        with watch.stage("decode"):
+            background = self._decode("background", data, decode_image)
+        _check_size("background", background, frame)
+        return BackgroundSegmenter(background, min_person_px=self._min_person_px)
+
+    def with_hypotheses(
+        self, frame: NDArray[np.uint8], found: Found, n: int, watch: Stopwatch
+    ) -> Person:
+        """Find the poses that fit a person's silhouette, ordered by what the photograph shows."""
+        silhouette = found.silhouette
+        if silhouette is None:
+            return Person(found, None, ())
+        with watch.stage("describe"):
+            normalised, placement = normalise(silhouette.crop)
+            origin = np.array([silhouette.left, silhouette.top])
+            reader = self._facing_reader
+            belief = None if reader is None else reader.read(frame, silhouette)
+        with watch.stage("search"):
+            if belief is None:
+                candidates = match(self.index, normalised, n)
+                weighed = weigh(candidates)
+            else:
+                candidates = match(self.index, normalised, max(n + MORE, round(REACH * n)))
+                weighed = weigh_by_image(candidates, belief, n)
+            hypotheses = [
+                PlacedHypothesis(
+                    hypothesis,
+                    self.index.entry(hypothesis.entry, mirrored=hypothesis.mirrored),
+                    placement.to_image(hypothesis.points_normalised) + origin,
+                )
+                for hypothesis in weighed.hypotheses
+            ]
+        return Person(found, weighed.facing, tuple(hypotheses))
+
+    def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
+        try:
+            check_png_chunks(data)
+            return decode(data, max_pixels=self._max_pixels)
+        except ImageTooLargeError as error:
+            raise UploadError(name, "too_large", f"{name}: {error}") from error
+        except ImageError as error:
+            raise UploadError(name, "undecodable", f"{name}: {error}") from error
+
+    def _check_count(self, name: str, count: int) -> None:
+        if count > self._max_persons:
+            raise UploadError(
+                name, "misfit", f"expected at most {self._max_persons} persons, got {count}"
+            )
+
+
+def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8]) -> None:
+    if image.shape[:2] != frame.shape[:2]:
+        (height, width), (other_height, other_width) = frame.shape[:2], image.shape[:2]
+        raise UploadError(
+            name,
+            "misfit",
+            f"expected a {name} of {width}x{height} pixels like the frame, "
+            f"got {other_width}x{other_height}",
+        )
+
+
+def _clip(box: Box, width: int, height: int, position: int) -> Box:
+    """Cut a caller's box to the frame."""
+    inside = box.clip(width, height)
+    if inside is None:
+        raise UploadError(
+            "boxes",
+            "misfit",
+            f"expected boxes inside the frame of {width}x{height} pixels, "
+            f"got box {position}: {[box.x, box.y, box.width, box.height]}",
+        )
+    return inside

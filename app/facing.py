@@ -1,0 +1,163 @@
+"""Does a person face the camera? A silhouette cannot tell; this weighs what evidence there is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.facing_evidence import AzimuthBelief
+from index.matching import Hypothesis
+from index.skeleton import POINT_NAMES
+
+Evidence = Literal["image", "motion", "none"]
+
+_SIDES = tuple(
+    np.array([POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")])
+    for side in ("left", "right")
+)
+# Where a hypothesis is wrong, how likely none of the others is right either.
+_UNTHOUGHT = 0.5
+
+
+@dataclass(frozen=True)
+class Facing:
+    """How likely the camera sees a person from the front, and how that is known.
+
+    Parameters
+    ----------
+    front_probability : float
+    evidence : str
+        ``image``: the photograph; ``motion``: the direction of walking; ``none``: nothing
+        but the hypotheses themselves.
+    """
+
+    front_probability: float
+    evidence: Evidence
+
+
+def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+    """From where the camera sees shoulders and hips: 0 in the face, 90 from the person's left.
+
+    Parameters
+    ----------
+    points_3d : (..., 24, 3) array
+        Camera axes; rows are ``POINT_NAMES``.
+
+    Returns
+    -------
+    (...) float64 array
+        Degrees from -180 to 180.
+    """
+    left, right = (points_3d[..., side, :].sum(axis=-2) for side in _SIDES)
+    across = np.asarray(left - right, np.float64)
+    return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], across[..., 0])))
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Hypotheses, best first, with the confidence that all evidence gives, and the facing."""
+
+    facing: Facing
+    hypotheses: tuple[Hypothesis, ...]
+
+
+def weigh(hypotheses: Sequence[Hypothesis]) -> Weighed:
+    """Leave hypotheses as the silhouette alone gives them.
+
+    Facing is the share of them, weighted by confidence, whose front faces the camera.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        At least one.
+    """
+    confidences = np.array([one.confidence for one in hypotheses])
+    facing = Facing(front_share(_azimuths(hypotheses), confidences), "none")
+    return Weighed(facing, tuple(hypotheses))
+
+
+def weigh_by_image(hypotheses: Sequence[Hypothesis], belief: AzimuthBelief, n: int) -> Weighed:
+    """Reorder hypotheses by what the photograph shows, and keep the best ``n``.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        At least one; more than ``n`` leave more to choose from.
+    belief : AzimuthBelief
+    n : int
+    """
+    azimuths = _azimuths(hypotheses)
+    confidences = posterior(
+        np.array([one.confidence for one in hypotheses]), belief.likelihood(azimuths)
+    )
+    chosen = best_with_twin(azimuths, confidences, n)
+    kept = [replace(hypotheses[i], confidence=float(confidences[i])) for i in chosen]
+    return Weighed(Facing(belief.front_probability(), "image"), tuple(kept))
+
+
+def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
+    """Share of the confidence ``(N,)`` that is in hypotheses whose front faces the camera."""
+    weights = confidences + 1e-9  # Equal where all are hopeless.
+    return float(np.clip(weights @ _front(azimuths_deg) / weights.sum(), 0, 1))
+
+
+def posterior(
+    confidences: NDArray[np.float64], likelihoods: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Confidences after a look at the photograph, by Bayes' rule.
+
+    Where a hypothesis is wrong, the truth is one of the others, or a pose unthought of, of any
+    azimuth.
+
+    Parameters
+    ----------
+    confidences : (N,) float64 array
+        Probabilities that each hypothesis is right; several may be.
+    likelihoods : (N,) float64 array
+        Of what is seen, given each one; 1 where it tells nothing.
+
+    Returns
+    -------
+    (N,) float64 array
+        0 to 1.
+    """
+    before = np.clip(confidences, 1e-6, 1 - 1e-6)
+    others = before.sum() - before
+    elsewhere = (before @ likelihoods - before * likelihoods + 1e-9) / (others + 1e-9)
+    right = before * likelihoods
+    wrong = (1 - before) * ((1 - _UNTHOUGHT) * elsewhere + _UNTHOUGHT)
+    return np.asarray(right / (right + wrong))
+
+
+def best_with_twin(
+    azimuths_deg: NDArray[np.float64], scores: NDArray[np.float64], n: int
+) -> list[int]:
+    """Choose ``n`` hypotheses by score, best first, one of which faces the other way.
+
+    The photograph may mislead: where all of the best face alike, the best of those that do not
+    takes the last place.
+
+    Parameters
+    ----------
+    azimuths_deg, scores : (N,) float64 array
+    n : int
+    """
+    order: list[int] = np.argsort(-scores, kind="stable").tolist()
+    chosen = order[:n]
+    front = _front(azimuths_deg)
+    if n > 1 and (front[chosen] == front[chosen[0]]).all():
+        other_way = [i for i in order[n:] if front[i] != front[chosen[0]]]
+        chosen[-1:] = other_way[:1] or chosen[-1:]
+    return chosen
+
+
+def _azimuths(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
+    return azimuth_deg(np.array([one.points_3d for one in hypotheses]))
+
+
+def _front(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.asarray(np.cos(np.deg2rad(azimuths_deg)) > 0)

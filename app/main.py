@@ -1,0 +1,142 @@
+"""The application: its parts put together, and what happens when it starts and ends."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import anyio
+from anyio import to_thread
+from fastapi import FastAPI
+from fastapi.middleware.cors import CORSMiddleware
+from starlette.formparsers import MultiPartParser
+
+from app.door import Door
+from app.errors import register_error_handlers
+from app.estimator import Estimator
+from app.memory import give_back_freed_memory
+from app.metrics import Metrics
+from app.observation import Observation
+from app.openapi import add_openapi
+from app.pool import WorkPool
+from app.routes import deepstack, health, index, pose
+from app.routes.docs import add_docs
+from app.routes.page import add_page
+from app.runtime import Runtime
+from app.settings import Settings
+from app.version import VERSION
+from index.store import ArtefactError
+
+log = logging.getLogger("app")
+
+DESCRIPTION = """
+3D human pose from one camera frame on a plain CPU: silhouettes, Krawtchouk moments and
+exact nearest neighbours among simulated silhouettes.
+
+**Pixels**: origin at the centre of the top-left pixel, x right, y down, in the frame after
+its EXIF orientation is applied. **3D**: metres, camera axes (x right, y down, z forward),
+origin at the pelvis. **Normalised frame**: the 128x48 (height x width) silhouette image in
+which descriptors and reprojection errors are measured.
+
+Errors are `application/problem+json` (RFC 9457).
+"""
+
+
+def create_app(settings: Settings | None = None, estimator: Estimator | None = None) -> FastAPI:
+    """Put the service together.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        Read from the environment by default.
+    estimator : Estimator, optional
+        By default it is loaded while the service already answers probes.
+
+    Returns
+    -------
+    FastAPI
+    """
+    settings = settings or Settings()
+    give_back_freed_memory()
+    runtime = Runtime(
+        settings,
+        WorkPool(settings.concurrency, settings.queue_length, settings.request_timeout_s),
+        Metrics(),
+    )
+    runtime.metrics.watch_in_flight(lambda: runtime.pool.inside)
+    if estimator is not None:
+        _become_ready(runtime, estimator)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with anyio.create_task_group() as tasks:
+            if runtime.estimator is None:
+                tasks.start_soon(_load, runtime)
+            yield
+            tasks.cancel_scope.cancel()
+
+    app = FastAPI(
+        title="Silhouette pose",
+        version=VERSION,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.state.runtime = runtime
+    # Uploads stay in memory, bounded by the door: no photograph touches a disk.
+    MultiPartParser.spool_max_size = settings.max_upload_bytes
+    app.add_middleware(
+        Door,
+        max_bytes=settings.max_upload_bytes,
+        max_open=settings.max_requests,
+        timeout_s=settings.upload_timeout_s,
+    )
+    if settings.cors_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=list(settings.cors_origins),
+            allow_methods=["GET", "POST", "DELETE"],
+            allow_headers=["X-API-Key", "Authorization", "X-Request-ID"],
+            expose_headers=["Retry-After", "X-Request-ID"],
+        )
+    # Last added, so outermost: it sees what the others refuse.
+    app.add_middleware(Observation, metrics=runtime.metrics)
+    register_error_handlers(app)
+    for routes in (pose, index, deepstack, health):
+        app.include_router(routes.router)
+    add_openapi(app)
+    add_docs(app)
+    add_page(app)
+    return app
+
+
+async def _load(runtime: Runtime) -> None:
+    """Load the estimator; where that fails the service stays up and says why."""
+
+    def load() -> Estimator:
+        estimator = Estimator.load(runtime.settings)
+        estimator.warm_up()
+        return estimator
+
+    try:
+        estimator = await to_thread.run_sync(load)
+    except ArtefactError as error:
+        runtime.not_ready_because = str(error)
+        log.error("not ready: %s", error)
+    else:
+        _become_ready(runtime, estimator)
+
+
+def _become_ready(runtime: Runtime, estimator: Estimator) -> None:
+    runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
+    runtime.estimator = estimator
+    log.info(
+        "ready: version %s (%s), index %s with %d entries, segmentation by %s",
+        VERSION,
+        runtime.settings.revision,
+        estimator.index.version,
+        len(estimator.index),
+        estimator.segmenter.name,
+    )

@@ -1,0 +1,92 @@
+"""Every request leaves a log line and its count, and carries an id; never its content."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+import uuid
+from contextvars import ContextVar
+from typing import Any
+
+from starlette.datastructures import MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.metrics import Metrics
+
+log = logging.getLogger("app.request")
+
+request_id: ContextVar[str] = ContextVar("request_id", default="")
+
+_HEADER = "X-Request-ID"
+_ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+_STATE = "pose.observation"
+
+
+def note_rejection(scope: Scope, reason: str) -> None:
+    """Say why a request was refused, for the log line and the metrics."""
+    if _STATE in scope:
+        scope[_STATE]["rejected"] = reason
+
+
+class Observation:
+    """ASGI middleware, the outermost: request ids, log lines, metrics.
+
+    Parameters
+    ----------
+    app : ASGI application
+    metrics : Metrics
+    """
+
+    def __init__(self, app: ASGIApp, *, metrics: Metrics) -> None:
+        self.app = app
+        self._metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        started = time.perf_counter()
+        # A dict of its own: routers copy the scope, and all copies share this.
+        notes: dict[str, Any] = {"status": 500}
+        scope[_STATE] = notes
+        identifier = _given_id(scope) or uuid.uuid4().hex
+        token = request_id.set(identifier)
+
+        async def noting_send(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                notes["status"] = message["status"]
+                MutableHeaders(scope=message)[_HEADER] = identifier
+            await send(message)
+
+        try:
+            await self.app(scope, receive, noting_send)
+        finally:
+            self._write_down(scope, notes, time.perf_counter() - started)
+            request_id.reset(token)
+
+    def _write_down(self, scope: Scope, notes: dict[str, Any], seconds: float) -> None:
+        route = getattr(scope.get("route"), "path", "other")
+        status, rejected = notes["status"], notes.get("rejected")
+        self._metrics.requests.labels(route, str(status)).inc()
+        self._metrics.seconds.labels(route).observe(seconds)
+        if rejected:
+            self._metrics.rejected.labels(rejected).inc()
+        fields = {
+            "method": scope["method"],
+            "path": scope["path"],
+            "status": status,
+            "ms": round(seconds * 1000, 2),
+            "client": (scope.get("client") or ("",))[0],
+        }
+        if rejected:
+            fields["rejected"] = rejected
+        # Probes and scrapes come every few seconds and say nothing new.
+        quiet = route in ("/healthz", "/readyz", "/metrics") and status < 400
+        log.log(logging.DEBUG if quiet else logging.INFO, "request", extra={"fields": fields})
+
+
+def _given_id(scope: Scope) -> str | None:
+    value = dict(scope["headers"]).get(_HEADER.lower().encode(), b"")
+    return value.decode() if _ACCEPTABLE_ID.fullmatch(value) else None

@@ -1,0 +1,156 @@
+"""Estimates to the models of the public contract."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app import schemas
+from app.estimator import Estimate, Person, PlacedHypothesis
+from app.facing import Facing
+from app.vision.people import Silhouette
+from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
+from index.store import Entry, PoseIndex
+
+
+def pose_reply(
+    estimate: Estimate, index: PoseIndex, keypoints: schemas.KeypointSetName
+) -> schemas.PoseResponse:
+    """Write the answer to a frame."""
+    chosen = KEYPOINT_SETS[keypoints]
+    height, width = estimate.frame.shape[:2]
+    return schemas.PoseResponse(
+        image=schemas.ImageSize(width=width, height=height),
+        index=schemas.IndexVersion(name=index.name, version=index.version),
+        keypoints=_keypoints(chosen),
+        persons=[_person(person, chosen) for person in estimate.persons],
+        timings_ms=schemas.Timings(**{k: round(v, 3) for k, v in estimate.timings_ms.items()}),
+    )
+
+
+def index_reply(index: PoseIndex, version: str, revision: str) -> schemas.IndexResponse:
+    """Write down what an index holds."""
+    parameters = dict(index.parameters)
+    return schemas.IndexResponse(
+        name=index.name,
+        version=index.version,
+        entries=len(index),
+        descriptor=schemas.DescriptorSummary(
+            name=index.descriptor.name, dimension=index.descriptor.dimension
+        ),
+        joints=list(NATIVE.names),
+        bones=_bones(NATIVE),
+        actions=list(index.actions),
+        subjects=list(index.subjects),
+        attribution=str(parameters.pop("attribution", "")),
+        parameters=parameters,
+        service=schemas.ServiceVersion(version=version, revision=revision),
+    )
+
+
+def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.EntryResponse:
+    """Write down one entry of an index."""
+    chosen = KEYPOINT_SETS[keypoints]
+    return schemas.EntryResponse(
+        entry=entry.number,
+        action=entry.action,
+        source=_source(entry),
+        camera=_camera(entry),
+        keypoints=_keypoints(chosen),
+        joints_3d=_points_3d(entry.points_3d, chosen),
+        joints_2d=_points_2d(entry.points_normalised, chosen),
+    )
+
+
+def _person(person: Person, keypoints: KeypointSet) -> schemas.Person:
+    found, facing, silhouette = person.found, person.facing, person.found.silhouette
+    return schemas.Person(
+        box=schemas.Box(
+            x=round(found.box.x, 2),
+            y=round(found.box.y, 2),
+            width=round(found.box.width, 2),
+            height=round(found.box.height, 2),
+        ),
+        detection_score=_rounded(found.detection_score, 4),
+        source=found.source,
+        silhouette=_silhouette(silhouette) if silhouette else None,
+        facing=_facing(facing) if facing else None,
+        hypotheses=[
+            _hypothesis(placed, rank, keypoints)
+            for rank, placed in enumerate(person.hypotheses, start=1)
+        ],
+    )
+
+
+def _silhouette(silhouette: Silhouette) -> schemas.SilhouetteSummary:
+    return schemas.SilhouetteSummary(
+        area_px=silhouette.area_px,
+        segmenter=silhouette.segmenter,
+        truncated=silhouette.truncated,
+    )
+
+
+def _facing(facing: Facing) -> schemas.Facing:
+    return schemas.Facing(
+        front_probability=round(facing.front_probability, 4), evidence=facing.evidence
+    )
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
+
+
+def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> schemas.Hypothesis:
+    hypothesis, entry = placed.hypothesis, placed.entry
+    return schemas.Hypothesis(
+        rank=rank,
+        entry=hypothesis.entry,
+        distance=round(hypothesis.distance, 6),
+        reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
+        confidence=round(hypothesis.confidence, 4),
+        joints_3d=_points_3d(hypothesis.points_3d, keypoints),
+        joints_2d=_points_2d(placed.points_2d, keypoints),
+        action=entry.action,
+        source=_source(entry),
+        camera=_camera(entry),
+    )
+
+
+def _source(entry: Entry) -> schemas.MotionSource:
+    return schemas.MotionSource(
+        clip=entry.clip, frame=entry.frame, subject=entry.subject, mirrored=entry.mirrored
+    )
+
+
+def _camera(entry: Entry) -> schemas.Camera:
+    return schemas.Camera(
+        azimuth_deg=entry.azimuth_deg,
+        elevation_deg=entry.elevation_deg,
+        roll_deg=entry.roll_deg,
+    )
+
+
+def _keypoints(keypoints: KeypointSet) -> schemas.Keypoints:
+    return schemas.Keypoints.model_validate(
+        {"set": keypoints.name, "names": list(keypoints.names), "bones": _bones(keypoints)}
+    )
+
+
+def _bones(keypoints: KeypointSet) -> list[schemas.Bone]:
+    return [schemas.Bone(parent=parent, child=child) for parent, child in keypoints.bones]
+
+
+def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point3D | None]:
+    """Tenths of millimetres are kept; a point the entry lacks is NaN there and null here."""
+    return [
+        schemas.Point3D(x=x, y=y, z=z) if np.isfinite(x + y + z) else None
+        for x, y, z in np.round(points[list(keypoints.indices)], 4).tolist()
+    ]
+
+
+def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point2D | None]:
+    """Hundredths of pixels are kept; a point the entry lacks is NaN there and null here."""
+    return [
+        schemas.Point2D(x=x, y=y) if np.isfinite(x + y) else None
+        for x, y in np.round(points[list(keypoints.indices)], 2).tolist()
+    ]

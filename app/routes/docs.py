@@ -1,0 +1,33 @@
+"""The API's documentation page, from files on this machine: it works without a network."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+from fastapi import APIRouter, FastAPI
+from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.responses import HTMLResponse
+from starlette.staticfiles import StaticFiles
+
+# Relative, so that the page also works behind a proxy that serves it under a path.
+_ASSETS = "docs/assets"
+
+
+def add_docs(app: FastAPI) -> None:
+    """Serve Swagger UI under ``/docs`` from the files of the package fastapi-offline."""
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/docs")
+    async def docs() -> HTMLResponse:
+        return get_swagger_ui_html(
+            openapi_url="openapi.json",
+            title=f"{app.title}: API",
+            swagger_js_url=f"{_ASSETS}/swagger-ui-bundle.js",
+            swagger_css_url=f"{_ASSETS}/swagger-ui.css",
+            swagger_favicon_url=f"{_ASSETS}/favicon.png",
+            # Else the page asks a validator on the Internet what it thinks of this document.
+            swagger_ui_parameters={"validatorUrl": None},
+        )
+
+    app.include_router(router)
+    app.mount(f"/{_ASSETS}", StaticFiles(directory=str(files("fastapi_offline") / "static")))

@@ -1,0 +1,31 @@
+"""Probes for whoever restarts the service or sends it work."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from fastapi.responses import Response
+from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
+
+from app.errors import documented
+from app.runtime import EstimatorDep, RuntimeDep
+from app.schemas import Health
+
+router = APIRouter(tags=["health"])
+
+
+@router.get("/healthz", operation_id="liveness")
+async def liveness() -> Health:
+    """Tell that the process answers; nothing else is looked at."""
+    return Health()
+
+
+@router.get("/readyz", operation_id="readiness", responses=documented(503))
+async def readiness(estimator: EstimatorDep) -> Health:
+    """Tell whether frames can be answered; otherwise why not."""
+    return Health()
+
+
+@router.get("/metrics", include_in_schema=False)
+async def metrics(runtime: RuntimeDep) -> Response:
+    """Write the metrics in Prometheus' text format."""
+    return Response(runtime.metrics.text(), media_type=CONTENT_TYPE_PLAIN_0_0_4)

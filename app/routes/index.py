@@ -1,0 +1,60 @@
+"""The index: what it holds, and its entries one by one."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+from fastapi.responses import Response
+
+from app.auth import RequireKey
+from app.drawing import encode_png
+from app.errors import ProblemError, documented
+from app.estimator import Estimator
+from app.replies import entry_reply, index_reply
+from app.routes.pose import PNG
+from app.routes.uploads import KeypointSetQuery
+from app.runtime import EstimatorDep, RuntimeDep
+from app.schemas import EntryResponse, IndexResponse
+from app.version import VERSION
+
+router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey])
+
+EntryNumber = Annotated[
+    int, Path(ge=0, description="Number of the entry, as hypotheses name it.", examples=[20117])
+]
+
+
+@router.get("", operation_id="describe_index", responses=documented(401, 503))
+async def describe_index(estimator: EstimatorDep, runtime: RuntimeDep) -> IndexResponse:
+    """Describe the index: what it holds, how it was built, whose data it rests on."""
+    return index_reply(estimator.index, VERSION, runtime.settings.revision)
+
+
+@router.get("/entries/{entry}", operation_id="get_entry", responses=documented(401, 404, 422, 503))
+async def get_entry(
+    entry: EntryNumber, estimator: EstimatorDep, keypoints: KeypointSetQuery = "native"
+) -> EntryResponse:
+    """Get one entry: skeleton, action, clip, frame, subject and camera."""
+    _check_number(entry, estimator)
+    return entry_reply(estimator.index.entry(entry), keypoints)
+
+
+@router.get(
+    "/entries/{entry}/silhouette.png",
+    operation_id="get_entry_silhouette",
+    response_class=Response,
+    responses={**PNG, **documented(401, 404, 422, 503)},
+)
+async def get_entry_silhouette(entry: EntryNumber, estimator: EstimatorDep) -> Response:
+    """Get the normalised silhouette of an entry: 48x128 pixels, white on black."""
+    _check_number(entry, estimator)
+    picture = estimator.index.silhouette(entry) * 255
+    return Response(encode_png(picture), media_type="image/png")
+
+
+def _check_number(entry: int, estimator: Estimator) -> None:
+    if entry >= len(estimator.index):
+        raise ProblemError(
+            404, f"expected an entry from 0 to {len(estimator.index) - 1}, got {entry}"
+        )

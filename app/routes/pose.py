@@ -1,0 +1,98 @@
+"""Frames in: poses, pictures of them, silhouettes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+
+from app.auth import RequireKey
+from app.drawing import draw_labels, draw_overlay, encode_png
+from app.errors import documented
+from app.estimator import Stopwatch
+from app.pool import Watch
+from app.replies import pose_reply
+from app.routes.uploads import HypothesisCount, KeypointSetQuery, UploadForm
+from app.runtime import EstimatorDep, RuntimeDep, run_in_pool
+from app.schemas import PoseResponse
+from index.skeleton import KEYPOINT_SETS
+
+router = APIRouter(
+    tags=["pose"],
+    dependencies=[RequireKey],
+    responses=documented(400, 401, 408, 413, 415, 422, 503),
+)
+
+PNG: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "A PNG image.",
+        "content": {"image/png": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+
+
+@router.post("/pose", operation_id="estimate_pose", response_model=PoseResponse)
+async def estimate_pose(
+    request: Request,
+    upload: UploadForm,
+    runtime: RuntimeDep,
+    estimator: EstimatorDep,
+    n: HypothesisCount = 7,
+    keypoints: KeypointSetQuery = "native",
+) -> Response:
+    """Estimate the 3D poses of the people in a frame.
+
+    For every person the nearest distinct poses of the index, the best first. A frame with
+    nobody in it gives an empty list.
+    """
+
+    def work(watch: Watch) -> bytes:
+        estimate = estimator.estimate(upload, n, watch.check)
+        runtime.metrics.observe_stages(estimate.timings_ms)
+        runtime.metrics.observe_persons(estimate.persons)
+        return pose_reply(estimate, estimator.index, keypoints).model_dump_json().encode()
+
+    return Response(await run_in_pool(request, work), media_type="application/json")
+
+
+@router.post("/pose/overlay", operation_id="draw_pose", response_class=Response, responses=PNG)
+async def draw_pose(
+    request: Request,
+    upload: UploadForm,
+    runtime: RuntimeDep,
+    estimator: EstimatorDep,
+    keypoints: KeypointSetQuery = "native",
+) -> Response:
+    """Draw boxes, silhouette outlines and the best skeletons over a frame."""
+
+    def work(watch: Watch) -> bytes:
+        estimate = estimator.estimate(upload, 1, watch.check)
+        runtime.metrics.observe_stages(estimate.timings_ms)
+        return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
+
+    return Response(await run_in_pool(request, work), media_type="image/png")
+
+
+@router.post(
+    "/silhouette",
+    operation_id="extract_silhouettes",
+    response_class=Response,
+    responses=PNG,
+)
+async def extract_silhouettes(
+    request: Request, upload: UploadForm, runtime: RuntimeDep, estimator: EstimatorDep
+) -> Response:
+    """Cut out the people of a frame: a label image.
+
+    0 is background, k the k-th entry of `persons` as `/pose` would list them. It can be sent
+    back as `mask`.
+    """
+
+    def work(watch: Watch) -> bytes:
+        stopwatch = Stopwatch()
+        scene = estimator.find_people(upload, watch.check, stopwatch)
+        runtime.metrics.observe_stages(stopwatch.milliseconds)
+        return encode_png(draw_labels(scene))
+
+    return Response(await run_in_pool(request, work), media_type="image/png")

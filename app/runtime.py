@@ -1,0 +1,71 @@
+"""What the routes share while the service runs: the one place for its state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, TypeVar, cast
+
+from fastapi import Depends, Request
+
+from app.errors import ProblemError
+from app.estimator import Estimator
+from app.metrics import Metrics
+from app.pool import Watch, WorkPool
+from app.settings import Settings
+
+T = TypeVar("T")
+
+
+@dataclass
+class Runtime:
+    """State of one application.
+
+    Parameters
+    ----------
+    settings : Settings
+    pool : WorkPool
+        Where the work on images is done.
+    metrics : Metrics
+    estimator : Estimator or None
+        None until the index is loaded.
+    not_ready_because : str
+        While there is no estimator: a sentence for the operator.
+    """
+
+    settings: Settings
+    pool: WorkPool
+    metrics: Metrics
+    estimator: Estimator | None = None
+    not_ready_because: str = "the index is being loaded"
+
+    def ready_estimator(self) -> Estimator:
+        """Return the estimator, or raise a problem with status 503."""
+        if self.estimator is None:
+            raise ProblemError(503, self.not_ready_because, reason="not_ready")
+        return self.estimator
+
+
+def _runtime(request: Request) -> Runtime:
+    return cast(Runtime, request.app.state.runtime)
+
+
+RuntimeDep = Annotated[Runtime, Depends(_runtime)]
+
+
+def _ready_estimator(runtime: RuntimeDep) -> Estimator:
+    return runtime.ready_estimator()
+
+
+EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
+
+
+async def run_in_pool(request: Request, work: Callable[[Watch], T]) -> T:
+    """Do work for a request in the pool; see :meth:`app.pool.WorkPool.run`."""
+
+    async def until_gone() -> None:
+        # The body has been read, so the next message can only be the end.
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+
+    return await _runtime(request).pool.run(work, until_gone)

@@ -1,0 +1,330 @@
+"""The public contract: every model a caller sends or gets, with units and examples."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+KeypointSetName = Literal["native", "coco17"]
+PersonSource = Literal["hog", "mask", "boxes", "background"]
+
+Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
+
+
+class Model(BaseModel):
+    """What all models share: immutable, and an unknown field is a mistake."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Problem(Model):
+    """An error, as RFC 9457 describes it."""
+
+    type: str = Field(
+        description="URI of the kind of problem; `about:blank` where the status says it all.",
+        examples=["about:blank"],
+    )
+    title: str = Field(description="The status in words.", examples=["Unprocessable Entity"])
+    status: int = Field(description="The HTTP status.", examples=[422])
+    detail: str = Field(
+        description="What is wrong with this request, in a sentence.",
+        examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
+    )
+    field: str | None = Field(
+        default=None,
+        description="The parameter or form field it is about, where it is about one.",
+        examples=["mask"],
+    )
+
+
+class Point2D(Model):
+    """A point in an image."""
+
+    x: FiniteFloat = Field(
+        description="Pixels from the centre of the top-left pixel to the right.", examples=[431.2]
+    )
+    y: FiniteFloat = Field(
+        description="Pixels from the centre of the top-left pixel down.", examples=[190.4]
+    )
+
+
+class Point3D(Model):
+    """A point in camera axes, origin at the pelvis."""
+
+    x: FiniteFloat = Field(description="Metres to the right.", examples=[0.12])
+    y: FiniteFloat = Field(description="Metres down.", examples=[-0.48])
+    z: FiniteFloat = Field(description="Metres away from the camera.", examples=[0.05])
+
+
+class Box(Model):
+    """A person's bounding box."""
+
+    x: FiniteFloat = Field(description="Left edge, pixels of the frame.", examples=[401.0])
+    y: FiniteFloat = Field(description="Top edge, pixels of the frame.", examples=[120.0])
+    width: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[61.0])
+    height: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[148.0])
+
+
+class ImageSize(Model):
+    """Size of the frame after its EXIF orientation was applied."""
+
+    width: int = Field(description="Pixels.", examples=[768])
+    height: int = Field(description="Pixels.", examples=[576])
+
+
+class Bone(Model):
+    """A line between two keypoints."""
+
+    parent: int = Field(description="Position in the list of keypoint names.", examples=[0])
+    child: int = Field(description="Position in the list of keypoint names.", examples=[1])
+
+
+class Keypoints(Model):
+    """Which keypoints an answer lists, in which order."""
+
+    set: KeypointSetName = Field(description="The set that was asked for.", examples=["native"])
+    names: list[str] = Field(
+        description="Names in the order of every list of joints; left and right are the "
+        "person's own.",
+        examples=[["pelvis", "spine", "chest"]],
+    )
+    bones: list[Bone] = Field(description="Lines to draw between them.")
+
+
+class IndexVersion(Model):
+    """Which index answered."""
+
+    name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
+    version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
+
+
+class SilhouetteSummary(Model):
+    """The silhouette a pose was estimated from."""
+
+    area_px: int = Field(ge=0, description="Pixels of the frame.", examples=[3120])
+    segmenter: str = Field(description="What cut it out.", examples=["network"])
+    truncated: bool = Field(
+        description="Whether it touches the border of the frame, so that part of the person "
+        "may be missing.",
+        examples=[False],
+    )
+
+
+class Facing(Model):
+    """Whether the person faces the camera, which a silhouette alone cannot tell."""
+
+    front_probability: Probability = Field(
+        description="Probability that the camera sees the person from the front.",
+        examples=[0.91],
+    )
+    evidence: Literal["image", "motion", "none"] = Field(
+        description="What it rests on: the pixels of the photograph, the direction of walking, "
+        "or nothing but the hypotheses (the share of their confidence that faces the camera).",
+        examples=["none"],
+    )
+
+
+class MotionSource(Model):
+    """Where an entry's pose comes from."""
+
+    clip: str = Field(description="Name of the motion capture clip.", examples=["07_01"])
+    frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
+    subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
+    mirrored: bool = Field(
+        description="Whether left and right of the clip were exchanged.", examples=[False]
+    )
+
+
+class Camera(Model):
+    """From where the virtual camera saw an entry."""
+
+    azimuth_deg: FiniteFloat = Field(
+        description="Degrees; 0: it looks the person in the face, 90: it sees the person's left "
+        "side.",
+        examples=[45.0],
+    )
+    elevation_deg: FiniteFloat = Field(
+        description="Degrees; height angle of the camera above the person.", examples=[15.0]
+    )
+    roll_deg: FiniteFloat = Field(
+        description="Degrees; turn about the optical axis, positive turns the picture clockwise.",
+        examples=[0.0],
+    )
+
+
+class Hypothesis(Model):
+    """One pose that fits the silhouette."""
+
+    rank: int = Field(ge=1, description="1 is the best.", examples=[1])
+    entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
+    distance: FiniteFloat = Field(
+        ge=0,
+        description="Euclidean distance of the two descriptors; comparable within one index. It "
+        "knows the silhouette alone, so it need not ascend where the photograph has a say in "
+        "the order.",
+        examples=[0.031],
+    )
+    reprojection_error_px: FiniteFloat = Field(
+        ge=0,
+        description="Mean distance between the outline of the person's silhouette and that of "
+        "the simulated one, both ways, in pixels of the normalised 128x48 frame.",
+        examples=[1.8],
+    )
+    confidence: Probability = Field(
+        description="Calibrated probability that this hypothesis is right: mean joint "
+        "reprojection error under 5 px in the normalised 128x48 frame. Where `facing` rests on "
+        "the image or on motion, that is taken into account.",
+        examples=[0.87],
+    )
+    joints_3d: list[Point3D | None] = Field(
+        description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
+        "at the pelvis, at the size of the indexed body. Null where the entry lacks one.",
+        examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
+    )
+    joints_2d: list[Point2D | None] = Field(
+        description="The same keypoints in pixels of the frame, placed and scaled on this "
+        "person's silhouette. Null where the entry lacks one.",
+        examples=[[{"x": 431.2, "y": 190.4}]],
+    )
+    action: str = Field(description="What the person of the entry does.", examples=["walk"])
+    source: MotionSource
+    camera: Camera
+
+
+class Person(Model):
+    """One person of the frame."""
+
+    box: Box
+    detection_score: FiniteFloat | None = Field(
+        description="Score of the detector, higher is surer; null where nothing was detected "
+        "because the caller said where people are.",
+        examples=[0.93],
+    )
+    source: PersonSource = Field(
+        description="What found the person: the HOG detector, the caller's mask or boxes, or "
+        "the difference to the caller's background.",
+        examples=["hog"],
+    )
+    silhouette: SilhouetteSummary | None = Field(
+        description="Null where a caller's box holds no silhouette; there are no hypotheses then."
+    )
+    facing: Facing | None = Field(description="Null where there are no hypotheses.")
+    hypotheses: list[Hypothesis] = Field(
+        description="Distinct poses, the best first: near-copies of one another count once."
+    )
+
+
+class Timings(Model):
+    """Where the time went, in milliseconds."""
+
+    decode: FiniteFloat = Field(ge=0, description="Decoding the images.", examples=[3.1])
+    detect: FiniteFloat = Field(ge=0, description="Looking for people.", examples=[21.0])
+    segment: FiniteFloat = Field(ge=0, description="Cutting out silhouettes.", examples=[4.4])
+    describe: FiniteFloat = Field(
+        ge=0, description="Normalising silhouettes to 128x48.", examples=[0.1]
+    )
+    search: FiniteFloat = Field(
+        ge=0,
+        description="Moments, nearest entries, and choosing distinct poses among them.",
+        examples=[0.4],
+    )
+    total: FiniteFloat = Field(
+        ge=0, description="All work on this frame, without waiting and transport.", examples=[29.6]
+    )
+
+
+class PoseResponse(Model):
+    """The people of a frame, each with the poses that fit."""
+
+    image: ImageSize
+    index: IndexVersion
+    keypoints: Keypoints
+    persons: list[Person] = Field(description="Ordered left to right; empty where there is nobody.")
+    timings_ms: Timings
+
+
+class DescriptorSummary(Model):
+    """How silhouettes become vectors."""
+
+    name: str = Field(description="Name of the descriptor.", examples=["krawtchouk-discriminant"])
+    dimension: int = Field(description="Values in a vector.", examples=[48])
+
+
+class ServiceVersion(Model):
+    """Which build of the service runs."""
+
+    version: str = Field(description="Version of the service.", examples=["0.1.0"])
+    revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
+
+
+class IndexResponse(Model):
+    """What the index holds and how it was made."""
+
+    name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
+    version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
+    entries: int = Field(description="Simulated silhouettes.", examples=[40000])
+    descriptor: DescriptorSummary
+    joints: list[str] = Field(
+        description="Names of the native keypoints, in order.", examples=[["pelvis", "spine"]]
+    )
+    bones: list[Bone] = Field(description="Lines between the native keypoints.")
+    actions: list[str] = Field(
+        description="Labels of the motions.", examples=[["walk", "jump", "climb"]]
+    )
+    subjects: list[str] = Field(
+        description="Names of the avatars.", examples=[["f-young-slim", "m-old-heavy"]]
+    )
+    parameters: dict[str, Any] = Field(
+        description="How the index was built; its keys belong to the builder.",
+        examples=[{"seed": 1}],
+    )
+    attribution: str = Field(
+        description="Whose data it was built from, to be shown with results.",
+        examples=["The data used in this project was obtained from mocap.cs.cmu.edu."],
+    )
+    service: ServiceVersion
+
+
+class EntryResponse(Model):
+    """One entry of the index: a simulated silhouette and its skeleton."""
+
+    entry: int = Field(ge=0, description="Its number.", examples=[20117])
+    action: str = Field(description="What the person does.", examples=["walk"])
+    source: MotionSource
+    camera: Camera
+    keypoints: Keypoints
+    joints_3d: list[Point3D | None] = Field(
+        description="Metres; camera axes (x right, y down, z forward), origin at the pelvis. "
+        "Null where the entry lacks a keypoint."
+    )
+    joints_2d: list[Point2D | None] = Field(
+        description="Pixels of the normalised 128x48 silhouette. Null as above."
+    )
+
+
+class DeepstackPrediction(Model):
+    """One person, as DeepStack says it."""
+
+    label: Literal["person"] = Field(description="Always `person`.", examples=["person"])
+    confidence: Probability = Field(description="Score of the detector.", examples=[0.93])
+    x_min: int = Field(description="Left edge, pixels of the image.", examples=[401])
+    y_min: int = Field(description="Top edge, pixels of the image.", examples=[120])
+    x_max: int = Field(description="Right edge, pixels of the image.", examples=[462])
+    y_max: int = Field(description="Bottom edge, pixels of the image.", examples=[268])
+
+
+class DeepstackResponse(Model):
+    """The people of an image, as DeepStack says it."""
+
+    success: Literal[True] = Field(
+        description="Always true; an error has another status.", examples=[True]
+    )
+    predictions: list[DeepstackPrediction] = Field(description="The surest first.")
+    duration: FiniteFloat = Field(ge=0, description="Seconds.", examples=[0.042])
+
+
+class Health(Model):
+    """All is well; otherwise a problem says what is not."""
+
+    status: Literal["ok"] = Field(default="ok", description="Always `ok`.", examples=["ok"])

@@ -1,0 +1,293 @@
+// The debug page: a photograph in, what the service made of it out.
+
+import { drawStage, drawThumbnail, personColour, Solid, tint } from "./drawing.js";
+import {
+  curlCommand, describeIndex, entrySilhouette, estimatePose, extractSilhouettes,
+} from "./service.js";
+
+const $ = (id) => document.getElementById(id);
+const solid = new Solid($("solid"));
+
+// All that changes: what was sent, what came back, and what is chosen of it.
+const state = { upload: null, bitmap: null, answer: null, silhouettes: null, person: 0, hypothesis: 0 };
+let asking = null;
+let webcam = null;
+
+const options = () => ({
+  count: Math.min(50, Math.max(1, Number($("count").value) || 7)),
+  keypoints: $("keypoints").value,
+  key: $("key").value,
+  keyed: Boolean($("key").value),
+});
+
+function complain(error) {
+  $("message").hidden = !error;
+  $("message").textContent = error ? error.message : "";
+  if (error?.status === 401) {
+    $("key-form").hidden = false;
+    $("key").focus();
+  }
+}
+
+async function showIndex() {
+  try {
+    const index = await describeIndex($("key").value);
+    $("index").textContent = `${index.name}: ${index.entries.toLocaleString("en")} silhouettes, `
+      + `${index.actions.length} kinds of action`;
+    $("attribution").textContent = index.attribution;
+    return true;
+  } catch (error) {
+    $("index").textContent = error.message;
+    if (error.status === 401) complain(error);
+    return error.status !== 503;
+  }
+}
+
+async function untilReady() {
+  while (!await showIndex()) await new Promise((wake) => setTimeout(wake, 500));
+}
+
+/** Ask the service about a photograph, perhaps with a mask, and show what it says. */
+async function ask(upload) {
+  asking?.abort();
+  asking = new AbortController();
+  const { signal } = asking;
+  const chosen = options();
+  complain(null);
+  $("result").classList.add("busy");
+  try {
+    const bitmap = await createImageBitmap(upload.frame).catch(() => null);
+    const answer = await estimatePose(upload, { ...chosen, signal });
+    const labels = answer.persons.length
+      ? await extractSilhouettes(upload, { ...chosen, signal }).catch(() => null) : null;
+    const silhouettes = labels && await tint(labels);
+    if (signal.aborted) return;
+    const person = Math.min(state.person, Math.max(0, answer.persons.length - 1));
+    Object.assign(state, { upload, bitmap, answer, silhouettes, person, hypothesis: 0 });
+    $("result").hidden = false;
+    document.body.classList.add("has-result");
+    $("curl").textContent = curlCommand(upload, chosen);
+    if (!answer.persons.length) complain(new Error("Nobody was found in this photograph."));
+    showPersons();
+  } catch (error) {
+    if (error.name !== "AbortError") complain(error);
+  } finally {
+    if (!signal.aborted) $("result").classList.remove("busy");
+  }
+}
+
+/** A group of radio buttons: arrow keys, focus and screen readers come with them. */
+function choices(fieldset, name, items, content, chosen, choose) {
+  const list = document.createElement("div");
+  list.className = "list";
+  items.forEach((item, number) => {
+    const label = document.createElement("label");
+    const input = Object.assign(document.createElement("input"),
+      { type: "radio", name, value: number, checked: number === chosen });
+    input.addEventListener("change", () => choose(number));
+    label.append(input, content(item, number));
+    list.append(label);
+  });
+  fieldset.querySelector(".list")?.remove();
+  fieldset.append(list);
+  fieldset.hidden = !items.length;
+}
+
+function showPersons() {
+  choices($("persons"), "person", state.answer.persons, (person, number) => {
+    const chip = document.createElement("span");
+    chip.className = "chip";
+    chip.style.borderBottomColor = personColour(number);
+    chip.textContent = number + 1;
+    return chip;
+  }, state.person, (number) => {
+    Object.assign(state, { person: number, hypothesis: 0 });
+    showHypotheses();
+  });
+  showHypotheses();
+}
+
+const percent = (share) => `${Math.round(share * 100)} %`;
+
+function showHypotheses() {
+  const found = state.answer.persons[state.person];
+  choices($("hypotheses"), "hypothesis", found?.hypotheses ?? [], card, state.hypothesis, (number) => {
+    state.hypothesis = number;
+    showPose();
+  });
+  showPose();
+}
+
+function card(hypothesis) {
+  const box = document.createElement("div");
+  box.className = "card";
+  const line = (...parts) => {
+    const p = document.createElement("p");
+    p.append(...parts.map((part) => Object.assign(document.createElement("span"), { textContent: part })));
+    return p;
+  };
+  const title = Object.assign(document.createElement("b"),
+    { textContent: `${hypothesis.rank}. ${hypothesis.action}` });
+  const sure = Object.assign(document.createElement("meter"),
+    { min: 0, max: 1, value: hypothesis.confidence, title: "confidence" });
+  const pictures = document.createElement("div");
+  pictures.className = "pictures";
+  const silhouette = Object.assign(new Image(48, 128), { alt: `Silhouette of entry ${hypothesis.entry}` });
+  entrySilhouette(hypothesis.entry, $("key").value)
+    .then((blob) => { silhouette.src = URL.createObjectURL(blob); })
+    .catch(() => {});
+  silhouette.onload = () => URL.revokeObjectURL(silhouette.src);
+  const skeleton = Object.assign(document.createElement("canvas"), { width: 140, height: 200 });
+  drawThumbnail(skeleton, hypothesis.joints_3d, state.answer.keypoints);
+  pictures.append(silhouette, skeleton);
+  box.append(title, sure,
+    line("confidence", percent(hypothesis.confidence)),
+    line("outline error", `${hypothesis.reprojection_error_px.toFixed(1)} px`),
+    pictures,
+    line("entry", hypothesis.entry));
+  return box;
+}
+
+function showPose() {
+  const found = state.answer.persons[state.person];
+  const hypothesis = found?.hypotheses[state.hypothesis];
+  $("pose").hidden = !hypothesis;
+  if (hypothesis) {
+    solid.show(hypothesis.joints_3d, state.answer.keypoints);
+    const { clip, frame, subject } = hypothesis.source;
+    const { azimuth_deg: azimuth, elevation_deg: elevation } = hypothesis.camera;
+    $("facts").textContent = [
+      `faces the camera with ${percent(found.facing.front_probability)} (evidence: ${found.facing.evidence})`,
+      `clip ${clip}, frame ${frame}, ${subject}`,
+      `seen from ${Math.round(azimuth)}° around, ${Math.round(elevation)}° above`,
+      `found by ${found.source}${found.detection_score === null ? "" : ` (${percent(found.detection_score)})`}`,
+      `cut out by ${found.silhouette.segmenter}${found.silhouette.truncated ? ", truncated" : ""}`,
+    ].join(" · ");
+  }
+  const { total, ...stages } = state.answer.timings_ms;
+  $("timings").textContent = `${total.toFixed(0)} ms: ${Object.entries(stages)
+    .map(([stage, ms]) => `${stage} ${ms.toFixed(1)}`).join(", ")}`;
+  draw();
+}
+
+function draw() {
+  if (!state.answer || !state.bitmap) return;
+  drawStage($("stage"), {
+    ...state,
+    photo: state.bitmap,
+    shown: {
+      boxes: $("show-boxes").checked,
+      silhouettes: $("show-silhouettes").checked,
+      skeleton: $("show-skeleton").checked,
+    },
+  });
+}
+
+/** Frames from the webcam, one after another, as fast as they are answered. */
+async function toggleWebcam() {
+  if (webcam) {
+    webcam.getTracks().forEach((track) => track.stop());
+    webcam = null;
+    $("webcam").textContent = "Use the webcam";
+    return;
+  }
+  try {
+    webcam = await navigator.mediaDevices.getUserMedia({ video: { width: 640, height: 480 } });
+  } catch (error) {
+    complain(new Error(`The webcam cannot be used: ${error.message || error}`));
+    return;
+  }
+  $("webcam").textContent = "Stop the webcam";
+  const video = $("video");
+  video.srcObject = webcam;
+  await video.play();
+  const shot = document.createElement("canvas");
+  while (webcam) {
+    Object.assign(shot, { width: video.videoWidth, height: video.videoHeight });
+    shot.getContext("2d").drawImage(video, 0, 0);
+    const blob = await new Promise((done) => shot.toBlob(done, "image/jpeg", 0.9));
+    await ask({ frame: new File([blob], "webcam.jpg", { type: "image/jpeg" }) });
+    await new Promise((wake) => setTimeout(wake, 150));
+  }
+}
+
+async function copy(text, what) {
+  try {
+    await navigator.clipboard.writeText(text);
+    $("copied").textContent = `${what} copied`;
+  } catch {
+    // Browsers give pages without TLS no clipboard: select it, for Ctrl+C.
+    getSelection().selectAllChildren($("curl"));
+    $("copied").textContent = "press Ctrl+C";
+  }
+}
+
+/** What was dropped, pasted or chosen: a photograph, and a mask if a file is named so. */
+function take(files) {
+  const images = [...files].filter((file) => file.type.startsWith("image/") || !file.type);
+  const mask = images.find((file) => images.length > 1 && /mask/i.test(file.name));
+  const frame = images.find((file) => file !== mask);
+  if (frame) ask({ frame, mask });
+  else if (files.length) complain(new Error("That is no picture file."));
+}
+
+$("file").addEventListener("change", () => {
+  take($("file").files);
+  $("file").value = "";
+});
+$("drop").addEventListener("keydown", (event) => {
+  if (event.key === "Enter" || event.key === " ") {
+    event.preventDefault();
+    $("file").click();
+  }
+});
+for (const kind of ["dragenter", "dragover"]) {
+  addEventListener(kind, (event) => {
+    event.preventDefault();
+    $("drop").classList.add("over");
+  });
+}
+addEventListener("dragleave", (event) => {
+  if (!event.relatedTarget) $("drop").classList.remove("over");
+});
+addEventListener("drop", (event) => {
+  event.preventDefault();
+  $("drop").classList.remove("over");
+  take(event.dataTransfer.files);
+});
+addEventListener("paste", (event) => take(event.clipboardData.files));
+for (const id of ["count", "keypoints"]) {
+  $(id).addEventListener("change", () => { if (state.upload) ask(state.upload); });
+}
+$("key-form").addEventListener("submit", (event) => event.preventDefault());
+$("key").addEventListener("change", () => {
+  complain(null);
+  untilReady();
+  if (state.upload) ask(state.upload);
+});
+for (const id of ["show-boxes", "show-silhouettes", "show-skeleton"]) $(id).addEventListener("change", draw);
+$("stage").addEventListener("click", (event) => {
+  const scale = $("stage").width / $("stage").clientWidth;
+  const [x, y] = [event.offsetX * scale, event.offsetY * scale];
+  const hit = state.answer?.persons.findIndex(({ box }) =>
+    x >= box.x && x <= box.x + box.width && y >= box.y && y <= box.y + box.height) ?? -1;
+  if (hit >= 0) {
+    Object.assign(state, { person: hit, hypothesis: 0 });
+    showPersons();
+  }
+});
+$("webcam").addEventListener("click", toggleWebcam);
+$("straight").addEventListener("click", () => {
+  $("spin").checked = false;
+  solid.straighten();
+});
+$("copy-curl").addEventListener("click", () => copy($("curl").textContent, "Command"));
+$("copy-json").addEventListener("click", () => copy(JSON.stringify(state.answer, null, 2), "Answer"));
+
+// Turning shows the depth; who asked for less motion turns it by hand.
+$("spin").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+requestAnimationFrame(function step() {
+  if ($("spin").checked && state.answer) solid.turn(0.012, 0);
+  requestAnimationFrame(step);
+});
+untilReady();

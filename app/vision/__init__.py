@@ -1,0 +1,11 @@
+"""Frame to silhouettes: decode, detect, segment. Knows neither HTTP nor moments.
+
+Everywhere in this package an image is BGR, ``(H, W, 3)`` uint8, and pixels have their
+origin at the centre of the top-left pixel, x right, y down.
+"""
+
+import os
+
+# OpenCV reads this once, when it is imported: a second line of defence behind the size
+# check of `decode`, for images whose decoder disagrees with their header.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))

@@ -1,0 +1,157 @@
+"""Encoded bytes to pixels: photographs and masks, with every oddity settled here."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.image_header import ImageError, ImageHeader, read_header
+
+__all__ = ["ImageError", "ImageTooLargeError", "decode_image", "decode_mask"]
+
+# A label image with more different values than this is a mask with soft edges, not a crowd.
+MAX_LABELS = 100
+
+
+class ImageTooLargeError(ImageError):
+    """The image has more pixels than allowed."""
+
+
+def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
+    """Decode a photograph.
+
+    The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR,
+    16 bits become 8, an alpha channel is dropped, of an animation the first picture counts.
+
+    Parameters
+    ----------
+    data : bytes
+        PNG, JPEG, WebP, BMP, TIFF or GIF.
+    max_pixels : int
+        Width times height allowed; checked on the header, before anything is decoded.
+
+    Returns
+    -------
+    (H, W, 3) uint8 array
+        BGR.
+
+    Raises
+    ------
+    ImageTooLargeError
+        If the image has more than ``max_pixels`` pixels.
+    ImageError
+        If the bytes are no image, or a broken one.
+    """
+    header = _checked_header(data, max_pixels)
+    return _decode(data, header, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
+
+
+def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
+    """Decode a label image: 0 is background, k is person k.
+
+    Grey and palette images keep their stored values exactly, whatever their bit depth (of a
+    palette image the index counts, not the colour). An image of two values, 0 and any other,
+    is one person, label 1; so is an image of lossy compression (JPEG, WebP), which cannot
+    keep labels: there, values from 128 up are the person. EXIF orientation is applied, as it
+    is to the frame; an alpha channel is dropped.
+
+    Parameters
+    ----------
+    data : bytes
+        As in :func:`decode_image`; three channels are accepted where they are equal.
+    max_pixels : int
+        Width times height allowed.
+
+    Returns
+    -------
+    (H, W) uint16 array
+
+    Raises
+    ------
+    ImageTooLargeError
+        If the image has more than ``max_pixels`` pixels.
+    ImageError
+        If the bytes are no image, the image is coloured, or it holds more than 100 labels.
+    """
+    header = _checked_header(data, max_pixels)
+    step = 1
+    if header.format == "png":
+        data, step = _png_with_stored_values(data)
+    pixels = _decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    if not np.issubdtype(pixels.dtype, np.unsignedinteger):
+        raise ImageError(f"expected a mask of whole numbers, got {pixels.dtype} values")
+    if pixels.ndim == 3:
+        tolerance = 16 if header.lossy else 0
+        if int(np.ptp(pixels.astype(np.int32), axis=2).max()) > tolerance:
+            raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
+        pixels = pixels[:, :, 0]
+    if header.lossy:
+        person: NDArray[np.bool_] = pixels >= 128
+        return person.astype(np.uint16)
+    labels: NDArray[np.uint16] = (pixels // step).astype(np.uint16)
+    values = np.flatnonzero(np.bincount(labels.ravel()))
+    foreground = values[values > 0]
+    if len(foreground) == 1:
+        one: NDArray[np.uint16] = (labels != 0).astype(np.uint16)
+        return one
+    if len(foreground) > MAX_LABELS:
+        raise ImageError(
+            f"expected a mask of at most {MAX_LABELS} labels, got {len(foreground)}: "
+            "a mask with soft edges must be thresholded first"
+        )
+    return labels
+
+
+def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:
+    header = read_header(data)
+    if header.width * header.height > max_pixels:
+        raise ImageTooLargeError(
+            f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
+        )
+    return header
+
+
+def _decode(data: bytes, header: ImageHeader, flags: int) -> NDArray[Any]:
+    """Decode with OpenCV, turning its two ways to fail into one."""
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise ImageError(f"the {header.format.upper()} image is broken") from error
+    if pixels is None:
+        raise ImageError(f"the {header.format.upper()} image is broken")
+    return pixels
+
+
+def _png_with_stored_values(data: bytes) -> tuple[bytes, int]:
+    """Make OpenCV return the stored values of a PNG of few bits or with a palette.
+
+    OpenCV replaces palette indices by colours and stretches 1, 2 and 4 bits to 0..255. The
+    first is avoided by relabelling the image as grey; the second is undone by a division.
+
+    Returns
+    -------
+    data : bytes
+        The PNG, without its palette if it had one.
+    step : int
+        What the decoded values are to be divided by.
+    """
+    if len(data) < 33:
+        raise ImageError("the image ends before its header does")
+    depth, colour_type = data[24], data[25]
+    step = 255 // ((1 << depth) - 1) if depth in (1, 2, 4) and colour_type in (0, 3) else 1
+    if colour_type != 3:
+        return data, step
+    header = b"IHDR" + data[16:25] + b"\0" + data[26:29]
+    parts = [data[:8], struct.pack(">I", 13), header, struct.pack(">I", zlib.crc32(header))]
+    position = 33
+    while position + 8 <= len(data):
+        end = position + 12 + struct.unpack_from(">I", data, position)[0]
+        if data[position + 4 : position + 8] not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
+            parts.append(data[position:end])
+        position = end
+    return b"".join(parts), step

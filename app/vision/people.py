@@ -1,0 +1,194 @@
+"""What vision finds: boxes, detections and silhouettes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+SegmenterName = Literal["network", "grabcut", "background", "mask"]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright rectangle in pixels.
+
+    The origin lies at the centre of the top-left pixel, so the box of that single pixel is
+    ``Box(-0.5, -0.5, 1, 1)``.
+
+    Parameters
+    ----------
+    x, y : float
+        Left and top edge.
+    width, height : float
+        Positive.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+    def __post_init__(self) -> None:
+        finite = np.isfinite([self.x, self.y, self.width, self.height]).all()
+        if not (finite and self.width > 0 and self.height > 0):
+            raise ValueError(f"expected a box of positive finite size, got {self}")
+
+    @property
+    def right(self) -> float:
+        """Right edge, in pixels."""
+        return self.x + self.width
+
+    @property
+    def bottom(self) -> float:
+        """Bottom edge, in pixels."""
+        return self.y + self.height
+
+    @property
+    def area(self) -> float:
+        """Width times height, in square pixels."""
+        return self.width * self.height
+
+    def intersection(self, other: Box) -> float:
+        """Area shared with another box, in square pixels."""
+        width = min(self.right, other.right) - max(self.x, other.x)
+        height = min(self.bottom, other.bottom) - max(self.y, other.y)
+        return max(0.0, width) * max(0.0, height)
+
+    def iou(self, other: Box) -> float:
+        """Intersection over union with another box, 0 to 1."""
+        shared = self.intersection(other)
+        return shared / (self.area + other.area - shared)
+
+    def clip(self, width: int, height: int) -> Box | None:
+        """Return the part inside a frame of ``width`` x ``height`` pixels, None if there is none.
+
+        The frame's own box is ``Box(-0.5, -0.5, width, height)``.
+        """
+        left, top = max(self.x, -0.5), max(self.y, -0.5)
+        right, bottom = min(self.right, width - 0.5), min(self.bottom, height - 0.5)
+        if right <= left or bottom <= top:
+            return None
+        return Box(left, top, right - left, bottom - top)
+
+    def scaled(self, factor: float) -> Box:
+        """Return the same box in a frame resized by ``factor``."""
+        x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
+        return Box(x, y, self.width * factor, self.height * factor)
+
+    def pixels(self) -> tuple[int, int, int, int]:
+        """Return the whole pixels nearest the edges: first column and row, then one past the last.
+
+        At least one pixel each way; they may lie outside the frame.
+        """
+        left, top = round(self.x + 0.5), round(self.y + 0.5)
+        return (
+            left,
+            top,
+            max(left + 1, round(self.right + 0.5)),
+            max(top + 1, round(self.bottom + 0.5)),
+        )
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A person found in a frame.
+
+    Parameters
+    ----------
+    box : Box
+        Tight around the visible person.
+    score : float
+        Probability that the box holds a person, 0 to 1.
+    """
+
+    box: Box
+    score: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.score <= 1:
+            raise ValueError(f"expected a score from 0 to 1, got {self.score}")
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """The pixels of one person, as a crop of the frame.
+
+    Parameters
+    ----------
+    crop : (h, w) bool array
+        True on the person; its border rows and columns all hold at least one True pixel.
+    left, top : int
+        Column and row of the crop's first pixel in the frame.
+    segmenter : str
+        What drew it: ``network``, ``grabcut``, ``background`` or ``mask``.
+    truncated : bool
+        Whether the frame's border or another person cuts the body.
+    """
+
+    crop: NDArray[np.bool_]
+    left: int
+    top: int
+    segmenter: SegmenterName
+    truncated: bool
+
+    def __post_init__(self) -> None:
+        if self.crop.ndim != 2 or self.crop.dtype != np.bool_ or self.crop.size == 0:
+            raise ValueError(
+                "expected a crop of shape (h, w) and dtype bool, "
+                f"got {self.crop.shape} and {self.crop.dtype}"
+            )
+        edges = (self.crop[0], self.crop[-1], self.crop[:, 0], self.crop[:, -1])
+        if not all(edge.any() for edge in edges):
+            raise ValueError("expected a tight crop, got one with an empty border row or column")
+        if self.left < 0 or self.top < 0:
+            raise ValueError(f"expected a crop inside the frame, got {self.left}, {self.top}")
+
+    @property
+    def area_px(self) -> int:
+        """Number of pixels on the person."""
+        return int(np.count_nonzero(self.crop))
+
+    @property
+    def box(self) -> Box:
+        """The tight box around the silhouette."""
+        height, width = self.crop.shape
+        return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
+
+    def mask(self, frame_shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Paste the crop into an empty mask of the frame's size.
+
+        Parameters
+        ----------
+        frame_shape : tuple of int
+            Height and width first, as ``frame.shape``.
+
+        Returns
+        -------
+        (H, W) bool array
+        """
+        mask = np.zeros(frame_shape[:2], bool)
+        height, width = self.crop.shape
+        mask[self.top : self.top + height, self.left : self.left + width] = self.crop
+        return mask
+
+
+def silhouette_from_mask(
+    mask: NDArray[np.bool_],
+    *,
+    left: int = 0,
+    top: int = 0,
+    segmenter: SegmenterName,
+    truncated: bool,
+) -> Silhouette | None:
+    """Cut a mask, or a part of one that starts at ``left``, ``top``, to its tight crop.
+
+    None if no pixel is set.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if rows.size == 0:
+        return None
+    crop = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()
+    return Silhouette(crop, left + int(columns[0]), top + int(rows[0]), segmenter, truncated)

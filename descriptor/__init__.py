@@ -1,0 +1,1 @@
+"""Silhouette to vector: normalisation, Krawtchouk moments, descriptors. NumPy only."""

@@ -1,0 +1,234 @@
+"""The paper's descriptor and the discriminant one, behind one small interface.
+
+References
+----------
+.. [1] D. F. Atrevi, D. Vivet, F. Duculty, B. Emile, "3D Human Poses Estimation from a
+   Single 2D Silhouette", VISAPP 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptor.krawtchouk import diagonal_moments, moments, weighted_polynomials
+from descriptor.silhouette import HEIGHT, WIDTH
+
+Arrays = dict[str, NDArray[np.generic]]
+
+
+class Descriptor(Protocol):
+    """What an index needs of a descriptor: to describe, and to be written down."""
+
+    @property
+    def name(self) -> str:
+        """Its name in a manifest."""
+
+    @property
+    def dimension(self) -> int:
+        """Length of a described silhouette."""
+
+    def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
+        """Silhouettes ``(B, 128, 48)`` of 0 and 1 to vectors ``(B, dimension)``."""
+
+    def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Vectors ``(B, dimension)`` of silhouettes to those of the silhouettes mirrored."""
+
+    def parameters(self) -> dict[str, object]:
+        """JSON values that, with :meth:`arrays`, rebuild it by :func:`restore`."""
+
+    def arrays(self) -> Arrays:
+        """Learned arrays; empty where nothing is learned."""
+
+
+@dataclass(frozen=True)
+class DiagonalDescriptor:
+    """The paper's 48 values [1]_: diagonal moments (n = m) in two regions of the body.
+
+    The 24 orders are 0 to 23. ``p1 = 0.5`` centres every polynomial horizontally;
+    ``p2 = 0.1`` gathers the first 24 values about the upper body and ``p2 = 0.95`` the
+    last 24 about the lower body.
+    """
+
+    orders: int = 24
+    p1: float = 0.5
+    p2: tuple[float, ...] = (0.1, 0.95)
+    name: str = field(default="krawtchouk-diagonal", init=False)
+
+    def __post_init__(self) -> None:
+        _check_p1(self.p1)
+
+    @property
+    def dimension(self) -> int:
+        """Number of orders times number of regions."""
+        return self.orders * len(self.p2)
+
+    def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
+        """Silhouettes ``(B, 128, 48)`` to vectors ``(B, dimension)``."""
+        _check(silhouettes)
+        horizontal = weighted_polynomials(self.orders, WIDTH, self.p1)
+        vertical = [weighted_polynomials(self.orders, HEIGHT, p) for p in self.p2]
+        return diagonal_moments(
+            silhouettes, np.concatenate(vertical), np.tile(horizontal, (len(self.p2), 1))
+        )
+
+    def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Moments of odd horizontal order change their sign; needs ``p1 = 0.5``."""
+        return vectors * np.tile(_signs(self.orders), len(self.p2))
+
+    def parameters(self) -> dict[str, object]:
+        """Orders and regions."""
+        return {"name": self.name, "orders": self.orders, "p1": self.p1, "p2": list(self.p2)}
+
+    def arrays(self) -> Arrays:
+        """Nothing is learned."""
+        return {}
+
+
+@dataclass(frozen=True)
+class DiscriminantDescriptor:
+    """A linear projection, learned from simulation, of a block of Krawtchouk moments.
+
+    Parameters
+    ----------
+    projection : (D, F) float32 array
+        ``F = len(p2) * vertical_orders * horizontal_orders`` moments to ``D`` values. Each row
+        uses moments of even horizontal orders only, or of odd ones only, so that mirroring a
+        silhouette changes nothing but signs.
+    vertical_orders, horizontal_orders : int
+        Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
+    p1 : float
+        Horizontal centre of the polynomials.
+    p2 : tuple of float
+        Vertical centres, one block of moments each.
+    """
+
+    projection: NDArray[np.float32]
+    vertical_orders: int = 28
+    horizontal_orders: int = 14
+    p1: float = 0.5
+    p2: tuple[float, ...] = (0.5,)
+    name: str = field(default="krawtchouk-discriminant", init=False)
+    parity: NDArray[np.float32] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        _check_p1(self.p1)
+        expected = len(self.p2) * self.vertical_orders * self.horizontal_orders
+        if self.projection.ndim != 2 or self.projection.shape[1] != expected:
+            raise ValueError(
+                f"expected a projection of shape (D, {expected}), got {self.projection.shape}"
+            )
+        odd = np.tile(_signs(self.horizontal_orders) < 0, len(self.p2) * self.vertical_orders)
+        uses_odd, uses_even = (
+            self.projection[:, odd].any(axis=1),
+            self.projection[:, ~odd].any(axis=1),
+        )
+        if (uses_odd & uses_even).any():
+            raise ValueError(
+                "expected rows of the projection that use even or odd horizontal orders, "
+                f"row {int((uses_odd & uses_even).argmax())} uses both"
+            )
+        object.__setattr__(self, "parity", np.where(uses_odd, -1, 1).astype(np.float32))
+
+    @property
+    def dimension(self) -> int:
+        """Rows of the projection."""
+        return len(self.projection)
+
+    def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
+        """Silhouettes ``(B, 128, 48)`` to vectors ``(B, dimension)``."""
+        features = moment_block(
+            silhouettes, self.vertical_orders, self.horizontal_orders, self.p1, self.p2
+        )
+        return features @ self.projection.T
+
+    def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values made of moments of odd horizontal order change their sign."""
+        return vectors * self.parity
+
+    def parameters(self) -> dict[str, object]:
+        """Orders and regions; the projection is among the arrays."""
+        return {
+            "name": self.name,
+            "vertical_orders": self.vertical_orders,
+            "horizontal_orders": self.horizontal_orders,
+            "p1": self.p1,
+            "p2": list(self.p2),
+        }
+
+    def arrays(self) -> Arrays:
+        """The projection."""
+        return {"projection": self.projection}
+
+
+def moment_block(
+    silhouettes: NDArray[np.generic],
+    vertical_orders: int,
+    horizontal_orders: int,
+    p1: float,
+    p2: tuple[float, ...],
+) -> NDArray[np.float32]:
+    """All moments below two orders, region after region, as ``(B, F)`` float32."""
+    _check(silhouettes)
+    horizontal = weighted_polynomials(horizontal_orders, WIDTH, p1)
+    vertical = np.concatenate([weighted_polynomials(vertical_orders, HEIGHT, p) for p in p2])
+    return moments(silhouettes, vertical, horizontal).reshape(len(silhouettes), -1)
+
+
+def restore(
+    parameters: Mapping[str, object], arrays: Mapping[str, NDArray[np.generic]]
+) -> Descriptor:
+    """The descriptor that a manifest names.
+
+    Parameters
+    ----------
+    parameters : mapping
+        As :meth:`Descriptor.parameters` returned.
+    arrays : mapping of str to array
+        As :meth:`Descriptor.arrays` returned.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown or the parameters do not fit it.
+    """
+    name = parameters.get("name")
+    try:
+        p2 = tuple(float(p) for p in cast("list[float]", parameters["p2"]))
+        p1 = float(cast(float, parameters["p1"]))
+        if name == "krawtchouk-diagonal":
+            return DiagonalDescriptor(cast(int, parameters["orders"]), p1, p2)
+        if name == "krawtchouk-discriminant":
+            return DiscriminantDescriptor(
+                np.asarray(arrays["projection"], np.float32),
+                cast(int, parameters["vertical_orders"]),
+                cast(int, parameters["horizontal_orders"]),
+                p1,
+                p2,
+            )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"the descriptor {name!r} lacks or misstates {error}") from error
+    raise ValueError(
+        f"expected the descriptor krawtchouk-diagonal or krawtchouk-discriminant, got {name!r}"
+    )
+
+
+def _check_p1(p1: float) -> None:
+    if p1 != 0.5:
+        raise ValueError(f"expected p1 = 0.5, about which the polynomials are symmetric, got {p1}")
+
+
+def _signs(orders: int) -> NDArray[np.float32]:
+    """Sign that mirroring gives the moment of each order about ``p = 0.5``: +, -, +, ..."""
+    return np.where(np.arange(orders) % 2, -1, 1).astype(np.float32)
+
+
+def _check(silhouettes: NDArray[np.generic]) -> None:
+    if silhouettes.ndim != 3 or silhouettes.shape[1:] != (HEIGHT, WIDTH):
+        raise ValueError(
+            f"expected silhouettes of shape (B, {HEIGHT}, {WIDTH}), got {silhouettes.shape}"
+        )

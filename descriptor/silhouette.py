@@ -1,0 +1,115 @@
+"""Normalisation of a silhouette to 128x48 and its inverse transform."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+HEIGHT = 128
+WIDTH = 48
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a normalised silhouette lies in its image: one scale and one shift.
+
+    ``normalised = scale * image + offset``, in pixels on both sides, each with its
+    origin at the centre of the top-left pixel.
+
+    Parameters
+    ----------
+    scale : float
+        Normalised pixels per image pixel; positive.
+    offset_x, offset_y : float
+        Shift in normalised pixels.
+    """
+
+    scale: float
+    offset_x: float
+    offset_y: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.scale, self.offset_x, self.offset_y]).all() and self.scale > 0):
+            raise ValueError(f"expected a positive scale and finite offsets, got {self}")
+
+    def to_normalised(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Image pixels to normalised pixels; ``points`` is ``(..., 2)``, x before y."""
+        return np.asarray(points, np.float64) * self.scale + (self.offset_x, self.offset_y)
+
+    def to_image(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Normalised pixels to image pixels; ``points`` is ``(..., 2)``, x before y."""
+        return (np.asarray(points, np.float64) - (self.offset_x, self.offset_y)) / self.scale
+
+
+def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
+    """Scale a silhouette, aspect ratio kept, to fill and centre in 128x48.
+
+    The tight bounding box of the mask touches the frame at top and bottom, or at left
+    and right where it is wider than 48/128 of its height.
+
+    Parameters
+    ----------
+    mask : (H, W) array of bool or numbers
+        Non-zero on the person.
+
+    Returns
+    -------
+    silhouette : (128, 48) uint8 array
+        1 on the person, 0 elsewhere.
+    placement : Placement
+        Image pixels to normalised pixels and back.
+
+    Raises
+    ------
+    ValueError
+        If the mask is not two-dimensional or has no pixel set.
+    """
+    if mask.ndim != 2:
+        raise ValueError(f"expected a mask of shape (H, W), got shape {mask.shape}")
+    filled = mask != 0
+    rows = np.flatnonzero(filled.any(axis=1))
+    columns = np.flatnonzero(filled.any(axis=0))
+    if rows.size == 0:
+        raise ValueError("expected a mask with at least one pixel set, got an empty one")
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    scale = min(HEIGHT / (bottom - top), WIDTH / (right - left))
+    placement = Placement(
+        float(scale),
+        float((WIDTH - 1) / 2 - scale * (left + right - 1) / 2),
+        float((HEIGHT - 1) / 2 - scale * (top + bottom - 1) / 2),
+    )
+    crop = filled[top:bottom, left:right].astype(np.float32)
+    vertical = _resampling_matrix(HEIGHT, bottom - top, scale)
+    horizontal = _resampling_matrix(WIDTH, right - left, scale)
+    grey = vertical @ crop @ horizontal.T
+    # A mask so thin that no pixel is half covered is kept where it covers most: never empty.
+    return (grey >= min(0.5, grey.max())).astype(np.uint8), placement
+
+
+def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.float32]:
+    """Tent filter as a matrix ``(size, source_size)``: bilinear up, area-averaging down.
+
+    Source samples outside the crop count as background, so the rows at the border of
+    the silhouette may sum to less than 1.
+    """
+    centres = (np.arange(size) - (size - 1) / 2) / scale + (source_size - 1) / 2
+    support = max(1.0, 1.0 / scale)
+    distance = np.abs(centres[:, None] - np.arange(source_size)[None, :])
+    weights = np.maximum(0.0, 1.0 - distance / support)
+    # The sum a row would have in an unbounded source, so that the border fades to 0.
+    lattice = np.arange(-int(np.ceil(support)) - 1, int(np.ceil(support)) + 2)
+    fraction = centres - np.floor(centres)
+    total = np.maximum(0.0, 1.0 - np.abs(fraction[:, None] - lattice[None, :]) / support).sum(1)
+    return np.asarray(weights / total[:, None], np.float32)
+
+
+def pack(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Silhouettes ``(B, 128, 48)`` of 0 and 1 to bits ``(B, 768)``, row by row."""
+    return np.packbits(silhouettes.reshape(len(silhouettes), HEIGHT * WIDTH), axis=1)
+
+
+def unpack(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Inverse of :func:`pack`: bits ``(B, 768)`` to silhouettes ``(B, 128, 48)``."""
+    return np.unpackbits(bits, axis=1).reshape(len(bits), HEIGHT, WIDTH)

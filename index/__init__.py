@@ -1,0 +1,1 @@
+"""The silhouette-skeleton database: poses, cameras, search and matching; no HTTP."""

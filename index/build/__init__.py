@@ -1,0 +1,1 @@
+"""Building an index by simulation. Needs the ``build`` extra; never imported by the service."""

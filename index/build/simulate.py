@@ -1,0 +1,142 @@
+"""Poses x bodies x views to silhouettes with their skeletons."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from descriptor.descriptor import Descriptor
+from descriptor.silhouette import HEIGHT, WIDTH, pack, unpack
+from index.build.body import Avatar, pose_transforms, posed_points, retarget
+from index.build.camera import sample_views
+from index.build.poses import Poses
+from index.build.render import render, skin
+from index.skeleton import POINTS, camera_rotation
+from index.store import ENTRY_DTYPE, SKELETON_DTYPE
+
+BLOCK = 4096
+"""Silhouettes unpacked and described at a time."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Simulated silhouettes and where each comes from; fields as in :class:`index.store.PoseIndex`.
+
+    Parameters
+    ----------
+    bits : (E, 768) uint8 array
+        Bit-packed normalised silhouettes.
+    entries : (E,) array of ENTRY_DTYPE
+    skeletons : (S, 24, 3) float16 array
+    skeleton_labels : (S,) array of SKELETON_DTYPE
+    clips, subjects, actions : tuple of str
+    """
+
+    bits: NDArray[np.uint8]
+    entries: NDArray[np.void]
+    skeletons: NDArray[np.float16]
+    skeleton_labels: NDArray[np.void]
+    clips: tuple[str, ...]
+    subjects: tuple[str, ...]
+    actions: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def silhouettes(self, rows: slice | NDArray[np.integer]) -> NDArray[np.uint8]:
+        """Unpack some silhouettes ``(B, 128, 48)`` of 0 and 1."""
+        return unpack(self.bits[rows])
+
+    def describe(self, descriptor: Descriptor) -> NDArray[np.float32]:
+        """All silhouettes as vectors ``(E, D)``, block by block."""
+        blocks = [
+            descriptor.describe(self.silhouettes(slice(start, start + BLOCK)))
+            for start in range(0, len(self), BLOCK)
+        ]
+        return np.concatenate(blocks)
+
+
+def simulate(
+    poses: Poses,
+    avatars: Sequence[Avatar],
+    *,
+    bodies: int,
+    views: int,
+    seed: int,
+    progress: bool = False,
+) -> Simulation:
+    """Render every pose on some bodies from some views.
+
+    Parameters
+    ----------
+    poses : Poses
+    avatars : sequence of Avatar
+        Dealt out in turn, so that each gets its share of the poses.
+    bodies : int
+        Bodies per pose.
+    views : int
+        Views per pose and body.
+    seed : int
+        The same seed, poses and avatars give the same bytes, on any number of cores.
+    progress : bool
+        Whether to draw a progress bar.
+
+    Returns
+    -------
+    Simulation
+        Entries pose by pose, body by body, view by view.
+    """
+    bodies = min(bodies, len(avatars))
+    count = len(poses) * bodies
+    generator = np.random.default_rng(seed)
+    cast = np.concatenate(
+        [generator.permutation(len(avatars)) for _ in range(-(-count // len(avatars)))]
+    )[:count]
+    seeds = np.random.SeedSequence(seed).spawn(count)
+    retargeting = {
+        (clip, body): retarget(poses.clips[clip], avatars[body])
+        for clip in np.unique(poses.clip)
+        for body in range(len(avatars))
+    }
+    bits = np.empty((count * views, HEIGHT * WIDTH // 8), np.uint8)
+    entries = np.zeros(count * views, ENTRY_DTYPE)
+    skeletons = np.empty((count, POINTS, 3), np.float16)
+    labels = np.zeros(count, SKELETON_DTYPE)
+
+    def one(skeleton: int) -> None:
+        row, body = skeleton // bodies, int(cast[skeleton])
+        avatar, clip = avatars[body], int(poses.clip[row])
+        transforms = pose_transforms(avatar, retargeting[clip, body], poses.rotations(row))
+        skeletons[skeleton] = posed_points(avatar, transforms)[0]
+        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row])
+        vertices = skin(
+            avatar.vertices, avatar.influences, avatar.weights, transforms[0].astype(np.float32)
+        )
+        cameras = sample_views(views, np.random.default_rng(seeds[skeleton]))
+        rotations = camera_rotation(
+            cameras["azimuth_deg"], cameras["elevation_deg"], cameras["roll_deg"]
+        ).astype(np.float32)
+        silhouettes = np.empty((views, HEIGHT, WIDTH), np.uint8)
+        first = skeleton * views
+        for view, camera in enumerate(cameras):
+            placed = render(
+                vertices, avatar.triangles, avatar.closed, rotations[view],
+                float(camera["distance"]), silhouettes[view],
+            )  # fmt: skip
+            entries[first + view] = (skeleton, *camera.tolist(), *placed)
+        bits[first : first + views] = pack(silhouettes)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        done = pool.map(one, range(count))
+        for _ in tqdm(done, total=count, unit="body", desc="simulating", disable=not progress):
+            pass
+    return Simulation(
+        bits, entries, skeletons, labels,
+        tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
+    )  # fmt: skip

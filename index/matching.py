@@ -1,0 +1,185 @@
+"""A silhouette and an index to distinct hypotheses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptor.silhouette import HEIGHT, WIDTH
+from index.candidates import Candidates, find_candidates
+from index.confidence import Calibration
+from index.modes import Mode, find_modes
+from index.skeleton import POINTS
+from index.store import PoseIndex
+
+CANDIDATES = 200
+"""Nearest entries that are looked at; of more, few add a mode worth offering."""
+
+SPARE_MODES = 3
+"""Modes looked at beyond those asked for: a thin one may fit best."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One answer to a silhouette: a skeleton and how well it fits.
+
+    Parameters
+    ----------
+    entry : int
+        The entry in the middle of those that agree on this pose.
+    mirrored : bool
+        Whether it is the mirror image of that entry.
+    distance : float
+        Euclidean distance from the query's descriptor to those of the entries that agree on
+        this pose, interpolated.
+    reprojection_error_px : float
+        Mean distance between the outlines of the query and of the entry, both ways, in the
+        normalised frame.
+    confidence : float
+        Probability that the mean joint error in the normalised frame is below 5 px.
+    points_3d : (24, 3) float64 array
+        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
+    points_normalised : (24, 2) float64 array
+        The same in pixels of the normalised frame.
+    """
+
+    entry: int
+    mirrored: bool
+    distance: float
+    reprojection_error_px: float
+    confidence: float
+    points_3d: NDArray[np.float64]
+    points_normalised: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.points_3d.shape != (POINTS, 3) or self.points_normalised.shape != (POINTS, 2):
+            raise ValueError(
+                f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
+                f"got {self.points_3d.shape} and {self.points_normalised.shape}"
+            )
+
+
+def match(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypothesis]:
+    """Find the best distinct poses, in ascending distance.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    silhouette : (128, 48) uint8 array
+        Normalised; 1 on the person, 0 elsewhere.
+    n : int
+        How many; fewer are returned only where the index has fewer distinct poses.
+
+    Returns
+    -------
+    list of Hypothesis
+    """
+    return match_with_features(index, silhouette, n)[0]
+
+
+def match_with_features(
+    index: PoseIndex, silhouette: NDArray[np.uint8], n: int
+) -> tuple[list[Hypothesis], NDArray[np.float64]]:
+    """As :func:`match`, with the features ``(N, F)`` that the confidences were computed from."""
+    candidates, modes = _enough_modes(index, silhouette, n)
+    modes = sorted(modes, key=lambda mode: mode.distance)[:n]
+    centres = [mode.centre for mode in modes]
+    others = index.silhouettes(candidates.numbers[centres])
+    mirrored = candidates.mirrored[centres]
+    others[mirrored] = others[mirrored, :, ::-1]
+    errors = outline_distances(silhouette, others)
+    features = match_features(candidates, modes, errors)
+    confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
+    hypotheses = [
+        Hypothesis(
+            entry=int(candidates.numbers[mode.centre]),
+            mirrored=bool(candidates.mirrored[mode.centre]),
+            distance=mode.distance,
+            reprojection_error_px=float(error),
+            confidence=float(confidence),
+            points_3d=mode.points_3d,
+            points_normalised=mode.points_normalised,
+        )
+        for mode, error, confidence in zip(modes, errors, confidences, strict=True)
+    ]
+    return hypotheses, features
+
+
+def _enough_modes(
+    index: PoseIndex, silhouette: NDArray[np.uint8], n: int
+) -> tuple[Candidates, list[Mode]]:
+    """Look at more candidates until they hold ``n`` modes or the index has no more."""
+    wanted, k = n + SPARE_MODES, max(CANDIDATES, 20 * n)
+    while True:
+        candidates = find_candidates(index, silhouette, k)
+        modes = find_modes(candidates, wanted)
+        if len(modes) >= n or len(candidates) < k or k >= 16 * CANDIDATES:
+            return candidates, modes
+        k *= 2
+
+
+def match_features(
+    candidates: Candidates, modes: list[Mode], errors: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Compute what :data:`index.confidence.FEATURES` names, for each mode ``(M, F)``."""
+    distances = np.log([mode.distance + 1e-6 for mode in modes])
+    votes = np.log([mode.votes + 1e-6 for mode in modes])
+    nearest = np.full(len(modes), np.log(candidates.distances[0] + 1e-6))
+    return np.stack(
+        [
+            distances,
+            distances - distances.min(),
+            votes,
+            votes - votes.max(),
+            nearest,
+            np.asarray(errors, np.float64),
+            np.log(np.arange(1, len(modes) + 1)),
+        ],
+        axis=-1,
+    )
+
+
+def outline_distances(
+    silhouette: NDArray[np.uint8], others: NDArray[np.uint8]
+) -> NDArray[np.float64]:
+    """Mean distance between two outlines, both ways, in pixels.
+
+    Parameters
+    ----------
+    silhouette : (128, 48) uint8 array
+    others : (B, 128, 48) uint8 array
+
+    Returns
+    -------
+    (B,) float64 array
+    """
+    outline = _outline(silhouette)
+    field = _distance_field(outline)
+    distances = np.empty(len(others))
+    for position, other in enumerate(others):
+        outline_other = _outline(other)
+        there = field[outline_other].mean()
+        back = _distance_field(outline_other)[outline].mean()
+        distances[position] = (there + back) / 2
+    return distances
+
+
+def _outline(silhouette: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    eroded = cv2.erode(
+        np.ascontiguousarray(silhouette),
+        np.ones((3, 3), np.uint8),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
+    return np.asarray((silhouette != 0) & (eroded == 0))
+
+
+def _distance_field(outline: NDArray[np.bool_]) -> NDArray[np.float32]:
+    if not outline.any():
+        return np.full((HEIGHT, WIDTH), np.hypot(HEIGHT, WIDTH), np.float32)
+    return np.asarray(
+        cv2.distanceTransform((~outline).astype(np.uint8), cv2.DIST_L2, 3), np.float32
+    )

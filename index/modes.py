@@ -1,0 +1,164 @@
+"""Candidates to distinct poses: where they gather, and what lies between them.
+
+The density of the candidates in pose space, each weighted by how near its descriptor is to the
+query's, is climbed mode by mode. Each mode is then interpolated to the query by locally
+weighted linear regression [1]_ of the pose on the descriptor, which gives a pose between the
+entries and the distance that remains between the query and the entries' neighbourhood.
+
+References
+----------
+.. [1] C. G. Atkeson, A. W. Moore, S. Schaal, "Locally Weighted Learning", Artificial
+   Intelligence Review 11, 1997.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.candidates import Candidates
+from index.skeleton import JOINTS, NATIVE
+
+DISTINCT_M = 0.11
+"""Poses whose joints differ by less than this on average count once."""
+
+BANDWIDTH_M = 0.10
+"""Joint distance at which a candidate still belongs to a mode."""
+
+SUPPRESSION = 1.3
+"""A mode takes its surroundings with it, by so much more than its bandwidth."""
+
+FALL_OFF = 0.25
+"""A candidate farther than the nearest by twice this share of its distance weighs 1/e."""
+
+RIDGE = 0.3
+"""Regularisation of the regression, as a share of the mean variance of a mode's descriptors."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A pose that several candidates agree on.
+
+    Parameters
+    ----------
+    centre : int
+        The candidate in its middle.
+    votes : float
+        Share of all candidates' weight that gathers here.
+    distance : float
+        From the query's descriptor to the descriptors of the mode, interpolated.
+    points_3d : (24, 3) float64 array
+    points_normalised : (24, 2) float64 array
+        Interpolated; the bones are as long as those of the centre.
+    """
+
+    centre: int
+    votes: float
+    distance: float
+    points_3d: NDArray[np.float64]
+    points_normalised: NDArray[np.float64]
+
+
+def find_modes(candidates: Candidates, count: int) -> list[Mode]:
+    """Up to ``count`` modes, the densest first, no two of their centres alike.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    count : int
+
+    Returns
+    -------
+    list of Mode
+        Fewer than ``count`` where the candidates hold fewer distinct poses.
+    """
+    nearest = candidates.distances[0]
+    weights = np.exp((nearest - candidates.distances) / (2 * FALL_OFF * nearest + 1e-9))
+    apart = _joint_distances(candidates.points_3d[:, :JOINTS])
+    kernel = np.exp(-(apart**2) / (2 * BANDWIDTH_M**2))
+    remaining, free = weights.copy(), np.ones(len(candidates), bool)
+    modes: list[Mode] = []
+    while len(modes) < count and free.any():
+        density = kernel @ remaining
+        centre = int(np.where(free, density, -np.inf).argmax())
+        modes.append(_interpolate(candidates, weights * kernel[centre], centre, weights.sum()))
+        wide = np.exp(-(apart[centre] ** 2) / (2 * (SUPPRESSION * BANDWIDTH_M) ** 2))
+        remaining *= 1 - wide
+        free &= apart[centre] >= DISTINCT_M
+    if not modes:
+        return []
+    skeletons = candidates.points_3d[[mode.centre for mode in modes]]
+    grown = with_bones_of(skeletons, np.stack([mode.points_3d for mode in modes]))
+    return [replace(mode, points_3d=points) for mode, points in zip(modes, grown, strict=True)]
+
+
+def _joint_distances(joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Root mean square joint distance of each pair of skeletons: ``(K, J, 3)`` to ``(K, K)``."""
+    flat = joints.reshape(len(joints), -1)
+    squares = (flat**2).sum(axis=1)
+    squared = squares[:, None] + squares[None] - 2 * flat @ flat.T
+    return np.asarray(np.sqrt(np.maximum(squared, 0) / joints.shape[1]))
+
+
+def _interpolate(
+    candidates: Candidates, weights: NDArray[np.float64], centre: int, total: float
+) -> Mode:
+    shares = weights / weights.sum()
+    members = np.flatnonzero(shares > 1e-3 * shares.max())
+    shares = shares[members] / shares[members].sum()
+    vectors = candidates.vectors[members].astype(np.float64)
+    mean = shares @ vectors
+    centred = (vectors - mean) * np.sqrt(shares)[:, None]
+    wanted = candidates.query - mean
+    scatter = centred.T @ centred
+    # Few effective members make a poor estimate of the scatter: it is then held stiffer.
+    ridge = RIDGE * np.trace(scatter) * (shares**2).sum() + 1e-9
+    slope = np.linalg.solve(scatter + ridge * np.eye(len(scatter)), wanted)
+    steps = shares * ((vectors - mean) @ slope)
+    combination = shares + steps - shares * steps.sum()
+    return Mode(
+        centre=centre,
+        votes=float(weights.sum() / total),
+        distance=float(np.linalg.norm(candidates.query - combination @ vectors)),
+        points_3d=_combine(combination, candidates.points_3d[members]),
+        points_normalised=_combine(combination, candidates.points_normalised[members]),
+    )
+
+
+def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    flat = shares @ points.reshape(len(points), -1)
+    return np.asarray(flat.reshape(points.shape[1:]), np.float64)
+
+
+def with_bones_of(
+    skeleton: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Give skeletons the bone lengths of others, keeping their directions.
+
+    Averages of skeletons are shorter than the skeletons.
+
+    Parameters
+    ----------
+    skeleton : (..., 24, 3) array
+        Whose bones.
+    points : (..., 24, 3) array
+        Whose directions.
+
+    Returns
+    -------
+    (..., 24, 3) float64 array
+        Pelvis at the origin; the face moves with the head.
+    """
+    parents, children = np.array(NATIVE.bones).T
+    wanted = np.linalg.norm(skeleton[..., children, :] - skeleton[..., parents, :], axis=-1)
+    bones = points[..., children, :] - points[..., parents, :]
+    bones = bones * (wanted / np.maximum(np.linalg.norm(bones, axis=-1), 1e-6))[..., None]
+    moved = np.zeros_like(points, dtype=np.float64)
+    for bone, (parent, child) in enumerate(NATIVE.bones):
+        moved[..., child, :] = moved[..., parent, :] + bones[..., bone, :]
+    head = NATIVE.names.index("head")
+    face = points[..., JOINTS:, :] - points[..., head : head + 1, :]
+    moved[..., JOINTS:, :] = moved[..., head : head + 1, :] + face
+    return moved

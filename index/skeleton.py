@@ -1,0 +1,192 @@
+"""The skeleton: its points, the keypoint sets a caller may ask for, and its camera.
+
+Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, turned
+about the vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from descriptor.silhouette import WIDTH
+
+JOINT_NAMES = (
+    "pelvis", "spine", "chest", "neck", "head",
+    "left_shoulder", "left_elbow", "left_wrist",
+    "right_shoulder", "right_elbow", "right_wrist",
+    "left_hip", "left_knee", "left_ankle", "left_toe",
+    "right_hip", "right_knee", "right_ankle", "right_toe",
+)  # fmt: skip
+
+FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+
+POINT_NAMES = JOINT_NAMES + FACE_NAMES
+"""Everything an index stores of a skeleton: 19 joints, then 5 points of the face."""
+
+JOINTS = len(JOINT_NAMES)
+POINTS = len(POINT_NAMES)
+
+
+@dataclass(frozen=True)
+class KeypointSet:
+    """A named selection of the stored points, in the order a caller wants them.
+
+    Parameters
+    ----------
+    name : str
+    names : tuple of str
+        Names of the keypoints.
+    indices : tuple of int
+        Their rows among :data:`POINT_NAMES`.
+    bones : tuple of (int, int)
+        Parent and child, as positions in ``names``.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    indices: tuple[int, ...]
+    bones: tuple[tuple[int, int], ...]
+
+
+def _keypoint_set(
+    name: str, names: tuple[str, ...], bones: tuple[tuple[str, str], ...]
+) -> KeypointSet:
+    return KeypointSet(
+        name,
+        names,
+        tuple(POINT_NAMES.index(point) for point in names),
+        tuple((names.index(parent), names.index(child)) for parent, child in bones),
+    )
+
+
+def _limbs(side: str) -> tuple[tuple[str, str], ...]:
+    return (
+        (f"{side}_shoulder", f"{side}_elbow"),
+        (f"{side}_elbow", f"{side}_wrist"),
+        (f"{side}_hip", f"{side}_knee"),
+        (f"{side}_knee", f"{side}_ankle"),
+    )
+
+
+NATIVE = _keypoint_set(
+    "native",
+    JOINT_NAMES,
+    (
+        ("pelvis", "spine"),
+        ("spine", "chest"),
+        ("chest", "neck"),
+        ("neck", "head"),
+        ("chest", "left_shoulder"),
+        ("chest", "right_shoulder"),
+        ("pelvis", "left_hip"),
+        ("pelvis", "right_hip"),
+        *_limbs("left"),
+        *_limbs("right"),
+        ("left_ankle", "left_toe"),
+        ("right_ankle", "right_toe"),
+    ),
+)
+
+COCO17 = _keypoint_set(
+    "coco17",
+    (
+        "nose", "left_eye", "right_eye", "left_ear", "right_ear",
+        "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
+        "left_wrist", "right_wrist", "left_hip", "right_hip",
+        "left_knee", "right_knee", "left_ankle", "right_ankle",
+    ),
+    (
+        ("nose", "left_eye"),
+        ("nose", "right_eye"),
+        ("left_eye", "left_ear"),
+        ("right_eye", "right_ear"),
+        ("left_shoulder", "right_shoulder"),
+        ("left_shoulder", "left_hip"),
+        ("right_shoulder", "right_hip"),
+        ("left_hip", "right_hip"),
+        *_limbs("left"),
+        *_limbs("right"),
+    ),
+)  # fmt: skip
+
+_MIRRORED = [
+    POINT_NAMES.index(
+        name.replace("left_", "right_")
+        if name.startswith("left_")
+        else name.replace("right_", "left_")
+    )
+    for name in POINT_NAMES
+]
+
+
+def mirror_3d(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mirror image of skeletons ``(..., 24, 3)`` in body or camera axes."""
+    return points[..., _MIRRORED, :] * (-1.0, 1.0, 1.0)
+
+
+def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mirror image of skeletons ``(..., 24, 2)`` in pixels of the normalised frame."""
+    return points[..., _MIRRORED, :] * (-1.0, 1.0) + (WIDTH - 1.0, 0.0)
+
+
+KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17)}
+
+
+def camera_rotation(
+    azimuth_deg: ArrayLike, elevation_deg: ArrayLike, roll_deg: ArrayLike = 0.0
+) -> NDArray[np.float64]:
+    """Rotation from body axes to the axes of a camera that looks at the pelvis.
+
+    Parameters
+    ----------
+    azimuth_deg : float or (V,) array
+        0: the camera looks the person in the face; 90: it sees the person's left side.
+    elevation_deg : float or (V,) array
+        Height angle of the camera above the person.
+    roll_deg : float or (V,) array
+        Turn about the optical axis; positive turns the picture clockwise.
+
+    Returns
+    -------
+    (3, 3) or (V, 3, 3) float64 array
+        ``camera = rotation @ body``.
+    """
+    azimuth, elevation, roll = np.broadcast_arrays(
+        *(np.deg2rad(np.asarray(a, np.float64)) for a in (azimuth_deg, elevation_deg, roll_deg))
+    )
+    zero = np.zeros_like(azimuth)
+    right = np.stack([np.cos(azimuth), zero, -np.sin(azimuth)], axis=-1)
+    forward = -np.stack(
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+            np.cos(elevation) * np.cos(azimuth),
+        ],
+        axis=-1,
+    )
+    down = np.cross(forward, right)
+    cos, sin = np.cos(roll)[..., None], np.sin(roll)[..., None]
+    return np.stack([cos * right - sin * down, sin * right + cos * down, forward], axis=-2)
+
+
+def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.float64]:
+    """Perspective projection of points about the pelvis, for a camera at ``distance``.
+
+    Parameters
+    ----------
+    points : (..., P, 3) array
+        Camera axes, metres, origin at the pelvis.
+    distance : float or (...) array
+        From the camera to the pelvis, metres; more than any point's ``-z``.
+
+    Returns
+    -------
+    (..., P, 2) float64 array
+        x right, y down, in metres in the plane through the pelvis.
+    """
+    points = np.asarray(points, np.float64)
+    depth = np.asarray(distance, np.float64)[..., None, None]
+    return points[..., :2] * (depth / (depth + points[..., 2:]))

@@ -1,0 +1,483 @@
+"""PoseIndex: the artefact on disk, verified when loaded, immutable in memory."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import lzma
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+# FAISS answers a single query slower and inexactly with several OpenMP threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import faiss
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptor.descriptor import Descriptor, restore
+from descriptor.silhouette import HEIGHT, WIDTH, unpack
+from index.skeleton import (
+    NATIVE,
+    POINTS,
+    camera_rotation,
+    mirror_3d,
+    mirror_normalised,
+    project,
+)
+
+FORMAT_VERSION = 1
+DEFAULT_PATH = Path(__file__).parent / "data"
+
+SKELETON_DTYPE = np.dtype(
+    [("clip", "<u2"), ("frame", "<u4"), ("subject", "<u2"), ("action", "<u2")]
+)
+ENTRY_DTYPE = np.dtype(
+    [
+        ("skeleton", "<u4"),
+        ("azimuth_deg", "<f4"),
+        ("elevation_deg", "<f4"),
+        ("roll_deg", "<f4"),
+        ("distance", "<f4"),
+        ("scale", "<f4"),
+        ("offset_x", "<f4"),
+        ("offset_y", "<f4"),
+    ]
+)
+
+
+class ArtefactError(ValueError):
+    """An index artefact that cannot be used; the message says in one sentence why."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One simulated silhouette: whose it is, what it does and who looks at it.
+
+    Parameters
+    ----------
+    number : int
+        Its row in the index.
+    action, clip, subject : str
+        Label of the motion, name of the motion capture clip, name of the avatar.
+    frame : int
+        Frame of the clip, zero-based, as the BVH file counts them.
+    mirrored : bool
+        Whether left and right are exchanged, pose and camera both: an index stores each pose
+        once and stands for its mirror image too.
+    azimuth_deg, elevation_deg, roll_deg : float
+        Camera, as :func:`index.skeleton.camera_rotation` takes them.
+    distance_m : float
+        From the camera to the pelvis.
+    points_3d : (24, 3) float64 array
+        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
+    points_normalised : (24, 2) float64 array
+        The same in pixels of the normalised silhouette.
+    """
+
+    number: int
+    action: str
+    clip: str
+    subject: str
+    frame: int
+    mirrored: bool
+    azimuth_deg: float
+    elevation_deg: float
+    roll_deg: float
+    distance_m: float
+    points_3d: NDArray[np.float64]
+    points_normalised: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseIndex:
+    """Simulated silhouettes with their skeletons, searchable by descriptor.
+
+    Parameters
+    ----------
+    name : str
+    descriptor : Descriptor
+        What the vectors were described with, and what queries must be.
+    vectors : (E, D) float32 array
+    entries : (E,) array of ENTRY_DTYPE
+        Which skeleton, seen by which camera, placed where in the normalised frame.
+    skeletons : (S, 24, 3) float16 array
+        Body axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
+    skeleton_labels : (S,) array of SKELETON_DTYPE
+        Where each skeleton comes from, as positions in the next three.
+    clips, subjects, actions : tuple of str
+    silhouette_bits : (E, 768) uint8 array
+        Normalised silhouettes, packed by :func:`descriptor.silhouette.pack`.
+    parameters : dict
+        JSON values: how the index was built, and what was fitted with it.
+    version : str
+        ``sha256:`` and the hash of the content; empty until saved or loaded.
+    """
+
+    name: str
+    descriptor: Descriptor
+    vectors: NDArray[np.float32]
+    entries: NDArray[np.void]
+    skeletons: NDArray[np.float16]
+    skeleton_labels: NDArray[np.void]
+    clips: tuple[str, ...]
+    subjects: tuple[str, ...]
+    actions: tuple[str, ...]
+    silhouette_bits: NDArray[np.uint8]
+    parameters: dict[str, Any] = field(default_factory=dict)
+    version: str = ""
+    _flat: Any = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        count = len(self.entries)
+        expected = (count, self.descriptor.dimension)
+        if count == 0:
+            raise ValueError("expected an index with at least one entry, got none")
+        if self.vectors.shape != expected:
+            raise ValueError(f"expected vectors of shape {expected}, got {self.vectors.shape}")
+        if self.skeletons.shape != (len(self.skeleton_labels), POINTS, 3):
+            raise ValueError(
+                f"expected skeletons of shape ({len(self.skeleton_labels)}, {POINTS}, 3), "
+                f"got {self.skeletons.shape}"
+            )
+        if self.silhouette_bits.shape != (count, HEIGHT * WIDTH // 8):
+            raise ValueError(
+                f"expected silhouettes of shape {(count, HEIGHT * WIDTH // 8)}, "
+                f"got {self.silhouette_bits.shape}"
+            )
+        if self.entries["skeleton"].max() >= len(self.skeletons):
+            raise ValueError(
+                f"expected skeletons below {len(self.skeletons)}, an entry names "
+                f"{self.entries['skeleton'].max()}"
+            )
+        flat = faiss.IndexFlatL2(self.descriptor.dimension)
+        flat.add(self.vectors)
+        object.__setattr__(self, "_flat", flat)
+        # The vectors live on inside FAISS; one copy is enough.
+        view = faiss.rev_swig_ptr(flat.get_xb(), self.vectors.size).reshape(self.vectors.shape)
+        object.__setattr__(self, "vectors", view)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def search(
+        self, vectors: NDArray[np.float32], k: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """The ``k`` nearest entries to each vector, exactly.
+
+        Parameters
+        ----------
+        vectors : (B, D) float32 array
+        k : int
+            At least 1; no more than all entries are returned.
+
+        Returns
+        -------
+        distances : (B, K) float32 array
+            Euclidean, ascending.
+        numbers : (B, K) int64 array
+        """
+        squared, numbers = self._flat.search(
+            np.ascontiguousarray(vectors, np.float32), min(k, len(self))
+        )
+        return np.sqrt(np.maximum(squared, 0)), numbers
+
+    def points(
+        self, numbers: NDArray[np.integer]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Skeletons of some entries.
+
+        Parameters
+        ----------
+        numbers : (B,) int array
+
+        Returns
+        -------
+        points_3d : (B, 24, 3) float64 array
+            Camera axes, metres, pelvis at the origin.
+        points_normalised : (B, 24, 2) float64 array
+            Pixels of the normalised frame.
+        """
+        entries = self.entries[numbers]
+        rotations = camera_rotation(
+            entries["azimuth_deg"], entries["elevation_deg"], entries["roll_deg"]
+        )
+        body = self.skeletons[entries["skeleton"]].astype(np.float64)
+        points_3d = body @ rotations.swapaxes(1, 2)
+        plane = project(points_3d, entries["distance"])
+        offsets = np.stack([entries["offset_x"], entries["offset_y"]], axis=-1)
+        return points_3d, plane * entries["scale"][:, None, None] + offsets[:, None, :]
+
+    def entry(self, number: int, *, mirrored: bool = False) -> Entry:
+        """One entry, or its mirror image, with its labels spelt out.
+
+        Raises
+        ------
+        IndexError
+            Where there is no such entry.
+        """
+        if not 0 <= number < len(self):
+            raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {number}")
+        row = self.entries[number]
+        label = self.skeleton_labels[row["skeleton"]]
+        side = -1.0 if mirrored else 1.0
+        points_3d, points_normalised = (points[0] for points in self.points(np.array([number])))
+        return Entry(
+            number=number,
+            action=self.actions[label["action"]],
+            clip=self.clips[label["clip"]],
+            subject=self.subjects[label["subject"]],
+            frame=int(label["frame"]),
+            mirrored=mirrored,
+            # Twice: a tiny negative angle becomes 360 itself the first time.
+            azimuth_deg=side * float(row["azimuth_deg"]) % 360.0 % 360.0,
+            elevation_deg=float(row["elevation_deg"]),
+            roll_deg=side * float(row["roll_deg"]),
+            distance_m=float(row["distance"]),
+            points_3d=mirror_3d(points_3d) if mirrored else points_3d,
+            points_normalised=(
+                mirror_normalised(points_normalised) if mirrored else points_normalised
+            ),
+        )
+
+    def silhouettes(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
+        """Normalised silhouettes of some entries, ``(B, 128, 48)`` uint8 of 0 and 1."""
+        return unpack(self.silhouette_bits[np.asarray(numbers, np.int64)])
+
+    def silhouette(self, number: int) -> NDArray[np.uint8]:
+        """The normalised silhouette of one entry, ``(128, 48)`` uint8 of 0 and 1."""
+        return np.asarray(self.silhouettes([number])[0])
+
+    def save(self, path: Path) -> str:
+        """Write the artefact as a folder, whole or not at all; return its version."""
+        files = self._files()
+        manifest = {
+            "format_version": FORMAT_VERSION,
+            "name": self.name,
+            "entries": len(self),
+            "joints": list(NATIVE.names),
+            "descriptor": {**self.descriptor.parameters(), "dimension": self.descriptor.dimension},
+            "clips": list(self.clips),
+            "subjects": list(self.subjects),
+            "actions": list(self.actions),
+            "parameters": self.parameters,
+            "files": {
+                name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
+            },
+        }
+        version = _version(manifest)
+        manifest["version"] = version
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        try:
+            for name, content in files.items():
+                (staging / f"{name}.xz").write_bytes(lzma.compress(content, preset=6))
+            (staging / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
+            staging.chmod(0o755)
+            _replace_folder(staging, path)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+        return version
+
+    def _files(self) -> dict[str, bytes]:
+        learned = {f"descriptor-{k}.npy": _npy(v) for k, v in self.descriptor.arrays().items()}
+        return {
+            "descriptors.faiss": faiss.serialize_index(self._flat).tobytes(),
+            "entries.npy": _npy(self.entries),
+            "skeletons.npy": _npy(self.skeletons),
+            "skeleton-labels.npy": _npy(self.skeleton_labels),
+            "silhouettes.npy": _npy(_steps(self.silhouette_bits)),
+            **learned,
+        }
+
+    @classmethod
+    def load(cls, path: Path) -> PoseIndex:
+        """Read and verify an artefact.
+
+        Raises
+        ------
+        ArtefactError
+            If it is missing, truncated, altered, or not an artefact of this format.
+        """
+        path = Path(path)
+        manifest = _read_manifest(path)
+        try:
+            named = dict(manifest["files"])
+            # Decompressing and hashing leave Python's lock to each other.
+            with ThreadPoolExecutor() as pool:
+                read = {
+                    name: pool.submit(
+                        _read_array if name.endswith(".npy") else _read_bytes,
+                        path / f"{name}.xz",
+                        sha256,
+                    )
+                    for name, sha256 in named.items()
+                }
+                files = {name: future.result() for name, future in read.items()}
+            arrays: dict[str, Any] = {
+                name.removesuffix(".npy"): file for name, file in files.items()
+            }
+            learned = {
+                name.removeprefix("descriptor-"): array
+                for name, array in arrays.items()
+                if name.startswith("descriptor-")
+            }
+            flat = faiss.deserialize_index(files["descriptors.faiss"].astype(np.uint8))
+            if type(flat) is not faiss.IndexFlatL2:
+                raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
+            vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d)
+            return cls(
+                name=manifest["name"],
+                descriptor=restore(manifest["descriptor"], learned),
+                vectors=vectors.reshape(flat.ntotal, flat.d),
+                entries=arrays["entries"],
+                skeletons=arrays["skeletons"],
+                skeleton_labels=arrays["skeleton-labels"],
+                clips=tuple(manifest["clips"]),
+                subjects=tuple(manifest["subjects"]),
+                actions=tuple(manifest["actions"]),
+                silhouette_bits=_unstep(arrays["silhouettes"]),
+                parameters=manifest["parameters"],
+                version=manifest["version"],
+            )
+        except ArtefactError:
+            raise
+        except KeyError as error:
+            raise ArtefactError(f"the index at {path} lacks {error}") from error
+        except (ValueError, RuntimeError, TypeError, AttributeError) as error:
+            raise ArtefactError(f"the index at {path} does not hold together: {error}") from error
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    file = path / "manifest.json"
+    try:
+        manifest = json.loads(file.read_bytes())
+    except FileNotFoundError:
+        raise ArtefactError(f"there is no index at {path}: {file} is missing") from None
+    except (OSError, ValueError) as error:
+        raise ArtefactError(f"the manifest {file} is unreadable: {error}") from error
+    if not isinstance(manifest, dict) or "format_version" not in manifest:
+        raise ArtefactError(f"{file} is not the manifest of a pose index")
+    if manifest["format_version"] != FORMAT_VERSION:
+        raise ArtefactError(
+            f"the index at {path} has format {manifest['format_version']}, "
+            f"this service reads format {FORMAT_VERSION}"
+        )
+    if manifest.get("joints") != list(NATIVE.names):
+        raise ArtefactError(f"the index at {path} was built for another set of joints")
+    if manifest.get("version") != _version(manifest):
+        raise ArtefactError(f"the manifest {file} was altered: its content hash does not fit")
+    return cast("dict[str, Any]", manifest)
+
+
+class _HashingReader(io.RawIOBase):
+    """A compressed file read once, from start to end, and hashed on the way."""
+
+    def __init__(self, file: Path) -> None:
+        self._stream = lzma.open(file)  # noqa: SIM115 - closed with the reader
+        self._hash = hashlib.sha256()
+
+    def read(self, size: int = -1) -> bytes:
+        content = self._stream.read(size)
+        self._hash.update(content)
+        return content
+
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
+    def finish(self) -> str:
+        """Read what is left and return the hash of everything."""
+        while self.read(1 << 20):
+            pass
+        return self._hash.hexdigest()
+
+
+def _read_array(file: Path, sha256: str) -> NDArray[np.generic]:
+    """Read one ``.npy.xz`` file, never holding more than the array."""
+    return _read_file(
+        file, sha256, lambda stream: np.lib.format.read_array(stream, allow_pickle=False)
+    )
+
+
+def _read_bytes(file: Path, sha256: str) -> NDArray[np.generic]:
+    return _read_file(file, sha256, lambda stream: np.frombuffer(stream.read(), np.uint8))
+
+
+def _read_file(
+    file: Path, sha256: str, parse: Callable[[_HashingReader], NDArray[np.generic]]
+) -> NDArray[np.generic]:
+    altered = f"the index file {file} was altered: its SHA-256 does not fit"
+    try:
+        with _HashingReader(file) as stream:
+            try:
+                content = parse(stream)
+            except ValueError as error:
+                # What does not parse and does not hash was altered; what only does not parse
+                # was written so.
+                raise ArtefactError(
+                    altered if stream.finish() != sha256 else f"{file} is no array: {error}"
+                ) from error
+            if stream.finish() != sha256:
+                raise ArtefactError(altered)
+            return content
+    except OSError as error:
+        raise ArtefactError(f"the index file {file} cannot be read: {error.strerror}") from error
+    except (EOFError, lzma.LZMAError) as error:
+        raise ArtefactError(f"the index file {file} is truncated or altered: {error}") from error
+
+
+def _steps(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """XOR each row of packed silhouettes with the row above.
+
+    Only the outline remains set, which compresses by half.
+    """
+    rows = bits.reshape(len(bits), HEIGHT, WIDTH // 8)
+    steps = rows.copy()
+    steps[:, 1:] ^= rows[:, :-1]
+    return steps.reshape(bits.shape)
+
+
+def _unstep(steps: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Undo :func:`_steps`, in place."""
+    rows = steps.reshape(len(steps), HEIGHT, WIDTH // 8)
+    for row in range(1, HEIGHT):
+        rows[:, row] ^= rows[:, row - 1]
+    return steps
+
+
+def _version(manifest: dict[str, Any]) -> str:
+    """Content hash: of everything in the manifest, which holds the hash of every file's content."""
+    content = {key: value for key, value in manifest.items() if key != "version"}
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _npy(array: NDArray[np.generic]) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _replace_folder(source: Path, target: Path) -> None:
+    """Rename ``source`` to ``target``, setting an existing target aside until it is done."""
+    if not target.exists():
+        source.rename(target)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+    target.rename(aside / target.name)
+    try:
+        source.rename(target)
+    except OSError:
+        (aside / target.name).rename(target)
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)

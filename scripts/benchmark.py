@@ -1,0 +1,98 @@
+"""Measure a real server: time until ready, resident memory, and the latency of /pose.
+
+python -m scripts.benchmark [--index index/data] [--requests 500] [--write docs/results/bench.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from index.store import DEFAULT_PATH, ArtefactError, PoseIndex
+from scripts.results import machine
+from scripts.server_process import ServerProcess
+from scripts.street import encode, street
+
+TARGETS = "targets: /pose with a mask under 10 ms at the median, ready within 2 s, under 300 MB"
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Round trips of one kind of request, in milliseconds."""
+
+    what: str
+    median: float
+    p99: float
+    requests: int
+
+    @classmethod
+    def measure(cls, client: httpx.Client, what: str, files: dict[str, bytes], n: int) -> Latency:
+        """Send the same request one after another; the first tenth warms up."""
+        times = []
+        for _ in range(n + n // 10):
+            started = time.perf_counter()
+            client.post("/pose", files=files).raise_for_status()
+            times.append((time.perf_counter() - started) * 1000)
+        kept = np.array(times[n // 10 :])
+        return cls(what, float(np.median(kept)), float(np.percentile(kept, 99)), n)
+
+
+def benchmark(index_path: Path, requests: int) -> str:
+    """Measure and return a report in Markdown."""
+    index = PoseIndex.load(index_path)
+    picture, person = street(index)
+    frame, mask = encode(".jpg", picture), encode(".png", person)
+    with ServerProcess(index_path) as server:
+        ready_s = server.wait_until_ready()
+        with httpx.Client(base_url=server.url, timeout=30) as client:
+            with_mask = Latency.measure(
+                client, "with a mask", {"frame": frame, "mask": mask}, requests
+            )
+            without = Latency.measure(
+                client, "frame alone (people searched for)", {"frame": frame}, requests // 5
+            )
+        memory_mb = server.memory_mb()
+    rows = [
+        f"| /pose 768x576 {row.what} | {row.median:.1f} ms | {row.p99:.1f} ms | {row.requests} |"
+        for row in (with_mask, without)
+    ]
+    return "\n".join(
+        [
+            f"Machine: {machine()}.",
+            f"Index: {index.name}, {len(index)} entries, {index.version[:19]}.",
+            "",
+            "| request | median | p99 | requests |",
+            "|---|---|---|---|",
+            *rows,
+            "",
+            f"Ready {ready_s:.2f} s after its start; {memory_mb:.0f} MB resident after the "
+            "requests.",
+            f"({TARGETS}.)",
+        ]
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Measure a real server.")
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--requests", type=int, default=500)
+    parser.add_argument("--write", type=Path, help="also write the report to this file")
+    options = parser.parse_args()
+    try:
+        report = benchmark(options.index, options.requests)
+    except ArtefactError as error:
+        raise SystemExit(f"benchmark: {error}") from None
+    print(report)
+    if options.write:
+        options.write.parent.mkdir(parents=True, exist_ok=True)
+        options.write.write_text(f"# `make bench`\n\n{report}\n")
+
+
+if __name__ == "__main__":
+    main()

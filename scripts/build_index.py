@@ -1,0 +1,50 @@
+"""Build an index from motion capture: ``make index``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from index.build.builder import Plan, build
+from index.build.garments import GarmentError
+from index.build.motion import MotionError
+from index.store import DEFAULT_PATH
+
+
+def main() -> int:
+    """Parse the command line, build, save; 1 with one sentence where that fails."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("--mocap", type=Path, default=Path("../shared/mocap"), help="has manifest.csv and bvh/")
+    add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
+    add("--out", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
+    add("--name", help="of the index; says by default whether bodies are clothed")
+    add("--entries", type=int, default=Plan.entries)
+    add("--bodies", type=int, default=Plan.bodies, help="bodies per pose")
+    add("--views", type=int, default=Plan.views, help="views per pose and body")
+    add("--seed", type=int, default=Plan.seed)
+    add("--descriptor", choices=("discriminant", "paper"), default=Plan.descriptor)
+    arguments = parser.parse_args()
+    name = arguments.name or ("cmu-dressed" if arguments.garments else "cmu-unclothed")
+    try:
+        plan = Plan(
+            entries=arguments.entries,
+            bodies=arguments.bodies,
+            views=arguments.views,
+            seed=arguments.seed,
+            descriptor=arguments.descriptor,
+        )
+        index = build(
+            arguments.mocap, arguments.garments, plan, name=name, progress=True, say=print
+        )
+        version = index.save(arguments.out)
+    except (MotionError, GarmentError, ValueError, OSError) as error:
+        print(f"build_index: {error}", file=sys.stderr)
+        return 1
+    print(f"{len(index)} entries in {arguments.out}, {version}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""Noise on the outline of a silhouette, as the paper disturbs its queries."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+def disturb(
+    silhouette: NDArray[np.uint8], std_px: float, generator: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Move every contour point along its radius by Gaussian noise and fill the contour again.
+
+    Parameters
+    ----------
+    silhouette : (H, W) uint8 array
+        1 on the person, 0 elsewhere.
+    std_px : float
+        Standard deviation of the change of the radius, which is measured from the centroid of
+        the silhouette. 0 leaves the silhouette as it is.
+    generator : np.random.Generator
+
+    Returns
+    -------
+    (H, W) uint8 array
+        The outer contours and those of holes, all redrawn; clipped to the frame.
+    """
+    if std_px == 0:
+        return silhouette.copy()
+    contours, _ = cv2.findContours(silhouette, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    rows, columns = np.nonzero(silhouette)
+    centroid = np.array([columns.mean(), rows.mean()])
+    moved = []
+    for contour in contours:
+        arms = contour[:, 0] - centroid
+        radii = np.linalg.norm(arms, axis=1, keepdims=True)
+        noise = generator.normal(0.0, std_px, radii.shape)
+        points = centroid + arms * (1 + noise / np.maximum(radii, 1e-9))
+        moved.append(np.rint(points * 2**_SHIFT).astype(np.int32))
+    redrawn = np.zeros_like(silhouette)
+    # Together, so that holes stay holes (even-odd rule).
+    cv2.fillPoly(redrawn, moved, 1, shift=_SHIFT)
+    return redrawn
+
+
+_SHIFT = 4
+"""Binary digits of a contour point after the point."""
+
+
+def disturb_all(silhouettes: NDArray[np.uint8], std_px: float, seed: int) -> NDArray[np.uint8]:
+    """Disturb silhouettes ``(B, H, W)``, each with noise of its own."""
+    generator = np.random.default_rng(seed)
+    return np.stack([disturb(silhouette, std_px, generator) for silhouette in silhouettes])

@@ -1,0 +1,190 @@
+"""Upload mutated images to a server and see that it neither falls, hangs nor swells.
+
+python -m scripts.fuzz [--index index/data] [--uploads 100000] [--write]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from index.store import DEFAULT_PATH, PoseIndex
+from scripts.raw_client import Call, RawClient
+from scripts.results import RELIABILITY, machine, percentile, revision, write_section
+from scripts.server_process import ServerProcess
+from scripts.street import encode, street
+
+CLIENTS = 2
+SLOWEST_MS = 2000.0
+MOST_MB = 600.0
+
+
+def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
+    """Return sound frames and masks to mutate: several formats, sizes and flavours."""
+    frame, mask = street(index, width=128, height=160, person_px=128)
+    frames = [
+        encode(".jpg", frame),
+        encode(".jpg", frame, cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+        encode(".png", frame),
+        encode(".png", frame[:, :, 0]),
+        encode(".webp", frame, cv2.IMWRITE_WEBP_QUALITY, 80),
+        encode(".webp", frame, cv2.IMWRITE_WEBP_QUALITY, 101),
+        _with_exif_orientation(encode(".jpg", frame)),
+    ]
+    masks = [
+        encode(".png", mask),
+        encode(".png", mask, cv2.IMWRITE_PNG_BILEVEL, 1),
+        encode(".png", mask.astype(np.uint16) * 300),
+        encode(".jpg", mask * 255),
+        encode(".webp", mask * 255, cv2.IMWRITE_WEBP_QUALITY, 101),
+    ]
+    return frames, masks
+
+
+def _with_exif_orientation(jpeg: bytes) -> bytes:
+    tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
+    segment = b"Exif\0\0" + tiff
+    return jpeg[:2] + b"\xff\xe1" + (len(segment) + 2).to_bytes(2, "big") + segment + jpeg[2:]
+
+
+def mutate(data: bytes, rng: np.random.Generator) -> bytes:
+    """Damage an image here and there, its header more than its share."""
+    out = bytearray(data)
+    for _ in range(rng.integers(1, 6)):
+        if not out:
+            break
+        reach = min(len(out), 64) if rng.random() < 0.5 else len(out)
+        at = int(rng.integers(reach))
+        size = int(rng.integers(1, 9))
+        match rng.integers(7):
+            case 0:
+                out[at] ^= 1 << int(rng.integers(8))
+            case 1:
+                out[at : at + size] = rng.bytes(size)
+            case 2:
+                out[at : at + size] = bytes([rng.choice([0, 0x7F, 0x80, 0xFF])]) * size
+            case 3:
+                del out[at : at + size]
+            case 4:
+                out[at:at] = rng.bytes(size)
+            case 5:
+                out[at:at] = out[at : at + 16 * size]
+            case 6:
+                del out[len(out) - int(rng.integers(len(out))) :]
+    return bytes(out)
+
+
+class Fuzz:
+    """Clients in threads that share a count of uploads."""
+
+    def __init__(self, server: ServerProcess, index: PoseIndex, uploads: int) -> None:
+        self._server = server
+        self._frames, self._masks = seeds(index)
+        self._uploads = uploads
+        self._lock = threading.Lock()
+        self._sent = 0
+        self.statuses: Counter[int] = Counter()
+        self.broken: Counter[str] = Counter()
+        self.latencies: list[float] = []
+
+    def run(self) -> None:
+        """Send everything, or stop when the server is gone."""
+        threads = [threading.Thread(target=self._client, args=(c,)) for c in range(CLIENTS)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def _call(self, rng: np.random.Generator) -> Call:
+        frame = self._frames[rng.integers(len(self._frames))]
+        if rng.random() < 0.7:
+            # Boxes that name nobody: what is tried is the decoder, not the search for people.
+            return Call("POST", "/pose", {"frame": mutate(frame, rng), "boxes": b"[]"})
+        mask = mutate(self._masks[rng.integers(len(self._masks))], rng)
+        return Call("POST", "/pose?n=1", {"frame": self._frames[2], "mask": mask})
+
+    def _client(self, number: int) -> None:
+        rng = np.random.default_rng(1000 + number)
+        client = RawClient(self._server.url, timeout_s=30)
+        while self._server.alive():
+            with self._lock:
+                if self._sent >= self._uploads:
+                    return
+                self._sent += 1
+            call = self._call(rng)
+            started = time.perf_counter()
+            try:
+                status, _ = client.send(call)
+            except Exception as error:  # Whatever it is, it is counted and shown.
+                with self._lock:
+                    self.broken[type(error).__name__] += 1
+                continue
+            with self._lock:
+                self.latencies.append((time.perf_counter() - started) * 1000)
+                self.statuses[status] += 1
+
+
+def report(fuzz: Fuzz, server: ServerProcess, seconds: float) -> tuple[str, list[str]]:
+    """Return the section in Markdown and what has failed."""
+    peak = server.memory_mb("VmHWM")
+    slowest = max(fuzz.latencies)
+    faults = {status: n for status, n in fuzz.statuses.items() if status >= 500}
+    failed = []
+    if faults:
+        failed.append(f"5xx: {faults}")
+    if fuzz.broken:
+        failed.append(f"broken connections: {dict(fuzz.broken)}")
+    if slowest > SLOWEST_MS:
+        failed.append(f"the slowest answer took {slowest:.0f} ms")
+    if peak > MOST_MB:
+        failed.append(f"memory reached {peak:.0f} MB")
+    answers = ", ".join(f"{n} x {status}" for status, n in sorted(fuzz.statuses.items()))
+    uploads = sum(fuzz.statuses.values())
+    body = f"""`python -m scripts.fuzz --uploads {uploads}`, revision {revision()}.
+{machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s.
+Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %).
+
+| answers | {answers} |
+|---|---|
+| broken connections | {sum(fuzz.broken.values())} |
+| latency, median / p99 / slowest | {percentile(fuzz.latencies, 50):.1f} / \
+{percentile(fuzz.latencies, 99):.1f} / {slowest:.0f} ms |
+| resident memory at the most | {peak:.0f} MB |
+
+{"Failed: " + "; ".join(failed) if failed else "Passed."}"""
+    return body, failed
+
+
+def main() -> int:
+    """Command line; 1 where a criterion fails."""
+    parser = argparse.ArgumentParser(description="Fuzz the uploads of a real server.")
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--uploads", type=int, default=100_000)
+    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
+    options = parser.parse_args()
+    with ServerProcess(options.index, log=Path("/tmp/fuzz-server.log")) as server:
+        server.wait_until_ready()
+        fuzz = Fuzz(server, PoseIndex.load(options.index), options.uploads)
+        started = time.perf_counter()
+        fuzz.run()
+        seconds = time.perf_counter() - started
+        if not server.alive():
+            print("fuzz: the server has died", file=sys.stderr)
+            return 1
+        body, failed = report(fuzz, server, seconds)
+        body += f"\nThe server ended with status {server.stop()}."
+    print(body)
+    if options.write:
+        write_section(RELIABILITY, "Fuzzed uploads", body)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""A server process on a free port, for measurements against the real thing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+
+import httpx
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+class ServerProcess:
+    """``python -m app`` as a context manager.
+
+    Parameters
+    ----------
+    index : Path
+        Folder of the index artefact.
+    log : Path, optional
+        Where its log goes; by default nowhere.
+    **environment : str
+        Further variables.
+    """
+
+    def __init__(self, index: Path, log: Path | None = None, **environment: str) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self.url = f"http://127.0.0.1:{port}"
+        self._environment = {
+            **os.environ,
+            "HOST": "127.0.0.1",
+            "PORT": str(port),
+            "POSE_INDEX": str(Path(index).resolve()),
+            **environment,
+        }
+        self._log = log or Path(os.devnull)
+
+    def __enter__(self) -> ServerProcess:
+        """Start it."""
+        self._started = time.perf_counter()
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "app"],
+                cwd=ROOT,
+                env=self._environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        return self
+
+    def wait_until_ready(self, timeout_s: float = 60) -> float:
+        """Return the seconds from start to the first 200 of ``/readyz``."""
+        while True:
+            try:
+                if httpx.get(f"{self.url}/readyz").status_code == 200:
+                    return time.perf_counter() - self._started
+            except httpx.TransportError:
+                pass
+            if time.perf_counter() - self._started > timeout_s or not self.alive():
+                raise TimeoutError(f"the server at {self.url} was not ready in {timeout_s} s")
+            time.sleep(0.01)
+
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def memory_mb(self, what: str = "VmRSS") -> float:
+        """Resident memory in megabytes, ``VmHWM`` for the most it ever was."""
+        for line in Path(f"/proc/{self._process.pid}/status").read_text().splitlines():
+            if line.startswith(f"{what}:"):
+                return int(line.split()[1]) / 1024
+        raise ValueError(f"/proc tells no {what}")
+
+    def stop(self) -> int:
+        """Ask it to end and return its exit status."""
+        self._process.send_signal(signal.SIGTERM)
+        return self._process.wait(timeout=30)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End it."""
+        if self.alive():
+            self.stop()

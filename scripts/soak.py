@@ -1,0 +1,209 @@
+"""Send a server many requests, good and bad, and watch its memory and its latency.
+
+    python -m scripts.soak [--index index/data] [--requests 20000] [--write]
+
+Fails where a request is answered with a 5xx other than 503, where resident memory at the end
+is more than 5 % above that after warm-up, or where good requests have become slower.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from index.store import DEFAULT_PATH, PoseIndex
+from scripts.raw_client import Call, RawClient
+from scripts.results import RELIABILITY, machine, percentile, revision, write_section
+from scripts.server_process import ServerProcess
+from scripts.street import encode, street
+
+CLIENTS = 2
+MEMORY_GROWTH = 0.05
+LATENCY_GROWTH = 1.25
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of request, how often it comes and whether it should succeed."""
+
+    name: str
+    weight: float
+    calls: list[Call]
+    good: bool = True
+    hang_up: bool = False
+
+
+def kinds(index: PoseIndex) -> list[Kind]:
+    """Return the mixture: four fifths good, a fifth bad."""
+    scenes = [street(index, width=640, height=480, seed=seed) for seed in range(8)]
+    frames = [encode(".jpg", frame) for frame, _ in scenes]
+    masks = [encode(".png", mask) for _, mask in scenes]
+    pairs = [{"frame": f, "mask": m} for f, m in zip(frames, masks, strict=True)]
+    boxed = [{"frame": frame, "boxes": b"[[270, 130, 100, 220]]"} for frame in frames]
+    rng = np.random.default_rng(0)
+    noise = [rng.bytes(int(size)) for size in rng.integers(0, 20_000, 8)]
+    small = encode(".png", np.ones((10, 10), np.uint8))
+    huge = encode(".png", np.zeros((9000, 9000), np.uint8))
+
+    def post(path: str, forms: list[dict[str, bytes]]) -> list[Call]:
+        return [Call("POST", path, form) for form in forms]
+
+    return [
+        Kind("pose with a mask", 0.52, post("/pose", pairs)),
+        Kind("pose, coco17, n=50", 0.06, post("/pose?keypoints=coco17&n=50", pairs)),
+        Kind("pose with boxes", 0.06, post("/pose", boxed)),
+        Kind("pose, people searched for", 0.02, post("/pose", [{"frame": f} for f in frames])),
+        Kind("overlay", 0.03, post("/pose/overlay", pairs)),
+        Kind("silhouette", 0.03, post("/silhouette", pairs)),
+        Kind("deepstack", 0.02, post("/v1/vision/detection", [{"image": f} for f in frames])),
+        Kind("entry", 0.06, [Call("GET", f"/index/entries/{e}") for e in range(8)]),
+        Kind("undecodable", 0.04, post("/pose", [{"frame": data} for data in noise]), False),
+        Kind(
+            "truncated",
+            0.03,
+            post("/pose", [{"frame": f[: len(f) // 2], "boxes": b"[]"} for f in frames]),
+            False,
+        ),
+        Kind("bomb", 0.01, post("/pose", [{"frame": huge}]), False),
+        Kind("other size", 0.03, post("/pose", [{"frame": frames[0], "mask": small}]), False),
+        Kind("bad boxes", 0.02, post("/pose", [{"frame": frames[0], "boxes": b"[[1, 2]]"}]), False),
+        Kind("bad n", 0.02, post("/pose?n=0", pairs), False),
+        Kind("no frame", 0.02, post("/pose", [{}]), False),
+        Kind("no such path", 0.01, [Call("GET", "/nothing")], False),
+        Kind("client hangs up", 0.02, post("/pose", boxed), False, True),
+    ]  # fmt: skip
+
+
+class Soak:
+    """Clients in threads that share a count of what is still to be sent."""
+
+    def __init__(self, server: ServerProcess, mixture: list[Kind], requests: int) -> None:
+        self._server = server
+        self._mixture = mixture
+        self._requests = requests
+        self._lock = threading.Lock()
+        self.sent = 0
+        self.statuses: Counter[tuple[str, int]] = Counter()
+        self.broken: Counter[str] = Counter()
+        self.main_latencies: list[tuple[int, float]] = []
+        self.memory: list[tuple[int, float]] = []
+
+    def run(self) -> None:
+        """Send everything."""
+        threads = [threading.Thread(target=self._client, args=(c,)) for c in range(CLIENTS)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def _client(self, number: int) -> None:
+        rng = np.random.default_rng(number)
+        weights = np.array([kind.weight for kind in self._mixture])
+        client = RawClient(self._server.url)
+        while True:
+            with self._lock:
+                if self.sent >= self._requests:
+                    return
+                self.sent += 1
+                position = self.sent
+                if position % max(1, self._requests // 40) == 0:
+                    self.memory.append((position, self._server.memory_mb()))
+            kind = self._mixture[rng.choice(len(weights), p=weights / weights.sum())]
+            call = kind.calls[rng.integers(len(kind.calls))]
+            started = time.perf_counter()
+            try:
+                if kind.hang_up:
+                    client.hang_up(call)
+                    continue
+                status, _ = client.send(call)
+            except Exception as error:  # Whatever it is, it is counted and shown.
+                with self._lock:
+                    self.broken[f"{kind.name}: {type(error).__name__}"] += 1
+                continue
+            elapsed = (time.perf_counter() - started) * 1000
+            with self._lock:
+                self.statuses[kind.name, status] += 1
+                if kind is self._mixture[0] and status == 200:
+                    self.main_latencies.append((position, elapsed))
+
+
+def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
+    """Return the section in Markdown and what has failed."""
+    warm = requests // 10
+    after_warm_up = next(mb for position, mb in soak.memory if position >= warm)
+    at_end = soak.memory[-1][1]
+    fifth = requests // 5
+    early = [ms for position, ms in soak.main_latencies if warm <= position < warm + fifth]
+    late = [ms for position, ms in soak.main_latencies if position >= requests - fifth]
+    deliberate = sum(n for (_, status), n in soak.statuses.items() if status == 503)
+    faults = {key: n for key, n in soak.statuses.items() if key[1] >= 500 and key[1] != 503}
+    failed = []
+    if faults:
+        failed.append(f"5xx besides 503: {faults}")
+    if soak.broken:
+        failed.append(f"broken connections: {dict(soak.broken)}")
+    if at_end > after_warm_up * (1 + MEMORY_GROWTH):
+        failed.append(f"memory grew from {after_warm_up:.0f} to {at_end:.0f} MB")
+    if percentile(late, 99) > LATENCY_GROWTH * percentile(early, 99):
+        failed.append("the p99 of good requests grew")
+    rows = [
+        f"| {kind.name} | "
+        + ", ".join(
+            f"{n} x {status}" for (name, status), n in sorted(soak.statuses.items())
+            if name == kind.name
+        )
+        + (" (nobody waits)" if kind.hang_up else "")
+        + " |"
+        for kind in soak._mixture
+    ]  # fmt: skip
+    body = f"""`python -m scripts.soak --requests {requests}`, revision {revision()}.
+{machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s,
+{requests / seconds:.0f} requests/s.
+
+| | after warm-up ({warm} requests) | at the end |
+|---|---|---|
+| resident memory | {after_warm_up:.1f} MB | {at_end:.1f} MB ({at_end / after_warm_up - 1:+.1%}) |
+| `/pose` with a mask, median | {percentile(early, 50):.1f} ms | {percentile(late, 50):.1f} ms |
+| `/pose` with a mask, p99 | {percentile(early, 99):.1f} ms | {percentile(late, 99):.1f} ms |
+
+5xx besides deliberate 503s: {sum(faults.values())}; deliberate 503s: {deliberate};
+broken connections: {sum(soak.broken.values())}.
+{"Failed: " + "; ".join(failed) if failed else "Passed."}
+
+| request | answers |
+|---|---|
+""" + "\n".join(rows)
+    return body, failed
+
+
+def main() -> int:
+    """Command line; 1 where a criterion fails."""
+    parser = argparse.ArgumentParser(description="Soak a real server.")
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--requests", type=int, default=20_000)
+    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
+    options = parser.parse_args()
+    mixture = kinds(PoseIndex.load(options.index))
+    with ServerProcess(options.index, log=Path("/tmp/soak-server.log")) as server:
+        server.wait_until_ready()
+        soak = Soak(server, mixture, options.requests)
+        started = time.perf_counter()
+        soak.run()
+        seconds = time.perf_counter() - started
+        body, failed = report(soak, options.requests, seconds)
+        body += f"\n\nThe server ended with status {server.stop()}."
+    print(body)
+    if options.write:
+        write_section(RELIABILITY, "Soak", body)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

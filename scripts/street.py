@@ -1,0 +1,48 @@
+"""Drawn photographs to measure with: no real person's picture is needed, or shipped."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from index.store import PoseIndex
+
+
+def street(
+    index: PoseIndex, *, width: int = 768, height: int = 576, person_px: int = 200, seed: int = 0
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Draw a blurred scene with one dark person in it.
+
+    Parameters
+    ----------
+    index : PoseIndex
+        Whose entry number ``seed`` lends the silhouette.
+    width, height, person_px : int
+        Pixels.
+    seed : int
+
+    Returns
+    -------
+    frame : (height, width, 3) uint8 array
+        BGR.
+    mask : (height, width) uint8 array
+        1 on the person.
+    """
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(90, 200, (height // 16, width // 16, 3), np.uint8)
+    frame = np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
+    mask = np.zeros((height, width), np.uint8)
+    scale = person_px / 128
+    person = cv2.resize(index.silhouette(seed % len(index)), None, fx=scale, fy=scale)
+    top, left = (height - person.shape[0]) // 2, (width - person.shape[1]) // 2
+    mask[top : top + person.shape[0], left : left + person.shape[1]] = person
+    frame[mask == 1] = (60, 50, 45)
+    return frame, mask
+
+
+def encode(extension: str, picture: NDArray[Any], *parameters: int) -> bytes:
+    """Encode a picture; ``extension`` as in ``.png``."""
+    return cv2.imencode(extension, picture, list(parameters))[1].tobytes()

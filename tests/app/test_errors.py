@@ -1,0 +1,163 @@
+"""Every error is a problem, says which field it is about, and shows no inner workings."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
+from tests.conftest import Photo, png
+
+
+def check_problem(response: httpx.Response, status: int, field: str | None = None) -> str:
+    """The answer is a problem with this status; return its detail."""
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    problem = response.json()
+    assert problem["status"] == status
+    assert problem["type"] == "about:blank"
+    assert problem["title"]
+    assert problem["detail"]
+    assert problem.get("field") == field
+    assert "Traceback" not in response.text
+    return str(problem["detail"])
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00", b"GIF89a", b"\xff\xd8\xff\xe0" + b"x" * 99])
+@pytest.mark.parametrize("field", ["frame", "mask", "background"])
+def test_undecodable_images(client: TestClient, photo: Photo, field: str, data: bytes) -> None:
+    files = {"frame": photo.frame_png, field: data}
+    check_problem(client.post("/pose", files=files), 400, field)
+
+
+def test_a_bomb_is_refused_by_its_header(client: TestClient) -> None:
+    bomb = png(np.zeros((12_000, 12_000), np.uint8))
+    assert len(bomb) < 1_000_000
+    check_problem(client.post("/pose", files={"frame": bomb}), 413, "frame")
+
+
+@pytest.mark.parametrize("field", ["frame", "mask", "background"])
+def test_a_chunk_that_claims_gigabytes_costs_nothing(
+    client: TestClient, photo: Photo, field: str
+) -> None:
+    sound = photo.mask_png
+    at = sound.index(b"IDAT") - 4
+    for length in (0x7FFFFFFF, 0x60000000, len(sound)):
+        bomb = sound[:at] + length.to_bytes(4, "big") + sound[at + 4 :]
+        started = time.perf_counter()
+        check_problem(client.post("/pose", files={"frame": sound, field: bomb}), 400, field)
+        assert time.perf_counter() - started < 0.5
+
+
+@pytest.mark.parametrize("field", ["mask", "background"])
+def test_sizes_must_agree(client: TestClient, photo: Photo, field: str) -> None:
+    files = {"frame": photo.frame_png, field: png(np.ones((10, 20), np.uint8))}
+    detail = check_problem(client.post("/pose", files=files), 422, field)
+    assert "320x240" in detail
+    assert "20x10" in detail
+
+
+@pytest.mark.parametrize(
+    "boxes",
+    [
+        "no",
+        "{}",
+        "[[1, 2, 3]]",
+        "[[1, 2, 3, 4, 5]]",
+        '[["a", 2, 3, 4]]',
+        "[[NaN, 2, 3, 4]]",
+        "[[1e400, 2, 3, 4]]",
+        "[[1, 2, 0, 4]]",
+        "[[1, 2, -3, 4]]",
+        "[[1000, 1000, 5, 5]]",
+        "[[-50, -50, 5, 5]]",
+        json.dumps([[1, 2, 30, 40]] * 51),
+    ],
+)
+def test_bad_boxes(client: TestClient, photo: Photo, boxes: str) -> None:
+    files = {"frame": photo.frame_png}
+    check_problem(client.post("/pose", files=files, data={"boxes": boxes}), 422, "boxes")
+
+
+def test_one_way_to_say_where_people_are(client: TestClient, photo: Photo) -> None:
+    files = {"frame": photo.frame_png, "mask": photo.mask_png}
+    response = client.post("/pose", files=files, data={"boxes": "[[1, 2, 30, 40]]"})
+    check_problem(response, 422, "boxes")
+    files["background"] = photo.frame_png
+    check_problem(client.post("/pose", files=files), 422, "background")
+
+
+@pytest.mark.parametrize(
+    ("params", "field"),
+    [({"n": 0}, "n"), ({"n": 51}, "n"), ({"n": "x"}, "n"), ({"keypoints": "body25"}, "keypoints")],
+)
+def test_bad_parameters(
+    client: TestClient, photo: Photo, params: dict[str, Any], field: str
+) -> None:
+    response = client.post("/pose", files={"frame": photo.frame_png}, params=params)
+    check_problem(response, 422, field)
+
+
+def test_a_missing_frame(client: TestClient, photo: Photo) -> None:
+    check_problem(client.post("/pose", files={"mask": photo.mask_png}), 422, "frame")
+
+
+@pytest.mark.parametrize("content_type", ["application/json", "image/jpeg", ""])
+def test_other_media_types(client: TestClient, content_type: str) -> None:
+    response = client.post("/pose", content=b"{}", headers={"content-type": content_type})
+    check_problem(response, 415)
+
+
+def test_a_broken_multipart_body(client: TestClient) -> None:
+    headers = {"content-type": "multipart/form-data; boundary=b"}
+    check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 422, "frame")
+    headers = {"content-type": "multipart/form-data"}
+    check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 400)
+
+
+def test_unknown_paths_and_methods(client: TestClient) -> None:
+    check_problem(client.get("/nothing"), 404)
+    check_problem(client.get("/index/entries/96"), 404)
+    check_problem(client.get("/index/entries/-1"), 422, "entry")
+    check_problem(client.get("/index/entries/one"), 422, "entry")
+    response = client.get("/pose")
+    check_problem(response, 405)
+    assert response.headers["allow"] == "POST"
+
+
+def test_too_many_bytes_by_length_and_by_count(
+    settings: Settings, estimator: Estimator, photo: Photo
+) -> None:
+    small = settings.model_copy(update={"max_upload_bytes": 1024})
+    with TestClient(create_app(small, estimator)) as client:
+        files = {"frame": photo.frame_png}
+        check_problem(client.post("/pose", files=files), 413)
+
+        def chunks() -> Any:
+            yield b"--b\r\n"
+            for _ in range(100):
+                yield b"x" * 100
+
+        headers = {"content-type": "multipart/form-data; boundary=b"}
+        check_problem(client.post("/pose", content=chunks(), headers=headers), 413)
+
+
+def test_an_error_of_our_own_is_a_problem_too(
+    settings: Settings, estimator: Estimator, monkeypatch: pytest.MonkeyPatch, photo: Photo
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("secret")
+
+    monkeypatch.setattr(estimator, "estimate", fail)
+    with TestClient(create_app(settings, estimator), raise_server_exceptions=False) as client:
+        response = client.post("/pose", files={"frame": photo.frame_png})
+        check_problem(response, 500)
+        assert "secret" not in response.text

@@ -1,0 +1,62 @@
+"""A client generated from the document talks to a live server."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT, Photo, Server
+
+pytestmark = pytest.mark.slow
+PACKAGE = "silhouette_pose_client"
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    pytest.importorskip("openapi_python_client", reason="needs openapi-python-client")
+    folder = tmp_path_factory.mktemp("client")
+    command = [sys.executable, "-m", "openapi_python_client", "generate"]
+    command += ["--path", str(ROOT / "openapi.json"), "--output-path", str(folder / "out")]
+    command += ["--config", str(ROOT / "scripts" / "openapi-python-client.yaml")]
+    # Its formatter, ruff, stands beside the interpreter.
+    path = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin"}
+    result = subprocess.run(command, capture_output=True, text=True, check=False, env=path)
+    assert result.returncode == 0, result.stderr
+    assert "WARNING" not in result.stdout + result.stderr, result.stdout + result.stderr
+    sys.path.insert(0, str(folder / "out"))
+    yield importlib.import_module(PACKAGE)
+    sys.path.remove(str(folder / "out"))
+
+
+def load(name: str) -> Any:
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+def test_it_uploads_a_frame_and_reads_the_poses(package: Any, server: Server, photo: Photo) -> None:
+    file = load("types").File
+    body = load("models").BodyEstimatePose(
+        frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
+        mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
+    )
+    client = package.Client(server.url)
+    answer = load("api.pose.estimate_pose").sync(client=client, body=body, n=3)
+    (person,) = answer.persons
+    assert [h.rank for h in person.hypotheses] == [1, 2, 3]
+    assert person.hypotheses[0].entry == photo.entry
+    assert person.hypotheses[0].joints_2d[0].x > 0
+
+
+def test_it_reads_problems_and_pictures(package: Any, server: Server, photo: Photo) -> None:
+    file = load("types").File
+    client = package.Client(server.url)
+    body = load("models").BodyEstimatePose(frame=file(io.BytesIO(b"?"), "f", "image/png"))
+    problem = load("api.pose.estimate_pose").sync(client=client, body=body)
+    assert problem.status == 400
+    assert problem.field == "frame"
+    picture = load("api.index.get_entry_silhouette").sync(entry=3, client=client)
+    assert picture.payload.read().startswith(b"\x89PNG")

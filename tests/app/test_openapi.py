@@ -1,0 +1,87 @@
+"""The document clients are generated from."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+
+from scripts.export_openapi import render
+from tests.conftest import ROOT
+
+
+@pytest.fixture(scope="module")
+def document() -> dict[str, Any]:
+    return json.loads(render())
+
+
+def operations(document: dict[str, Any]) -> list[dict[str, Any]]:
+    return [operation for path in document["paths"].values() for operation in path.values()]
+
+
+def test_the_committed_document_is_not_stale() -> None:
+    committed = Path(ROOT / "openapi.json").read_text()
+    assert committed == render(), "run `make openapi` and commit openapi.json"
+
+
+def test_operation_ids_are_those_of_the_contract(document: dict[str, Any]) -> None:
+    assert {operation["operationId"] for operation in operations(document)} == {
+        "estimate_pose",
+        "draw_pose",
+        "extract_silhouettes",
+        "describe_index",
+        "get_entry",
+        "get_entry_silhouette",
+        "detect_deepstack",
+        "liveness",
+        "readiness",
+    }
+
+
+def test_every_operation_and_field_is_described(document: dict[str, Any]) -> None:
+    for operation in operations(document):
+        assert operation["description"]
+    for name, schema in document["components"]["schemas"].items():
+        if name.startswith("Body_"):
+            continue
+        assert schema["description"], name
+        for field, value in schema.get("properties", {}).items():
+            target = value.get("$ref") or next(
+                (part["$ref"] for part in value.get("anyOf", ()) if "$ref" in part), None
+            )
+            assert value.get("description") or target, f"{name}.{field}"
+
+
+def test_uploads_are_binary_for_generators(document: dict[str, Any]) -> None:
+    body = document["components"]["schemas"]["Body_estimate_pose"]
+    for field in ("frame", "mask", "background"):
+        assert body["properties"][field]["type"] == "string"
+        assert body["properties"][field]["format"] == "binary"
+    assert body["required"] == ["frame"]
+
+
+def test_errors_are_documented_as_problems(document: dict[str, Any]) -> None:
+    pose = document["paths"]["/pose"]["post"]["responses"]
+    assert set(pose) == {"200", "400", "401", "408", "413", "415", "422", "503"}
+    for status in set(pose) - {"200"}:
+        schema = pose[status]["content"]["application/problem+json"]["schema"]
+        assert schema == {"$ref": "#/components/schemas/Problem"}
+    assert "HTTPValidationError" not in document["components"]["schemas"]
+
+
+def test_every_reference_leads_somewhere(document: dict[str, Any]) -> None:
+    references = set(re.findall(r'"#/components/schemas/([^"]+)"', json.dumps(document)))
+    assert references == set(document["components"]["schemas"])
+
+
+def test_the_docs_page_asks_nobody_else(client: TestClient) -> None:
+    page = client.get("/docs").text
+    assert "http://" not in page
+    assert "https://" not in page
+    for asset in ("swagger-ui-bundle.js", "swagger-ui.css", "favicon.png"):
+        assert f'"docs/assets/{asset}"' in page
+        assert client.get(f"/docs/assets/{asset}").status_code == 200

@@ -1,0 +1,166 @@
+"""What operators rely on: keys, limits, metrics, logs, CORS."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import cv2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from prometheus_client.parser import text_string_to_metric_families
+from pydantic import ValidationError
+
+from app.estimator import Estimator
+from app.logs import JsonFormatter
+from app.main import create_app
+from app.settings import Settings
+from tests.conftest import Photo
+
+
+def sample(client: TestClient, metric: str, /, **labels: str) -> float | None:
+    for family in text_string_to_metric_families(client.get("/metrics").text):
+        for found in family.samples:
+            if found.name == metric and labels.items() <= found.labels.items():
+                return found.value
+    return None
+
+
+@pytest.fixture
+def locked(settings: Settings, estimator: Estimator, monkeypatch: pytest.MonkeyPatch) -> TestClient:
+    monkeypatch.setenv("POSE_API_KEYS", "first, second")
+    keys = Settings().api_keys
+    return TestClient(create_app(settings.model_copy(update={"api_keys": keys}), estimator))
+
+
+@pytest.mark.parametrize("key", ["first", "second"])
+def test_each_key_opens(locked: TestClient, key: str) -> None:
+    assert locked.get("/index", headers={"X-API-Key": key}).status_code == 200
+    assert locked.get("/index", headers={"Authorization": f"Bearer {key}"}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"X-API-Key": ""},
+        {"X-API-Key": "firs"},
+        {"X-API-Key": "first, second"},
+        {"Authorization": "Basic first"},
+        {"Authorization": "Bearer"},
+        {"X-API-Key": "\u00e9".encode()},
+    ],
+)
+def test_anything_else_does_not(locked: TestClient, headers: dict[str, str], photo: Photo) -> None:
+    for response in (
+        locked.get("/index", headers=headers),
+        locked.post("/pose", files={"frame": photo.frame_png}, headers=headers),
+        locked.post("/v1/vision/detection", files={"image": photo.frame_png}, headers=headers),
+    ):
+        assert response.status_code == 401
+        assert response.headers["content-type"] == "application/problem+json"
+        assert response.headers["www-authenticate"] == "Bearer"
+        assert "first" not in response.text
+
+
+def test_probes_and_pages_need_no_key(locked: TestClient) -> None:
+    for path in ("/healthz", "/readyz", "/metrics", "/docs", "/openapi.json"):
+        assert locked.get(path).status_code == 200, path
+
+
+def test_deepstack_takes_its_form_field(locked: TestClient, photo: Photo) -> None:
+    response = locked.post(
+        "/v1/vision/detection", files={"image": photo.frame_png}, data={"api_key": "second"}
+    )
+    assert response.status_code == 200
+    assert response.json()["success"] is True
+
+
+def test_keys_do_not_show_in_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("POSE_API_KEYS", "first")
+    assert "first" not in repr(Settings())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("CONCURRENCY", "0"), ("MAX_PIXELS", "many"), ("LOG_LEVEL", "loud")]
+)
+def test_nonsense_settings_are_refused(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    monkeypatch.setenv(f"POSE_{name}", value)
+    with pytest.raises(ValidationError, match=name.lower()):
+        Settings()
+
+
+def test_metrics_tell_what_happened(client: TestClient, photo: Photo) -> None:
+    files = {"frame": photo.frame_png, "mask": photo.mask_png}
+    assert client.post("/pose", files=files).status_code == 200
+    assert client.post("/pose", files={"frame": b"?"}).status_code == 400
+    assert client.get("/nothing/of/this/name").status_code == 404
+    assert sample(client, "pose_requests_total", route="/pose", status="200") == 1
+    assert sample(client, "pose_requests_total", route="other", status="404") == 1
+    assert sample(client, "pose_rejected_total", reason="undecodable") == 1
+    assert sample(client, "pose_stage_seconds_count", stage="search") == 1
+    assert sample(client, "pose_stage_seconds_count", stage="detect") is None
+    assert sample(client, "pose_stage_seconds_bucket", le="0.0005") is not None
+    assert sample(client, "pose_persons_sum") == 1
+    assert sample(client, "pose_confidence_count") == 1
+    assert sample(client, "pose_in_flight") == 0
+    assert sample(client, "pose_index_info", name="sticks") == 1
+
+
+def test_logs_are_json_with_the_request_id_and_no_content(
+    client: TestClient, photo: Photo, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.handler.setFormatter(JsonFormatter())
+    with caplog.at_level(logging.INFO, logger="app"):
+        response = client.post(
+            "/pose",
+            files={"frame": ("secret-name.png", photo.frame_png)},
+            headers={"X-Request-ID": "camera-7.42"},
+        )
+    assert response.headers["x-request-id"] == "camera-7.42"
+    line = json.loads(caplog.text.splitlines()[-1])
+    assert line["request_id"] == "camera-7.42"
+    assert line["path"] == "/pose"
+    assert line["status"] == 200
+    assert line["ms"] > 0
+    assert "secret" not in caplog.text
+
+
+def test_a_request_id_that_could_forge_logs_is_replaced(client: TestClient) -> None:
+    response = client.get("/healthz", headers={"X-Request-ID": 'a"} {"b'})
+    assert len(response.headers["x-request-id"]) == 32
+
+
+def test_cors_only_where_it_is_set(settings: Settings, estimator: Estimator) -> None:
+    ask = {"Origin": "https://yard.example"}
+    origins = settings.model_copy(update={"cors_origins": ("https://yard.example",)})
+    with TestClient(create_app(origins, estimator)) as client:
+        answer = client.get("/healthz", headers=ask)
+        assert answer.headers["access-control-allow-origin"] == "https://yard.example"
+        other = client.get("/healthz", headers={"Origin": "https://other.example"})
+        assert "access-control-allow-origin" not in other.headers
+    with TestClient(create_app(settings, estimator)) as client:
+        assert "access-control-allow-origin" not in client.get("/healthz", headers=ask).headers
+
+
+def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> None:
+    few = Estimator(
+        estimator.index,
+        estimator.detector,
+        estimator.segmenter,
+        min_person_px=50,
+        max_pixels=10**6,
+        max_persons=2,
+    )
+    labels = np.zeros((90, 90), np.uint8)
+    for person in range(3):
+        labels[10:80, 10 + 20 * person : 20 + 20 * person] = person + 1
+    mask = cv2.imencode(".png", labels)[1].tobytes()
+    frame = cv2.imencode(".png", np.zeros((90, 90, 3), np.uint8))[1].tobytes()
+    with TestClient(create_app(settings, few)) as client:
+        response = client.post("/pose", files={"frame": frame, "mask": mask})
+        assert response.status_code == 422
+        assert response.json()["field"] == "mask"

@@ -1,0 +1,149 @@
+"""The service as a process: start, probes, overload, hang-ups, the end."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+
+from tests.conftest import Photo, Server, start_server, wait_until
+
+
+@pytest.fixture(scope="module")
+def slow_frame() -> bytes:
+    """A large frame full of edges, which takes long to search for people."""
+    rng = np.random.default_rng(0)
+    coarse = rng.integers(0, 255, (90, 160, 3), np.uint8)
+    frame = cv2.resize(coarse, (1280, 720), interpolation=cv2.INTER_NEAREST)
+    return cv2.imencode(".jpg", frame)[1].tobytes()
+
+
+@pytest.fixture
+def narrow(index_path: Path) -> Iterator[Server]:
+    """A server that works on one frame and lets two wait."""
+    running = start_server(index_path, POSE_CONCURRENCY="1", POSE_QUEUE_LENGTH="2")
+    wait_until(f"{running.url}/readyz")
+    yield running
+    running.stop()
+
+
+def metric(server: Server, line: str) -> float:
+    for text in httpx.get(f"{server.url}/metrics").text.splitlines():
+        if text.startswith(f"{line} "):
+            return float(text.split()[-1])
+    return 0.0
+
+
+def test_a_frame_over_a_real_socket(server: Server, photo: Photo) -> None:
+    files = {"frame": photo.frame_png, "mask": photo.mask_png}
+    answer = httpx.post(f"{server.url}/pose", files=files).json()
+    assert answer["persons"][0]["hypotheses"][0]["entry"] == photo.entry
+
+
+def test_overload_is_refused_at_once_and_probes_go_on(narrow: Server, slow_frame: bytes) -> None:
+    def ask(_: int) -> tuple[int, float, str | None]:
+        started = time.perf_counter()
+        response = httpx.post(f"{narrow.url}/pose", files={"frame": slow_frame}, timeout=30)
+        seconds = time.perf_counter() - started
+        return response.status_code, seconds, response.headers.get("retry-after")
+
+    with ThreadPoolExecutor(20) as clients:
+        answers = list(clients.map(ask, range(20)))
+        # While the last ones are still worked on, nothing else waits for them.
+    accepted = [seconds for status, seconds, _ in answers if status == 200]
+    refused = [(seconds, after) for status, seconds, after in answers if status == 503]
+    assert len(accepted) + len(refused) == 20
+    assert len(accepted) >= 3
+    assert len(refused) >= 10
+    assert all(after == "1" for _, after in refused)
+    assert np.median([seconds for seconds, _ in refused]) < max(accepted)
+    assert metric(narrow, 'pose_rejected_total{reason="queue_full"}') == len(refused)
+
+
+def test_frames_nobody_waits_for_are_dropped(narrow: Server, slow_frame: bytes) -> None:
+    def ask_and_hang_up(_: int) -> None:
+        with pytest.raises(httpx.ReadTimeout):
+            httpx.post(f"{narrow.url}/pose", files={"frame": slow_frame}, timeout=0.06)
+
+    with ThreadPoolExecutor(3) as clients:
+        list(clients.map(ask_and_hang_up, range(3)))
+    deadline = time.monotonic() + 10
+    while metric(narrow, "pose_in_flight") > 0:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert metric(narrow, 'pose_rejected_total{reason="client_gone"}') >= 2
+    # Two of the three never got further than the queue.
+    assert metric(narrow, 'pose_stage_seconds_count{stage="total"}') <= 1
+
+
+def test_sigterm_finishes_what_runs_and_ends_with_status_0(
+    index_path: Path, slow_frame: bytes
+) -> None:
+    running = start_server(index_path)
+    wait_until(f"{running.url}/readyz")
+    with ThreadPoolExecutor(1) as client:
+        answer = client.submit(
+            httpx.post, f"{running.url}/pose", files={"frame": slow_frame}, timeout=30
+        )
+        while metric(running, "pose_in_flight") == 0 and not answer.done():
+            pass
+        assert running.stop() == 0
+        assert answer.result().status_code == 200
+
+
+def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
+    corrupted = tmp_path / "index"
+    shutil.copytree(index_path, corrupted)
+    vectors = corrupted / "descriptors.faiss"
+    vectors.write_bytes(vectors.read_bytes()[:-10])
+    running = start_server(corrupted)
+    try:
+        wait_until(f"{running.url}/healthz")
+        deadline, detail = time.monotonic() + 10, ""
+        while "truncated" not in detail:
+            assert time.monotonic() < deadline, detail
+            response = httpx.get(f"{running.url}/readyz")
+            assert response.status_code == 503
+            detail = response.json()["detail"]
+        response = httpx.post(f"{running.url}/pose", files={"frame": b"x"})
+        assert response.status_code == 503
+        assert response.headers["content-type"] == "application/problem+json"
+    finally:
+        assert running.stop() == 0
+
+
+def test_a_slow_upload_is_sent_away(index_path: Path) -> None:
+    running = start_server(index_path, POSE_UPLOAD_TIMEOUT_S="0.3")
+
+    def trickle() -> Iterator[bytes]:
+        yield b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n'
+        for _ in range(20):
+            yield b"x"
+            time.sleep(0.1)
+
+    try:
+        wait_until(f"{running.url}/readyz")
+        headers = {"content-type": "multipart/form-data; boundary=b"}
+        response = httpx.post(f"{running.url}/pose", content=trickle(), headers=headers)
+        assert response.status_code == 408
+    except httpx.WriteError:
+        pass  # The connection was closed while the client still wrote.
+    finally:
+        assert running.stop() == 0
+
+
+def test_a_too_large_upload_is_told_so(index_path: Path) -> None:
+    running = start_server(index_path, POSE_MAX_UPLOAD_BYTES="100000")
+    try:
+        wait_until(f"{running.url}/readyz")
+        response = httpx.post(f"{running.url}/pose", files={"frame": b"x" * 3_000_000})
+        assert response.status_code == 413
+    finally:
+        assert running.stop() == 0

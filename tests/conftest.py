@@ -1,0 +1,269 @@
+"""A tiny index of drawn stick figures, an application over it and a server process."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from numpy.typing import NDArray
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
+from descriptor.descriptor import DiagonalDescriptor
+from descriptor.silhouette import normalise, pack
+from index.confidence import FEATURES, Calibration
+from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
+from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
+
+ROOT = Path(__file__).resolve().parent.parent
+PIXELS_PER_METRE = 100.0
+CANVAS = 256
+CAMERA_DISTANCE_M = 4.0
+CALIBRATION = Calibration(tuple(0.3 if name == "log_votes" else -0.3 for name in FEATURES), 1.0)
+"""Surer where a hypothesis is near, fits well and many candidates agree on it."""
+
+
+def stick_figure(rng: np.random.Generator) -> NDArray[np.float64]:
+    """A random pose ``(24, 3)`` in body axes: a standing person who swings arms and legs."""
+    points = dict.fromkeys(POINT_NAMES, np.zeros(3))
+    points["spine"], points["chest"] = np.array([0, 0.12, 0]), np.array([0, 0.3, 0])
+    points["neck"], points["head"] = np.array([0, 0.52, 0]), np.array([0, 0.66, 0.03])
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        arm, elbow, leg, knee = rng.uniform((-1.2, 0, -0.8, 0), (1.2, 1.4, 0.8, 1.0))
+        spread = rng.uniform(0.1, 1.5)
+        points[f"{side}_shoulder"] = np.array([0.18 * sign, 0.46, 0])
+        points[f"{side}_elbow"] = points[f"{side}_shoulder"] + 0.28 * _swing(arm, spread * sign)
+        points[f"{side}_wrist"] = points[f"{side}_elbow"] + 0.26 * _swing(
+            arm + elbow, spread * sign
+        )
+        points[f"{side}_hip"] = np.array([0.1 * sign, -0.04, 0])
+        points[f"{side}_knee"] = points[f"{side}_hip"] + 0.42 * _swing(leg, 0.1 * sign)
+        points[f"{side}_ankle"] = points[f"{side}_knee"] + 0.42 * _swing(leg - knee, 0.1 * sign)
+        points[f"{side}_toe"] = points[f"{side}_ankle"] + np.array([0, -0.03, 0.16])
+        points[f"{side}_eye"] = points["head"] + np.array([0.03 * sign, 0.03, 0.09])
+        points[f"{side}_ear"] = points["head"] + np.array([0.07 * sign, 0.0, 0.01])
+    points["nose"] = points["head"] + np.array([0, 0, 0.11])
+    return np.array([points[name] for name in POINT_NAMES])
+
+
+def _swing(forward: float, aside: float) -> NDArray[np.float64]:
+    """Unit vector of a limb that hangs, swung forward and aside by angles in radians."""
+    return np.array(
+        [
+            np.sin(aside) * np.cos(forward),
+            -np.cos(aside) * np.cos(forward),
+            np.sin(forward),
+        ]
+    )
+
+
+def draw_figure(plane: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Silhouette ``(256, 256)`` of 0 and 1 of a figure given in metres ``(24, 2)``."""
+    pixels = np.round(plane * PIXELS_PER_METRE + CANVAS / 2).astype(int)
+    canvas = np.zeros((CANVAS, CANVAS), np.uint8)
+    for parent, child in NATIVE.bones:
+        cv2.line(canvas, pixels[parent].tolist(), pixels[child].tolist(), 1, 11)
+    torso = [POINT_NAMES.index(f"{s}_{j}") for j in ("shoulder", "hip") for s in ("left", "right")]
+    cv2.fillConvexPoly(canvas, cv2.convexHull(pixels[torso]), 1)
+    cv2.circle(canvas, pixels[POINT_NAMES.index("head")].tolist(), 11, 1, -1)
+    return canvas
+
+
+def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseIndex:
+    """An index of stick figures: ``poses * views`` entries."""
+    rng = np.random.default_rng(seed)
+    skeletons = np.array([stick_figure(rng) for _ in range(poses)])
+    entries = np.zeros(poses * views, ENTRY_DTYPE)
+    silhouettes = []
+    for number, entry in enumerate(entries):
+        azimuth, elevation = 360.0 / views * (number % views), 10.0
+        points = skeletons[number // views] @ camera_rotation(azimuth, elevation).T
+        silhouette, placement = normalise(draw_figure(project(points, CAMERA_DISTANCE_M)))
+        silhouettes.append(silhouette)
+        entry["skeleton"] = number // views
+        entry["azimuth_deg"], entry["elevation_deg"] = azimuth, elevation
+        entry["distance"] = CAMERA_DISTANCE_M
+        entry["scale"] = placement.scale * PIXELS_PER_METRE
+        offset = placement.to_normalised([CANVAS / 2, CANVAS / 2])
+        entry["offset_x"], entry["offset_y"] = offset
+    labels = np.zeros(poses, SKELETON_DTYPE)
+    labels["frame"] = np.arange(poses)
+    labels["action"] = np.arange(poses) % 2
+    descriptor = DiagonalDescriptor()
+    stack = np.array(silhouettes)
+    return PoseIndex(
+        name="sticks",
+        descriptor=descriptor,
+        vectors=descriptor.describe(stack),
+        entries=entries,
+        skeletons=skeletons.astype(np.float16),
+        skeleton_labels=labels,
+        clips=("sticks_01",),
+        subjects=("stick",),
+        actions=("walk", "jump"),
+        silhouette_bits=pack(stack),
+        parameters={
+            "seed": seed,
+            "attribution": "Drawn for tests.",
+            "confidence": CALIBRATION.parameters(),
+        },
+    )
+
+
+@pytest.fixture(scope="session")
+def index_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the tiny index."""
+    path = tmp_path_factory.mktemp("index") / "sticks"
+    build_tiny_index().save(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny_index(index_path: Path) -> PoseIndex:
+    """The tiny index, loaded."""
+    return PoseIndex.load(index_path)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photograph of one known entry.
+
+    Parameters
+    ----------
+    entry : int
+        The entry that was photographed.
+    frame : (240, 320, 3) uint8 array
+        BGR.
+    mask : (240, 320) uint8 array
+        1 on the person.
+    joints_2d : (19, 2) float64 array
+        Where the native joints are, in pixels.
+    """
+
+    entry: int
+    frame: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    joints_2d: NDArray[np.float64]
+
+    @property
+    def frame_png(self) -> bytes:
+        """The frame, encoded."""
+        return png(self.frame)
+
+    @property
+    def mask_png(self) -> bytes:
+        """The mask, encoded."""
+        return png(self.mask)
+
+
+def png(picture: NDArray[np.generic]) -> bytes:
+    """Encode as PNG."""
+    return cv2.imencode(".png", picture)[1].tobytes()
+
+
+def photograph(index: PoseIndex, number: int, left: int = 150, top: int = 40) -> Photo:
+    """An entry's silhouette in dark grey before a noisy light wall."""
+    rng = np.random.default_rng(number)
+    frame = rng.integers(170, 230, (240, 320, 3), np.uint8)
+    mask = np.zeros((240, 320), np.uint8)
+    silhouette = index.silhouette(number)
+    mask[top : top + 128, left : left + 48] = silhouette
+    frame[mask == 1] = (60, 50, 70)
+    joints = index.entry(number).points_normalised[:19] + np.array([left, top])
+    return Photo(number, frame, mask, joints)
+
+
+@pytest.fixture(scope="session")
+def photo(tiny_index: PoseIndex) -> Photo:
+    """A photograph of entry 8."""
+    return photograph(tiny_index, 8)
+
+
+@pytest.fixture(scope="session")
+def settings(index_path: Path) -> Settings:
+    """Settings for the tiny index, without a segmentation network."""
+    return Settings(index=index_path, segmentation_model=Path("none"))
+
+
+@pytest.fixture(scope="session")
+def estimator(settings: Settings) -> Estimator:
+    """An estimator over the tiny index."""
+    return Estimator.load(settings)
+
+
+@pytest.fixture
+def client(settings: Settings, estimator: Estimator) -> Iterator[TestClient]:
+    """A client of an application over the tiny index."""
+    with TestClient(create_app(settings, estimator), raise_server_exceptions=False) as client:
+        yield client
+
+
+@dataclass(frozen=True)
+class Server:
+    """A running server process."""
+
+    url: str
+    process: subprocess.Popen[bytes]
+
+    def stop(self) -> int:
+        """Ask it to end and return its exit status."""
+        self.process.terminate()
+        return self.process.wait(timeout=20)
+
+
+def start_server(index: Path, **environment: str) -> Server:
+    """Start ``python -m app`` on a free port; it may not be ready yet."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app"],
+        cwd=ROOT,
+        env={
+            **os.environ,
+            "HOST": "127.0.0.1",
+            "PORT": str(port),
+            "POSE_INDEX": str(index),
+            "POSE_SEGMENTATION_MODEL": "none",
+            **environment,
+        },
+    )
+    return Server(f"http://127.0.0.1:{port}", process)
+
+
+def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Response:
+    """Poll until a URL answers with a status."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            response = httpx.get(url)
+            if response.status_code == status:
+                return response
+        except httpx.TransportError:
+            pass
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{url} did not answer with {status} in {timeout_s} s")
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="session")
+def server(index_path: Path) -> Iterator[Server]:
+    """A server process over the tiny index, ready."""
+    running = start_server(index_path)
+    try:
+        wait_until(f"{running.url}/readyz")
+        yield running
+    finally:
+        running.stop()

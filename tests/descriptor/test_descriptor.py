@@ -1,0 +1,181 @@
+"""Both descriptors: linear in the silhouette, and rebuilt exactly from what a manifest holds."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from descriptor.descriptor import (
+    Descriptor,
+    DiagonalDescriptor,
+    DiscriminantDescriptor,
+    moment_block,
+    restore,
+)
+from descriptor.krawtchouk import moments, weighted_polynomials
+
+
+def discriminant(p2: tuple[float, ...] = (0.5,)) -> DiscriminantDescriptor:
+    """Random rows; the first three even, the others odd."""
+    projection = np.random.default_rng(1).normal(size=(5, len(p2) * 6, 4)).astype(np.float32)
+    projection[:3, :, 1::2] = 0
+    projection[3:, :, 0::2] = 0
+    return DiscriminantDescriptor(projection.reshape(5, -1), 6, 4, p2=p2)
+
+
+DESCRIPTORS = [
+    DiagonalDescriptor(),
+    DiagonalDescriptor(7, 0.5, (0.2,)),
+    discriminant(),
+    discriminant((0.1, 0.9)),
+]
+
+
+def blobs(count: int) -> NDArray[np.uint8]:
+    return np.random.default_rng(2).integers(0, 2, (count, 128, 48)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("descriptor", DESCRIPTORS)
+def test_shape_and_type(descriptor: Descriptor) -> None:
+    vectors = descriptor.describe(blobs(3))
+    assert vectors.shape == (3, descriptor.dimension)
+    assert vectors.dtype == np.float32
+
+
+@pytest.mark.parametrize("descriptor", DESCRIPTORS)
+def test_batch_equals_one_by_one(descriptor: Descriptor) -> None:
+    images = blobs(4)
+    single = np.concatenate([descriptor.describe(image[None]) for image in images])
+    assert_allclose(descriptor.describe(images), single, atol=1e-4)
+
+
+@pytest.mark.parametrize("descriptor", DESCRIPTORS)
+def test_is_linear(descriptor: Descriptor) -> None:
+    one, other = blobs(2).astype(np.float32)
+    mixed = descriptor.describe((2 * one - 3 * other)[None])
+    apart = descriptor.describe(np.stack([one, other]))
+    # float32 over 6,144 pixels with values up to 3.
+    assert_allclose(mixed[0], 2 * apart[0] - 3 * apart[1], atol=1e-3)
+
+
+@pytest.mark.parametrize("descriptor", DESCRIPTORS)
+def test_restore_round_trip_through_json(descriptor: Descriptor) -> None:
+    back = restore(json.loads(json.dumps(descriptor.parameters())), descriptor.arrays())
+    assert back.parameters() == descriptor.parameters()
+    assert_array_equal(back.describe(blobs(2)), descriptor.describe(blobs(2)))
+
+
+@pytest.mark.parametrize("descriptor", DESCRIPTORS)
+class TestMirror:
+    def test_mirrored_silhouettes_have_mirrored_vectors(self, descriptor: Descriptor) -> None:
+        images = blobs(4)
+        mirrored = descriptor.describe(images[:, :, ::-1])
+        # float32 sums over 6,144 pixels, in another order.
+        assert_allclose(mirrored, descriptor.mirror(descriptor.describe(images)), atol=1e-4)
+
+    def test_mirror_twice_is_the_same(self, descriptor: Descriptor) -> None:
+        vectors = np.random.default_rng(3).normal(size=(5, descriptor.dimension))
+        vectors = vectors.astype(np.float32)
+        assert_array_equal(descriptor.mirror(descriptor.mirror(vectors)), vectors)
+
+    def test_mirror_keeps_type_and_distances(self, descriptor: Descriptor) -> None:
+        one, other = descriptor.describe(blobs(2))[:, None]
+        assert descriptor.mirror(one).dtype == np.float32
+        assert_array_equal(
+            np.abs(descriptor.mirror(one) - descriptor.mirror(other)), np.abs(one - other)
+        )
+
+    def test_a_symmetric_silhouette_is_its_mirror_image(self, descriptor: Descriptor) -> None:
+        image = blobs(1)
+        symmetric = image | image[:, :, ::-1]
+        vectors = descriptor.describe(symmetric)
+        assert_allclose(descriptor.mirror(vectors), vectors, atol=1e-4)
+
+    def test_something_changes_its_sign(self, descriptor: Descriptor) -> None:
+        ones = np.ones((1, descriptor.dimension), np.float32)
+        assert set(descriptor.mirror(ones)[0]) == {-1.0, 1.0}
+
+
+@pytest.mark.parametrize("p1", [0.4, 0.500001, 0.9])
+def test_refuses_polynomials_that_are_not_symmetric(p1: float) -> None:
+    with pytest.raises(ValueError, match=r"expected p1 = 0\.5"):
+        DiagonalDescriptor(p1=p1)
+    with pytest.raises(ValueError, match=r"expected p1 = 0\.5"):
+        DiscriminantDescriptor(np.zeros((1, 24), np.float32), 6, 4, p1)
+
+
+def test_refuses_rows_that_mix_even_and_odd_orders() -> None:
+    projection = discriminant().projection.copy()
+    projection[2, 5] = 1e-3
+    with pytest.raises(ValueError, match="row 2 uses both"):
+        DiscriminantDescriptor(projection, 6, 4)
+
+
+def test_diagonal_takes_upper_body_first() -> None:
+    # A head moves the first 24 values (p2 = 0.1), feet the last 24 (p2 = 0.95).
+    images = np.zeros((2, 128, 48), np.uint8)
+    images[0, :16, 18:30] = 1
+    images[1, -12:, 18:30] = 1
+    energy = DiagonalDescriptor().describe(images) ** 2
+    assert energy[0, :24].sum() > 100 * energy[0, 24:].sum()
+    assert energy[1, 24:].sum() > 100 * energy[1, :24].sum()
+
+
+def test_diagonal_is_48_diagonal_moments_of_two_regions() -> None:
+    images = blobs(2)
+    horizontal = weighted_polynomials(24, 48, 0.5)
+    expected = [
+        np.einsum("bnn->bn", moments(images, weighted_polynomials(24, 128, p), horizontal))
+        for p in (0.1, 0.95)
+    ]
+    assert_allclose(
+        DiagonalDescriptor().describe(images), np.concatenate(expected, axis=1), atol=1e-3
+    )
+
+
+def test_moment_block_goes_region_by_region() -> None:
+    images = blobs(2)
+    both = moment_block(images, 6, 4, 0.5, (0.1, 0.9))
+    assert both.shape == (2, 48)
+    assert_allclose(both[:, :24], moment_block(images, 6, 4, 0.5, (0.1,)), atol=1e-5)
+    assert_allclose(both[:, 24:], moment_block(images, 6, 4, 0.5, (0.9,)), atol=1e-5)
+
+
+def test_discriminant_is_its_projection_of_the_block() -> None:
+    descriptor = discriminant()
+    block = moment_block(blobs(3), 6, 4, 0.5, (0.5,))
+    assert_allclose(descriptor.describe(blobs(3)), block @ descriptor.projection.T, rtol=1e-5)
+
+
+@pytest.mark.parametrize("descriptor", DESCRIPTORS)
+@pytest.mark.parametrize("shape", [(128, 48), (2, 48, 128), (1, 128, 48, 1)])
+def test_refuses_other_shapes(descriptor: Descriptor, shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"expected silhouettes of shape \(B, 128, 48\)"):
+        descriptor.describe(np.zeros(shape))
+
+
+def test_refuses_a_projection_of_another_width() -> None:
+    with pytest.raises(ValueError, match=r"shape \(D, 24\), got \(5, 23\)"):
+        DiscriminantDescriptor(np.zeros((5, 23), np.float32), 6, 4)
+
+
+def test_restore_refuses_an_unknown_name() -> None:
+    parameters = {**DiagonalDescriptor().parameters(), "name": "fourier"}
+    with pytest.raises(ValueError, match="got 'fourier'"):
+        restore(parameters, {})
+
+
+@pytest.mark.parametrize("missing", ["p1", "p2", "orders"])
+def test_restore_names_what_is_missing(missing: str) -> None:
+    parameters = {k: v for k, v in DiagonalDescriptor().parameters().items() if k != missing}
+    with pytest.raises(ValueError, match=missing):
+        restore(parameters, {})
+
+
+def test_restore_refuses_a_discriminant_descriptor_without_its_projection() -> None:
+    with pytest.raises(ValueError, match="projection"):
+        restore(discriminant().parameters(), {})

@@ -1,0 +1,154 @@
+"""Krawtchouk polynomials against their definition, their Jacobi matrix and each other."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+from math import comb, sqrt
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+from scipy.linalg import eigh_tridiagonal
+
+from descriptor.krawtchouk import diagonal_moments, moments, weighted_polynomials
+
+# The regions of the descriptors: whole body, upper body, lower body, and the width.
+SIZES = [(128, 0.5), (128, 0.1), (128, 0.95), (48, 0.5)]
+
+
+@pytest.mark.parametrize(("size", "p"), SIZES)
+def test_rows_are_orthonormal(size: int, p: float) -> None:
+    polynomials = weighted_polynomials(28, size, p)
+    assert_allclose(polynomials @ polynomials.T, np.eye(28), atol=1e-12)
+
+
+@pytest.mark.parametrize(("size", "p"), SIZES)
+def test_agree_with_eigenvectors_of_jacobi_matrix(size: int, p: float) -> None:
+    # Column x of all orders is the eigenvector of the Jacobi matrix with eigenvalue x.
+    n = np.arange(size)
+    last = size - 1
+    diagonal = p * (last - n) + (1 - p) * n
+    beside = -np.sqrt(p * (1 - p) * n[1:] * (last - n[1:] + 1))
+    eigenvalues, vectors = eigh_tridiagonal(diagonal, beside)
+    assert_allclose(eigenvalues, np.arange(size), atol=1e-10)
+    polynomials = weighted_polynomials(28, size, p)
+    signs = np.sign((polynomials * vectors[:28]).sum(axis=0))
+    assert_allclose(polynomials, vectors[:28] * signs, atol=1e-12)
+
+
+@pytest.mark.parametrize("p", [Fraction(1, 2), Fraction(1, 10), Fraction(19, 20)])
+@pytest.mark.parametrize(("size", "orders"), [(9, 9), (128, 5)])
+def test_agree_with_hypergeometric_definition(p: Fraction, size: int, orders: int) -> None:
+    expected = [[_by_definition(n, x, p, size - 1) for x in range(size)] for n in range(orders)]
+    # The recurrence loses some digits towards the last orders, more the nearer p is to 0 or 1.
+    assert_allclose(weighted_polynomials(orders, size, float(p)), expected, atol=1e-10)
+
+
+def _by_definition(n: int, x: int, p: Fraction, last: int) -> float:
+    """``2F1(-n, -x; -N; 1/p) sqrt(w / rho)`` in exact fractions up to the root."""
+    value = sum(
+        Fraction(comb(n, k) * comb(x, k) * (-1) ** k, comb(last, k)) / p**k
+        for k in range(min(n, x) + 1)
+    )
+    weight = comb(last, x) * p**x * (1 - p) ** (last - x)
+    norm = ((1 - p) / p) ** n / comb(last, n)
+    return float(value) * sqrt(weight / norm)
+
+
+def test_halves_are_symmetric_or_antisymmetric() -> None:
+    polynomials = weighted_polynomials(14, 48, 0.5)
+    parity = (-1.0) ** np.arange(14)
+    assert_allclose(polynomials[:, ::-1], polynomials * parity[:, None], atol=1e-12)
+
+
+def test_low_orders_gather_around_p_times_n() -> None:
+    for p in (0.1, 0.5, 0.95):
+        centre = weighted_polynomials(1, 128, p)[0] ** 2 @ np.arange(128)
+        assert centre == pytest.approx(127 * p, abs=1e-9)
+
+
+def test_are_shared_and_read_only() -> None:
+    polynomials = weighted_polynomials(4, 16, 0.5)
+    assert weighted_polynomials(4, 16, 0.5) is polynomials
+    with pytest.raises(ValueError, match="read-only"):
+        polynomials[0, 0] = 1
+
+
+@pytest.mark.parametrize("orders", [0, 17])
+def test_refuses_orders_beyond_the_samples(orders: int) -> None:
+    with pytest.raises(ValueError, match=f"expected 1 to 16 orders for 16 samples, got {orders}"):
+        weighted_polynomials(orders, 16, 0.5)
+
+
+@pytest.mark.parametrize("p", [0.0, 1.0, -0.1, float("nan")])
+def test_refuses_p_outside_the_open_unit_interval(p: float) -> None:
+    with pytest.raises(ValueError, match="expected p between 0 and 1"):
+        weighted_polynomials(4, 16, p)
+
+
+@pytest.mark.parametrize(("size", "p"), SIZES)
+def test_never_returns_rows_that_are_not_orthonormal(size: int, p: float) -> None:
+    refused = 0
+    for orders in range(1, size + 1):
+        try:
+            polynomials = weighted_polynomials(orders, size, p)
+        except ValueError as error:
+            assert "float64 is too short" in str(error)
+            refused += 1
+        else:
+            assert_allclose(polynomials @ polynomials.T, np.eye(orders), atol=1e-6)
+    assert size - refused >= 28
+
+
+def _images(count: int, height: int, width: int) -> NDArray[np.uint8]:
+    return np.random.default_rng(3).integers(0, 2, (count, height, width)).astype(np.uint8)
+
+
+def test_moments_equal_the_double_sum() -> None:
+    images = _images(2, 12, 7)
+    vertical, horizontal = weighted_polynomials(5, 12, 0.3), weighted_polynomials(4, 7, 0.5)
+    expected = np.zeros((2, 5, 4))
+    for b, n, m, y, x in np.ndindex(2, 5, 4, 12, 7):
+        expected[b, n, m] += vertical[n, y] * horizontal[m, x] * images[b, y, x]
+    # float32: a few hundred products of numbers below 1.
+    assert_allclose(moments(images, vertical, horizontal), expected, atol=1e-5)
+
+
+def test_diagonal_moments_are_the_diagonal_of_moments() -> None:
+    images = _images(3, 128, 48)
+    vertical, horizontal = weighted_polynomials(24, 128, 0.1), weighted_polynomials(24, 48, 0.5)
+    full = moments(images, vertical, horizontal)
+    assert_allclose(
+        diagonal_moments(images, vertical, horizontal), np.einsum("bnn->bn", full), atol=1e-4
+    )
+
+
+def test_all_moments_give_the_image_back() -> None:
+    images = _images(2, 64, 48)
+    vertical, horizontal = weighted_polynomials(64, 64, 0.5), weighted_polynomials(48, 48, 0.5)
+    back = vertical.T @ moments(images, vertical, horizontal) @ horizontal
+    assert_allclose(back, images, atol=1e-4)
+
+
+def test_more_moments_leave_less_of_the_image_out() -> None:
+    # Orthonormal rows: what is left out shrinks with every order (Bessel's inequality).
+    image = np.zeros((1, 128, 48), np.uint8)
+    image[0, 10:120, 12:36] = 1
+    horizontal = weighted_polynomials(48, 48, 0.5)
+    energy = [
+        float((moments(image, weighted_polynomials(n, 128, 0.5), horizontal) ** 2).sum())
+        for n in (1, 4, 16, 64)
+    ]
+    assert all(fewer < more for fewer, more in pairwise(energy))
+    assert energy[-1] <= image.sum() * (1 + 1e-5)
+
+
+def test_golden_values() -> None:
+    # Order 1 for N = 2, p = 1/2 by hand: weights 1/4, 1/2, 1/4; K_1 = 1 - x.
+    assert_allclose(
+        weighted_polynomials(2, 3, 0.5),
+        [[0.5, sqrt(0.5), 0.5], [sqrt(0.5), 0.0, -sqrt(0.5)]],
+        atol=1e-15,
+    )

@@ -1,0 +1,206 @@
+"""Normalisation to 128x48: what it keeps, what it ignores, and its inverse."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from descriptor.silhouette import HEIGHT, WIDTH, Placement, normalise, pack, unpack
+
+Mask = NDArray[np.uint8]
+
+
+def mask_of(art: str) -> Mask:
+    """A mask from lines of ``#`` and ``.``."""
+    return np.array([[c == "#" for c in line] for line in art.split()], np.uint8)
+
+
+PERSON = mask_of(
+    """
+    ....##....
+    ....##....
+    .########.
+    #..####..#
+    ...####...
+    ...#..#...
+    ..##..#...
+    ..#...##..
+    """
+)
+
+
+def smooth_person(height: int) -> Mask:
+    """The same person drawn as ellipses and limbs, about ``height`` pixels tall."""
+    canvas = np.zeros((height + 40, height), np.uint8)
+    unit, left, top = height / 100, height / 2, 20
+
+    def at(x: float, y: float) -> tuple[int, int]:
+        return round(left + x * unit), round(top + y * unit)
+
+    cv2.ellipse(canvas, at(0, 8), (round(5 * unit), round(8 * unit)), 0, 0, 360, 1, -1)
+    cv2.ellipse(canvas, at(0, 34), (round(10 * unit), round(20 * unit)), 0, 0, 360, 1, -1)
+    for x0, y0, x1, y1 in ((-5, 48, -12, 95), (5, 48, 7, 97), (-8, 20, -17, 50), (8, 20, 15, 2)):
+        cv2.line(canvas, at(x0, y0), at(x1, y1), 1, round(6 * unit))
+    return canvas
+
+
+@st.composite
+def masks(draw: st.DrawFn) -> Mask:
+    """Any mask with a pixel set, up to 40 px a side, from single pixels to noise."""
+    height, width = draw(st.integers(1, 40)), draw(st.integers(1, 40))
+    density = draw(st.sampled_from([0.02, 0.3, 0.9, 1.0]))
+    seed = draw(st.integers(0, 2**16))
+    mask = (np.random.default_rng(seed).random((height, width)) < density).astype(np.uint8)
+    mask[draw(st.integers(0, height - 1)), draw(st.integers(0, width - 1))] = 1
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "expected"),
+    [
+        (256, 40, (128, 20)),  # tall: fills the height
+        (64, 96, (32, 48)),  # wide: fills the width
+        (8, 3, (128, 48)),  # the frame's own ratio, enlarged 16 times
+        (1, 1, (48, 48)),
+    ],
+)
+def test_rectangles_keep_their_aspect_ratio_and_touch_the_frame(
+    height: int, width: int, expected: tuple[int, int]
+) -> None:
+    silhouette, _ = normalise(np.ones((height, width), np.uint8))
+    rows, columns = silhouette.any(axis=1), silhouette.any(axis=0)
+    # Enlarged pixels fade to the background: less than half a source pixel may go at each side.
+    scale = max(1, expected[0] / height)
+    assert abs(rows.sum() - expected[0]) <= scale
+    assert abs(columns.sum() - expected[1]) <= scale
+    assert_array_equal(silhouette, silhouette[::-1, ::-1])
+
+
+def test_large_mask_touches_the_frame_exactly() -> None:
+    silhouette, _ = normalise(smooth_person(400))
+    assert silhouette.shape == (HEIGHT, WIDTH)
+    assert silhouette.dtype == np.uint8
+    assert set(np.unique(silhouette)) == {0, 1}
+    assert silhouette[0].any() or silhouette[1].any()
+    assert silhouette[-1].any() or silhouette[-2].any()
+
+
+@given(mask=masks(), top=st.integers(0, 9), left=st.integers(0, 9))
+def test_ignores_translation(mask: Mask, top: int, left: int) -> None:
+    moved = np.pad(mask, ((top, 3), (left, 5)))
+    there, placement = normalise(moved)
+    here, original = normalise(mask)
+    assert_array_equal(there, here)
+    assert_allclose(
+        placement.to_normalised([[left, top]]), original.to_normalised([[0, 0]]), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_ignores_scale_but_for_the_outline(times: int) -> None:
+    small, _ = normalise(smooth_person(300))
+    large, _ = normalise(np.kron(smooth_person(300), np.ones((times, times), np.uint8)))
+    assert_differ_only_at_the_outline(small, large)
+    # Of the outline itself, no more than resampling moves.
+    assert (small != large).sum() < 0.02 * small.sum()
+
+
+def assert_differ_only_at_the_outline(one: Mask, other: Mask) -> None:
+    kernel = np.ones((3, 3), np.uint8)
+    assert not (other & ~cv2.dilate(one, kernel) & 1).any()
+    assert not (cv2.erode(one, kernel) & ~other & 1).any()
+
+
+@given(mask=masks())
+def test_mirrored_mask_gives_mirrored_silhouette(mask: Mask) -> None:
+    straight, _ = normalise(mask)
+    flipped, _ = normalise(mask[:, ::-1])
+    # A sample exactly between two source pixels may fall either way by rounding.
+    assert (flipped[:, ::-1] != straight).mean() <= 0.02
+
+
+def test_mirrored_person_gives_mirrored_silhouette() -> None:
+    mask = smooth_person(350)
+    assert_array_equal(normalise(mask[:, ::-1])[0], normalise(mask)[0][:, ::-1])
+
+
+@given(
+    mask=masks(),
+    points=st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), min_size=1, max_size=5),
+)
+def test_placement_round_trip(mask: Mask, points: list[tuple[float, float]]) -> None:
+    _, placement = normalise(mask)
+    assert_allclose(placement.to_image(placement.to_normalised(points)), points, atol=1e-8)
+
+
+@given(mask=masks())
+def test_placement_maps_the_bounding_box_into_the_middle_of_the_frame(mask: Mask) -> None:
+    _, placement = normalise(mask)
+    rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    # Outer edges of the box: half a pixel beyond the centres of its outermost pixels.
+    edges = [[columns[0] - 0.5, rows[0] - 0.5], [columns[-1] + 0.5, rows[-1] + 0.5]]
+    (left, top), (right, bottom) = placement.to_normalised(edges)
+    assert left + right == pytest.approx(WIDTH - 1, abs=1e-9)
+    assert top + bottom == pytest.approx(HEIGHT - 1, abs=1e-9)
+    assert min(WIDTH - (right - left), HEIGHT - (bottom - top)) == pytest.approx(0, abs=1e-9)
+
+
+def test_pixels_land_where_the_placement_says() -> None:
+    mask = smooth_person(400)
+    silhouette, placement = normalise(mask)
+    ys, xs = np.nonzero(cv2.erode(silhouette, np.ones((3, 3), np.uint8)))
+    back = np.rint(placement.to_image(np.stack([xs, ys], axis=1))).astype(int)
+    assert mask[back[:, 1], back[:, 0]].all()
+
+
+def test_area_is_kept_up_to_scale() -> None:
+    mask = smooth_person(400)
+    silhouette, placement = normalise(mask)
+    assert silhouette.sum() == pytest.approx(mask.sum() * placement.scale**2, rel=0.02)
+
+
+@given(mask=masks())
+def test_is_never_empty(mask: Mask) -> None:
+    assert normalise(mask)[0].any()
+
+
+def test_a_line_thinner_than_a_pixel_is_kept() -> None:
+    line = np.zeros((2000, 400), np.uint8)
+    line[:, 200] = 1
+    line[1000, 150:250] = 1
+    assert normalise(line)[0].any()
+
+
+@pytest.mark.parametrize("value", [1, 255, 0.25, True])
+def test_any_non_zero_value_is_the_person(value: float) -> None:
+    assert_array_equal(normalise(PERSON * value)[0], normalise(PERSON)[0])
+
+
+def test_refuses_a_mask_with_channels() -> None:
+    with pytest.raises(ValueError, match=r"shape \(H, W\), got shape \(4, 4, 3\)"):
+        normalise(np.ones((4, 4, 3)))
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (0, 3)])
+def test_refuses_an_empty_mask(shape: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="at least one pixel set, got an empty one"):
+        normalise(np.zeros(shape))
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
+def test_placement_refuses_a_scale_that_has_no_inverse(scale: float) -> None:
+    with pytest.raises(ValueError, match="expected a positive scale and finite offsets"):
+        Placement(scale, 0.0, 0.0)
+
+
+@given(seed=st.integers(0, 2**16), count=st.integers(0, 3))
+def test_pack_round_trip(seed: int, count: int) -> None:
+    silhouettes = np.random.default_rng(seed).integers(0, 2, (count, HEIGHT, WIDTH), np.uint8)
+    bits = pack(silhouettes)
+    assert bits.shape == (count, HEIGHT * WIDTH // 8)
+    assert_array_equal(unpack(bits), silhouettes)

@@ -1,0 +1,201 @@
+"""How poses move bodies: rotations, retargeting, skinned joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from index.build.body import (
+    Avatar,
+    compact,
+    facing_yaw,
+    pose_transforms,
+    posed_points,
+    retarget,
+    rotation_between,
+    strongest,
+    turned_to_front,
+)
+from index.build.motion import Clip, MotionError, read_clip
+from index.build.poses import Poses
+from index.build.render import skin
+from index.skeleton import JOINT_NAMES, NATIVE
+
+Angles = dict[str, tuple[float, float, float]]
+Write = Callable[[Path, Sequence[Angles]], Path]
+
+directions = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
+
+
+def yaw_matrix(degrees: float) -> NDArray[np.float64]:
+    cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    return np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+
+
+@given(start=directions, end=directions)
+def test_rotation_between_turns_one_direction_into_the_other(
+    start: NDArray[np.float64], end: NDArray[np.float64]
+) -> None:
+    assume(np.linalg.norm(start) > 0.01 and np.linalg.norm(end) > 0.01)
+    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    assume(a @ b > -0.999)
+    rotation = rotation_between(start, end)
+    assert_allclose(rotation @ a, b, atol=1e-9)
+    assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+    # The smallest one: its angle is the angle between the directions.
+    assert (np.trace(rotation) - 1) / 2 == pytest.approx(a @ b, abs=1e-9)
+
+
+def test_rotation_between_refuses_opposite_directions() -> None:
+    with pytest.raises(ValueError, match="less than 180 degrees apart"):
+        rotation_between(np.array([0.0, 1, 0]), np.array([0.0, -2, 0]))
+
+
+@given(degrees=st.floats(-179, 179))
+def test_facing_yaw_of_an_upright_pelvis(degrees: float) -> None:
+    assert np.rad2deg(facing_yaw(yaw_matrix(degrees)[None]))[0] == pytest.approx(degrees)
+
+
+@given(degrees=st.floats(-179, 179), tilt=st.floats(-80, 80))
+def test_facing_yaw_ignores_bending_over(degrees: float, tilt: float) -> None:
+    angle = np.deg2rad(tilt)
+    bend = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    pelvis = yaw_matrix(degrees) @ bend
+    assert np.rad2deg(facing_yaw(pelvis[None]))[0] == pytest.approx(degrees, abs=1e-6)
+
+
+@given(degrees=st.floats(-360, 360))
+def test_turned_to_front_faces_front_and_forgets_where_one_faced(degrees: float) -> None:
+    rotations = np.stack([yaw_matrix(20), yaw_matrix(50)])[None]
+    turned = turned_to_front(yaw_matrix(degrees) @ rotations)
+    assert_allclose(facing_yaw(turned[:, 0]), 0, atol=1e-9)
+    assert_allclose(turned, turned_to_front(rotations), atol=1e-9)
+    # Bones keep their angles to each other.
+    assert_allclose(turned[0, 1], yaw_matrix(30), atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def zero_clip(tmp_path_factory: pytest.TempPathFactory, write_clip: Write) -> Clip:
+    return read_clip(write_clip(tmp_path_factory.mktemp("zero") / "zero.bvh", [{}, {}]))
+
+
+def points_by_name(avatar: Avatar, clip: Clip, frame: int = 0) -> dict[str, NDArray[np.float64]]:
+    transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[frame][None])
+    points = posed_points(avatar, transforms)[0, : len(JOINT_NAMES)]
+    return dict(zip(JOINT_NAMES, points, strict=True))
+
+
+def test_zero_pose_stretches_the_arms_though_they_hang_at_rest(
+    zero_clip: Clip, avatars: list[Avatar]
+) -> None:
+    avatar = avatars[0]
+    joints = points_by_name(avatar, zero_clip)
+    for side, sign in (("left", 1), ("right", -1)):
+        upper = joints[f"{side}_elbow"] - joints[f"{side}_shoulder"]
+        lower = joints[f"{side}_wrist"] - joints[f"{side}_elbow"]
+        for limb in (upper, lower):
+            assert_allclose(limb / np.linalg.norm(limb), (sign, 0, 0), atol=1e-9)
+    assert joints["head"][1] > joints["neck"][1] > joints["chest"][1] > joints["pelvis"][1]
+    assert_allclose(joints["pelvis"], 0, atol=1e-12)
+
+
+def test_poses_keep_the_lengths_of_bones(poses: Poses, avatars: list[Avatar]) -> None:
+    avatar, clip = avatars[1], poses.clips[0]
+    transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations)
+    joints = posed_points(avatar, transforms)[:, : len(JOINT_NAMES)]
+    lengths = np.stack(
+        [np.linalg.norm(joints[:, a] - joints[:, b], axis=-1) for a, b in NATIVE.bones], axis=1
+    )
+    limbs = [
+        bone for bone, (a, b) in enumerate(NATIVE.bones)
+        if JOINT_NAMES[a].endswith(("shoulder", "elbow", "hip", "knee"))
+        and JOINT_NAMES[b].endswith(("elbow", "wrist", "knee", "ankle"))
+    ]  # fmt: skip
+    assert len(limbs) == 8
+    assert_allclose(lengths[:, limbs], np.broadcast_to(lengths[0, limbs], (len(joints), 8)))
+
+
+def test_limbs_point_where_the_motion_says(tmp_path: Path, write_clip: Write,
+                                           avatars: list[Avatar]) -> None:  # fmt: skip
+    # The left arm raised to the vertical, the right forearm bent forward at the elbow.
+    frame: Angles = {"LeftArm": (90.0, 0.0, 0.0), "RightForeArm": (0.0, 90.0, 0.0)}
+    clip = read_clip(write_clip(tmp_path / "signal.bvh", [frame, frame]))
+    joints = points_by_name(avatars[0], clip)
+    up = joints["left_wrist"] - joints["left_shoulder"]
+    assert_allclose(up / np.linalg.norm(up), (0, 1, 0), atol=1e-6)
+    forward = joints["right_wrist"] - joints["right_elbow"]
+    assert_allclose(forward / np.linalg.norm(forward), (0, 0, 1), atol=1e-6)
+
+
+def test_toes_without_length_lie_as_the_foot_does(zero_clip: Clip, avatars: list[Avatar]) -> None:
+    toe = zero_clip.bones.index("LeftToeBase")
+    tips = zero_clip.tips.copy()
+    tips[toe] = 0
+    retargeting = retarget(replace(zero_clip, tips=tips), avatars[0])
+    bone = avatars[0].bones.index("LeftToeBase")
+    foot = avatars[0].bones.index("LeftFoot")
+    assert_array_equal(retargeting.alignment[bone], retargeting.alignment[foot])
+
+
+def test_unknown_joint_is_named(zero_clip: Clip, avatars: list[Avatar]) -> None:
+    bones = tuple("Elbow" if bone == "LeftForeArm" else bone for bone in zero_clip.bones)
+    with pytest.raises(MotionError, match="the clip zero has no joint 'LeftForeArm'"):
+        retarget(replace(zero_clip, bones=bones), avatars[0])
+
+
+def test_skin_moves_every_vertex_with_its_bone(poses: Poses, avatars: list[Avatar]) -> None:
+    avatar, clip = avatars[0], poses.clips[0]
+    transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[5][None])[0]
+    posed = skin(avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32))
+    owner = transforms[avatar.influences[:, 0]]
+    expected = np.einsum("vij,vj->vi", owner[..., :3], avatar.vertices) + owner[..., 3]
+    assert_allclose(posed, expected, atol=1e-5)
+
+
+def test_skin_blends_linearly() -> None:
+    vertices = np.array([[1.0, 0, 0]], np.float32)
+    influences = np.array([[0, 1, 0, 0, 0, 0, 0, 0]], np.int32)
+    weights = np.array([[0.75, 0.25, 0, 0, 0, 0, 0, 0]], np.float32)
+    transforms = np.zeros((2, 3, 4), np.float32)
+    transforms[:, :, :3] = np.eye(3)
+    transforms[1, :, 3] = (0, 4, 8)
+    assert_allclose(skin(vertices, influences, weights, transforms), [[1, 1, 2]])
+
+
+def test_strongest_keeps_the_largest_shares() -> None:
+    weights = np.random.default_rng(0).random((6, 12)).astype(np.float32)
+    influences, shares = strongest(weights)
+    assert influences.shape == shares.shape == (6, 8)
+    assert_allclose(shares.sum(axis=1), 1, rtol=1e-6)
+    assert (np.diff(shares, axis=1) <= 0).all()
+    for row in range(6):
+        assert set(influences[row]) == set(np.argsort(weights[row])[-8:])
+
+
+def test_compact_drops_unused_vertices_only(avatars: list[Avatar]) -> None:
+    avatar = avatars[0]
+    padded = replace(
+        avatar,
+        vertices=np.concatenate([np.zeros((3, 3), np.float32), avatar.vertices]),
+        influences=np.concatenate([avatar.influences[:3], avatar.influences]),
+        weights=np.concatenate([avatar.weights[:3], avatar.weights]),
+        triangles=avatar.triangles + 3,
+    )
+    small = compact(padded)
+    assert_array_equal(small.vertices[small.triangles], avatar.vertices[avatar.triangles])
+    assert len(small.vertices) == len(avatar.vertices)
+
+
+def test_avatar_checks_its_shapes(avatars: list[Avatar]) -> None:
+    with pytest.raises(ValueError, match=r"expected face of shape \(5, 3\), got \(4, 3\)"):
+        replace(avatars[0], face=np.zeros((4, 3)))

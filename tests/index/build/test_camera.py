@@ -1,0 +1,41 @@
+"""Views: within their ranges, around the body, crowding towards eye level."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from index.build.camera import DISTANCES_M, ELEVATIONS_DEG, sample_views
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 40))
+def test_within_the_documented_ranges(seed: int, count: int) -> None:
+    views = sample_views(count, np.random.default_rng(seed))
+    assert len(views) == count
+    assert ((views["azimuth_deg"] >= 0) & (views["azimuth_deg"] <= 360)).all()
+    low, high = ELEVATIONS_DEG
+    assert ((views["elevation_deg"] >= low) & (views["elevation_deg"] <= high)).all()
+    near, far = DISTANCES_M
+    inside = (views["distance"] >= near * 0.999) & (views["distance"] <= far * 1.001)
+    assert inside.all()
+
+
+@given(seed=st.integers(0, 999), count=st.integers(2, 24))
+def test_views_of_a_pose_surround_it(seed: int, count: int) -> None:
+    azimuths = np.sort(sample_views(count, np.random.default_rng(seed))["azimuth_deg"])
+    gaps = np.diff(np.append(azimuths, azimuths[0] + 360))
+    # One in each stratum of 360 / count: neighbours are at most two strata apart.
+    assert gaps.max() <= 2 * 360 / count + 1e-3
+
+
+def test_crowd_towards_eye_level_with_a_third_above_25_degrees() -> None:
+    heights = sample_views(9000, np.random.default_rng(0))["elevation_deg"]
+    assert 0.25 < (heights > 25).mean() < 0.42
+    assert np.median(heights) < np.mean(ELEVATIONS_DEG)
+
+
+def test_same_seed_same_views() -> None:
+    one, other = (sample_views(5, np.random.default_rng(4)) for _ in range(2))
+    assert_array_equal(one, other)

@@ -1,0 +1,216 @@
+"""Reading motion: every fault named with its file and line; T-poses and jumps left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from index.build.motion import MotionError, read_clip, read_manifest
+
+Angles = dict[str, tuple[float, float, float]]
+Write = Callable[[Path, Sequence[Angles]], Path]
+Walk = Callable[..., list[Angles]]
+
+HEADER = "clip,subject,action,start_frame,end_frame,fps,description\n"
+
+
+@pytest.fixture
+def clip(tmp_path: Path, write_clip: Write, walking: Walk) -> Path:
+    """A sound clip of 20 frames to spoil."""
+    return write_clip(tmp_path / "stroll.bvh", walking(20))
+
+
+class TestSoundClip:
+    def test_bones_and_hierarchy(self, clip: Path) -> None:
+        read = read_clip(clip)
+        assert read.name == "stroll"
+        assert read.bones[0] == "Hips"
+        assert read.parents[0] == -1
+        named = dict(zip(read.bones, read.parents, strict=True))
+        assert read.bones[named["LeftForeArm"]] == "LeftArm"
+        assert all(parent < bone for bone, parent in enumerate(read.parents))
+
+    def test_rotations_are_rotations_of_every_frame(self, clip: Path) -> None:
+        rotations = read_clip(clip).rotations
+        assert rotations.shape[0] == 20
+        assert_allclose(
+            rotations @ np.swapaxes(rotations, -1, -2), np.broadcast_to(np.eye(3), rotations.shape),
+            atol=1e-12,
+        )  # fmt: skip
+        assert_allclose(np.linalg.det(rotations), 1)
+
+    def test_tips_point_to_the_next_bone_or_the_end_site(self, clip: Path) -> None:
+        read = read_clip(clip)
+        assert_allclose(read.tips[read.bones.index("LeftArm")], (0.28, 0, 0))
+        assert_allclose(read.tips[read.bones.index("LeftHand")], (0.12, 0, 0))
+        # LHipJoint's child starts away from it; Hips skips joints without an offset.
+        assert_allclose(read.tips[read.bones.index("LHipJoint")], (0.09, -0.04, 0))
+
+    def test_world_rotations_compose_along_the_chain(
+        self, tmp_path: Path, write_clip: Write
+    ) -> None:
+        # 30 degrees about z at the shoulder and 40 at the elbow: 70 at the forearm.
+        bent: Angles = {"LeftArm": (30.0, 0.0, 0.0), "LeftForeArm": (40.0, 0.0, 0.0)}
+        read = read_clip(write_clip(tmp_path / "bent.bvh", [bent, bent]))
+        forearm = read.rotations[0, read.bones.index("LeftForeArm")]
+        turn = np.deg2rad(70)
+        assert_allclose(forearm @ [1, 0, 0], [np.cos(turn), np.sin(turn), 0], atol=1e-9)
+
+    def test_nothing_is_dropped(self, clip: Path) -> None:
+        read = read_clip(clip)
+        assert (read.t_poses, read.jumps, int(read.broken.sum())) == (0, 0, 0)
+
+
+class TestDroppedFrames:
+    def test_t_poses(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
+        read = read_clip(write_clip(tmp_path / "calibrated.bvh", [{}, {}, {}, *walking(20)]))
+        assert read.t_poses == 3
+        assert read.broken[:3].all()
+        assert not read.broken[4:].any()
+
+    def test_single_frame_jump(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
+        frames = walking(20)
+        frames[9] = {**frames[9], "LeftUpLeg": (100.0, 0.0, 90.0)}
+        read = read_clip(write_clip(tmp_path / "flip.bvh", frames))
+        # The frame and its neighbours, between which the bone jumps there and back.
+        assert read.jumps >= 1
+        assert read.broken[9]
+        assert not read.broken[:8].any()
+        assert not read.broken[11:].any()
+        assert read.t_poses == 0
+
+    def test_short_run_between_two_jumps(
+        self, tmp_path: Path, write_clip: Write, walking: Walk
+    ) -> None:
+        frames = walking(30)
+        for frame in range(10, 14):
+            frames[frame] = {**frames[frame], "RightArm": (-75.0, 90.0, 90.0)}
+        read = read_clip(write_clip(tmp_path / "run.bvh", frames))
+        assert read.broken[10:14].all()
+        assert not read.broken[:9].any()
+        assert not read.broken[15:].any()
+
+    def test_cut_within_a_clip(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
+        # From frame 12 on an arm is elsewhere: the frames on both sides of the cut go.
+        frames = walking(30)
+        frames[12:] = [{**frame, "RightArm": (-75.0, 90.0, 90.0)} for frame in frames[12:]]
+        read = read_clip(write_clip(tmp_path / "cut.bvh", frames))
+        assert np.flatnonzero(read.broken).tolist() == [11, 12]
+
+    def test_fast_but_smooth_motion_stays(self, tmp_path: Path, write_clip: Write) -> None:
+        # 50 degrees a frame, sustained: a spin, not a fault.
+        spin: list[Angles] = [
+            {"Hips": (0.0, 50.0 * frame, 0.0), "LeftArm": (-75.0, 0.0, 60.0),
+             "RightArm": (75.0, 0.0, 60.0), "LeftLeg": (0.0, 0.0, 60.0),
+             "RightLeg": (0.0, 0.0, 60.0), "Spine": (10.0, 30.0, 20.0)}
+            for frame in range(12)
+        ]  # fmt: skip
+        assert read_clip(write_clip(tmp_path / "spin.bvh", spin)).jumps == 0
+
+    @pytest.mark.parametrize("name", ["03_02", "05_05"])
+    def test_real_clips_with_faults(self, shared: Path, name: str) -> None:
+        read = read_clip(shared / "mocap" / "bvh" / f"{name}.bvh")
+        assert read.t_poses + read.jumps > 0
+        assert read.broken.sum() == read.t_poses + read.jumps
+        assert not read.broken.all()
+
+
+class TestMalformedClip:
+    def fails(self, clip: Path) -> str:
+        with pytest.raises(MotionError) as caught:
+            read_clip(clip)
+        assert str(clip) in str(caught.value)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    def spoil(self, clip: Path, line: int, text: str) -> None:
+        """Replace one line, counted from 1."""
+        lines = clip.read_text().splitlines()
+        lines[line - 1] = text
+        clip.write_text("\n".join(lines) + "\n")
+
+    def motion_line(self, clip: Path) -> int:
+        """The number of the first line of values."""
+        lines = clip.read_text().splitlines()
+        return next(n for n, line in enumerate(lines, 1) if line.startswith("Frame Time")) + 1
+
+    def test_missing(self, tmp_path: Path) -> None:
+        assert "cannot be read" in self.fails(tmp_path / "none.bvh")
+
+    def test_line_of_another_width(self, clip: Path) -> None:
+        line = self.motion_line(clip) + 4
+        self.spoil(clip, line, "0 0 0 1 2")
+        assert f"line {line} has 5 values" in self.fails(clip)
+
+    def test_line_that_holds_no_number(self, clip: Path) -> None:
+        line = self.motion_line(clip) + 2
+        values = clip.read_text().splitlines()[line - 1].split()
+        self.spoil(clip, line, " ".join(["oops", *values[1:]]))
+        assert f"line {line} holds something that is not a number" in self.fails(clip)
+
+    def test_value_that_is_not_finite(self, clip: Path) -> None:
+        line = self.motion_line(clip) + 2
+        values = clip.read_text().splitlines()[line - 1].split()
+        self.spoil(clip, line, " ".join([*values[:-1], "nan"]))
+        assert "not finite" in self.fails(clip)
+
+    @pytest.mark.parametrize("keep", [0.0, 0.01, 0.3, 0.8])
+    def test_truncated(self, clip: Path, keep: float) -> None:
+        text = clip.read_text()
+        clip.write_text(text[: int(len(text) * keep)])
+        self.fails(clip)
+
+    def test_no_bvh_at_all(self, clip: Path) -> None:
+        clip.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff\xfe")
+        self.fails(clip)
+
+
+class TestManifest:
+    def write(self, folder: Path, rows: str) -> Path:
+        (folder / "manifest.csv").write_text(HEADER + rows)
+        return folder
+
+    def fails(self, folder: Path) -> str:
+        with pytest.raises(MotionError) as caught:
+            read_manifest(folder)
+        assert str(folder / "manifest.csv") in str(caught.value)
+        return str(caught.value)
+
+    def test_segments(self, motion_folder: Path) -> None:
+        first, second = read_manifest(motion_folder)
+        assert (first.clip, first.subject, first.action) == ("stroll", "s1", "walk")
+        assert (second.start, second.end) == (2, 20)
+
+    def test_missing_folder(self, tmp_path: Path) -> None:
+        assert "cannot be read" in self.fails(tmp_path / "nowhere")
+
+    @pytest.mark.parametrize("text", ["", HEADER])
+    def test_empty(self, tmp_path: Path, text: str) -> None:
+        (tmp_path / "manifest.csv").write_text(text)
+        assert "lists no segment" in self.fails(tmp_path)
+
+    @pytest.mark.parametrize(
+        "row",
+        ["a,1,walk,zero,9,30,", "a,1,walk,9,9,30,", "a,1,walk,-1,9,30,", ",1,walk,0,9,30,",
+         "a,1,,0,9,30,", "a,1"],
+    )  # fmt: skip
+    def test_bad_line_is_named(self, tmp_path: Path, row: str) -> None:
+        self.write(tmp_path, f"good,1,walk,0,9,30,\n{row}\n")
+        assert "line 3 of" in self.fails(tmp_path)
+
+    def test_line_after_a_quoted_line_break(self, tmp_path: Path) -> None:
+        # Lines as an editor counts them, not rows.
+        self.write(tmp_path, 'good,1,walk,0,9,30,"two\nlines"\nbad,1,walk,x,9,30,\n')
+        assert "line 4 of" in self.fails(tmp_path)
+
+    def test_another_table(self, tmp_path: Path) -> None:
+        (tmp_path / "manifest.csv").write_text("name,price\nbread,2\n")
+        assert "clip,subject,action" in self.fails(tmp_path)
+
+    def test_binary(self, tmp_path: Path) -> None:
+        (tmp_path / "manifest.csv").write_bytes(b"\xff\xfe\x00\x80")
+        self.fails(tmp_path)

@@ -1,0 +1,168 @@
+"""The rasteriser against analytic silhouettes and against OpenCV's polygon filling."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from descriptor.silhouette import HEIGHT, WIDTH, normalise
+from index.build.body import Avatar, pose_transforms, retarget
+from index.build.poses import Poses
+from index.build.render import render, skin
+from index.skeleton import camera_rotation, project
+
+VIEWS = [(0, 0, 0), (35, 20, 5), (120, 55, -4), (250, -5, 0), (300, 80, 30)]
+
+Placed = tuple[float, float, float]
+
+
+def draw(
+    vertices: NDArray[np.floating],
+    triangles: NDArray[np.integer],
+    view: tuple[float, float, float],
+    distance: float = 5.0,
+    culled: bool = True,
+) -> tuple[NDArray[np.uint8], Placed]:
+    silhouette = np.zeros((HEIGHT, WIDTH), np.uint8)
+    placed = render(
+        vertices.astype(np.float32), triangles.astype(np.int32), len(triangles) if culled else 0,
+        camera_rotation(*view).astype(np.float32), distance, silhouette,
+    )  # fmt: skip
+    return silhouette, placed
+
+
+def sphere(radius: float, rings: int = 48) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Triangles counter-clockwise seen from outside."""
+    polar = np.linspace(0, np.pi, rings + 1)
+    around = np.linspace(0, 2 * np.pi, 2 * rings, endpoint=False)
+    theta, phi = np.meshgrid(polar, around, indexing="ij")
+    points = radius * np.stack(
+        [np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=-1
+    )
+    number = np.arange(points.size // 3).reshape(theta.shape)
+    a, b = number[:-1], number[1:]
+    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
+    triangles = np.concatenate(
+        [np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]
+    )
+    return points.reshape(-1, 3), triangles
+
+
+@pytest.fixture(scope="module")
+def person(poses: Poses, avatars: list[Avatar]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """A posed box body."""
+    avatar, clip = avatars[1], poses.clips[poses.clip[20]]
+    transforms = pose_transforms(avatar, retarget(clip, avatar), poses.rotations(20))[0]
+    vertices = skin(
+        avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
+    )
+    return vertices, avatar.triangles
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("distance", [1.5, 5.0, 100.0])
+def test_sphere_is_a_disc(view: tuple[float, float, float], distance: float) -> None:
+    silhouette, (scale, offset_x, offset_y) = draw(*sphere(0.5), view, distance)
+    # It fills the width, whatever the distance, about the middle of the frame.
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    radius = np.hypot(x - (WIDTH - 1) / 2, y - (HEIGHT - 1) / 2)
+    assert silhouette[radius < WIDTH / 2 - 1].all()
+    assert not silhouette[radius > WIDTH / 2 + 0.5].any()
+    # The apparent radius of a sphere seen in perspective, in the plane through its centre.
+    apparent = 0.5 / np.sqrt(1 - (0.5 / distance) ** 2)
+    assert scale == pytest.approx(WIDTH / 2 / apparent, rel=0.01)
+    assert_allclose((offset_x, offset_y), ((WIDTH - 1) / 2, (HEIGHT - 1) / 2), atol=0.3)
+
+
+def test_box_fills_the_frame_it_fits() -> None:
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    # Of the frame's own ratio, seen straight on from far away.
+    box = corners * (WIDTH / HEIGHT, 1.0, 0.1)
+    triangles = np.array([[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])
+    silhouette, (scale, _, _) = draw(box, triangles, (0, 0, 0), 1e4, culled=False)
+    assert silhouette.all()
+    assert scale == pytest.approx(HEIGHT / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_culling_the_far_side_changes_nothing(
+    person: tuple[NDArray[np.float32], NDArray[np.int32]], view: tuple[float, float, float]
+) -> None:
+    culled, placed = draw(*person, view)
+    whole, same = draw(*person, view, culled=False)
+    assert placed == same
+    # The far side shares the outline's edges; rounding may set single samples of it.
+    assert not (culled & ~whole & 1).any()
+    assert (culled != whole).sum() <= 3
+
+
+def test_culling_skips_exactly_one_side_of_a_triangle() -> None:
+    triangle = np.array([[-0.2, -1, 0], [0.2, -1, 0], [0, 1, 0]], np.float64)
+    for culled, sides in ((True, 1), (False, 2)):
+        drawn = [draw(triangle, np.array([[0, 1, 2]]), (a, 0, 0), culled=culled) for a in (0, 180)]
+        assert sum(silhouette.any() for silhouette, _ in drawn) == sides
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("distance", [3.0, 20.0])
+def test_equals_polygons_filled_in_high_resolution(
+    person: tuple[NDArray[np.float32], NDArray[np.int32]],
+    view: tuple[float, float, float], distance: float,
+) -> None:  # fmt: skip
+    vertices, triangles = person
+    silhouette, placed = draw(vertices, triangles, view, distance)
+    plane = project(vertices @ camera_rotation(*view).T, distance)
+    fine = 900.0  # pixels per metre; about eight to a normalised pixel
+    corner = plane.min(axis=0) - 0.02
+    pixels = (plane - corner) * fine
+    canvas = np.zeros((np.ceil(pixels.max(axis=0)).astype(int) + 20)[::-1], np.uint8)
+    for triangle in np.rint(pixels[triangles] * 16).astype(np.int32):
+        cv2.fillConvexPoly(canvas, triangle, 1, shift=4)
+    expected, placement = normalise(canvas)
+    disagree = silhouette != expected
+    kernel = np.ones((3, 3), np.uint8)
+    edge = cv2.dilate(expected, kernel) != cv2.erode(expected, kernel)
+    assert not (disagree & ~edge).any()
+    assert disagree.sum() <= 0.15 * edge.sum()
+    # Both say where a point in space lies in the frame.
+    scale, offset_x, offset_y = placed
+    assert_allclose(
+        placement.to_normalised(pixels), plane * scale + (offset_x, offset_y), atol=0.35
+    )
+
+
+def test_drawing_is_deterministic(person: tuple[NDArray[np.float32], NDArray[np.int32]]) -> None:
+    one, other = (draw(*person, (40, 10, 0)) for _ in range(2))
+    assert_array_equal(one[0], other[0])
+    assert one[1] == other[1]
+
+
+def test_order_of_triangles_does_not_matter(
+    person: tuple[NDArray[np.float32], NDArray[np.int32]],
+) -> None:
+    vertices, triangles = person
+    assert_array_equal(
+        draw(vertices, triangles, (70, 30, 0))[0], draw(vertices, triangles[::-1], (70, 30, 0))[0]
+    )
+
+
+def test_mirrored_body_gives_mirrored_silhouette(
+    person: tuple[NDArray[np.float32], NDArray[np.int32]],
+) -> None:
+    vertices, triangles = person
+    straight, _ = draw(vertices, triangles, (30, 20, 0), culled=False)
+    flipped, _ = draw(vertices * np.float32([-1, 1, 1]), triangles, (-30, 20, 0), culled=False)
+    # Samples exactly on an edge may fall either way by rounding.
+    assert (flipped[:, ::-1] != straight).sum() <= 3
+
+
+def test_tiny_triangles_leave_no_holes() -> None:
+    # Thousands of triangles smaller than a sample: what lies between samples sets none, but
+    # every sample lies in some triangle.
+    silhouette, _ = draw(*sphere(0.5, rings=200), (10, 20, 0))
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    inside = np.hypot(x - (WIDTH - 1) / 2, y - (HEIGHT - 1) / 2) < WIDTH / 2 - 1
+    assert silhouette[inside].all()

@@ -1,0 +1,79 @@
+"""The nearest entries and mirror images: the same as by hand, and symmetric under mirroring."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from index.candidates import find_candidates
+from index.skeleton import POINTS, mirror_3d, mirror_normalised
+from index.store import PoseIndex
+
+QUERIES = range(3, 576, 83)
+# FAISS squares in float32: values about 50 squared, so distances of nearly 0 err by about 0.1.
+ATOL = 0.1
+
+
+@pytest.mark.parametrize("number", QUERIES)
+class TestCandidates:
+    def test_an_entry_is_its_own_nearest(self, toy_index: PoseIndex, number: int) -> None:
+        found = find_candidates(toy_index, toy_index.silhouette(number), 5)
+        assert (found.numbers[0], found.mirrored[0]) == (number, False)
+        assert found.distances[0] == pytest.approx(0, abs=ATOL)
+
+    def test_a_mirrored_entry_is_found_as_its_mirror_image(
+        self, toy_index: PoseIndex, number: int
+    ) -> None:
+        found = find_candidates(toy_index, toy_index.silhouette(number)[:, ::-1], 5)
+        assert (found.numbers[0], found.mirrored[0]) == (number, True)
+        assert found.distances[0] == pytest.approx(0, abs=ATOL)
+        entry = toy_index.entry(number)
+        assert_allclose(found.points_3d[0], mirror_3d(entry.points_3d))
+        assert_allclose(found.points_normalised[0], mirror_normalised(entry.points_normalised))
+
+    def test_mirrored_silhouettes_have_the_mirror_images_as_candidates(
+        self, toy_index: PoseIndex, number: int
+    ) -> None:
+        silhouette = toy_index.silhouette(number)
+        here, there = (
+            find_candidates(toy_index, s, 2 * len(toy_index))
+            for s in (silhouette, silhouette[:, ::-1])
+        )
+        assert_allclose(there.distances, here.distances, atol=ATOL)
+        distance = dict(
+            zip(zip(here.numbers, here.mirrored, strict=True), here.distances, strict=True)
+        )
+        for entry, mirrored, apart in zip(
+            there.numbers, there.mirrored, there.distances, strict=True
+        ):
+            assert distance[entry, not mirrored] == pytest.approx(apart, abs=ATOL)
+
+    def test_ascend_and_come_once(self, toy_index: PoseIndex, number: int) -> None:
+        found = find_candidates(toy_index, toy_index.silhouette(number), 100)
+        assert len(found) == 100
+        assert (np.diff(found.distances) >= 0).all()
+        assert len(set(zip(found.numbers, found.mirrored, strict=True))) == 100
+
+    def test_points_are_those_of_the_entries(self, toy_index: PoseIndex, number: int) -> None:
+        found = find_candidates(toy_index, toy_index.silhouette(number), 40)
+        assert found.mirrored.any()
+        for row, (entry, mirrored) in enumerate(zip(found.numbers, found.mirrored, strict=True)):
+            expected = toy_index.entry(int(entry), mirrored=bool(mirrored))
+            assert_allclose(found.points_3d[row], expected.points_3d)
+            assert_allclose(found.points_normalised[row], expected.points_normalised)
+
+    def test_equal_brute_force(self, toy_index: PoseIndex, number: int) -> None:
+        found = find_candidates(toy_index, toy_index.silhouette(number), 30)
+        apart = np.linalg.norm(found.query.astype(np.float64) - found.vectors, axis=-1)
+        assert_allclose(found.distances, apart, atol=ATOL)
+        both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
+        all_apart = np.linalg.norm(found.query.astype(np.float64) - both, axis=-1)
+        assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)
+
+
+def test_no_more_than_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
+    found = find_candidates(toy_index, toy_index.silhouette(0), 10**6)
+    assert len(found) == 2 * len(toy_index)
+    assert_array_equal(np.bincount(found.numbers), 2)
+    assert found.points_3d.shape == (len(found), POINTS, 3)

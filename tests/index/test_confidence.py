@@ -1,0 +1,60 @@
+"""Calibration: a probability that survives the manifest."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from index.confidence import FEATURES, Calibration
+
+COUNT = len(FEATURES)
+
+
+def some_features(rows: int) -> np.ndarray:
+    return np.random.default_rng(0).normal(0, 3, (rows, COUNT))
+
+
+def test_round_trip_through_json() -> None:
+    calibration = Calibration(tuple(np.linspace(-1, 1, COUNT).tolist()), 0.25)
+    back = Calibration.restore(json.loads(json.dumps(calibration.parameters())))
+    assert back == calibration
+    assert_array_equal(
+        back.probability(some_features(9)), calibration.probability(some_features(9))
+    )
+
+
+def test_probabilities_are_probabilities_even_far_out() -> None:
+    calibration = Calibration((1e6,) * COUNT, -3.0)
+    probability = calibration.probability(some_features(50))
+    assert np.isfinite(probability).all()
+    assert ((probability >= 0) & (probability <= 1)).all()
+
+
+def test_knows_nothing_at_zero_weights() -> None:
+    assert_array_equal(Calibration((0.0,) * COUNT, 0.0).probability(some_features(4)), 0.5)
+
+
+@pytest.mark.parametrize("feature", range(COUNT))
+def test_grows_with_a_feature_of_positive_weight(feature: int) -> None:
+    weights = np.zeros(COUNT)
+    weights[feature] = 0.7
+    features = np.zeros((10, COUNT))
+    features[:, feature] = np.arange(10)
+    assert (np.diff(Calibration(tuple(weights.tolist()), 0.0).probability(features)) > 0).all()
+
+
+def test_refuses_a_calibration_over_other_features() -> None:
+    parameters = {"features": ["shoe_size"], "weights": [1.0], "bias": 0.0}
+    with pytest.raises(ValueError, match="got one over shoe_size"):
+        Calibration.restore(parameters)
+    with pytest.raises(ValueError, match="got one over nothing"):
+        Calibration.restore({})
+
+
+@pytest.mark.parametrize("weights", [(1.0,), (float("nan"),) * COUNT, (1.0,) * (COUNT + 1)])
+def test_refuses_weights_that_are_none(weights: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="finite weights and a finite bias"):
+        Calibration(weights, 0.0)

@@ -1,0 +1,163 @@
+"""Modes: apart from each other, and interpolated to the query."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from index.candidates import Candidates, find_candidates
+from index.modes import DISTINCT_M, find_modes, with_bones_of
+from index.skeleton import JOINTS, NATIVE, POINTS
+from index.store import PoseIndex
+
+Points = NDArray[np.float64]
+HEAD = NATIVE.names.index("head")
+
+
+def candidates_of(
+    query: NDArray[np.floating], vectors: NDArray[np.floating], poses: Points
+) -> Candidates:
+    """Made-up candidates, brought into the order of their distance."""
+    distances = np.linalg.norm(vectors - query, axis=1)
+    order = np.argsort(distances, kind="stable")
+    return Candidates(
+        query.astype(np.float32),
+        order,
+        np.zeros(len(order), bool),
+        distances[order],
+        vectors[order].astype(np.float32),
+        poses[order],
+        100 * poses[order, :, :2],
+    )
+
+
+def some_pose(seed: int = 0) -> Points:
+    """Points half a metre about the pelvis, which is the origin."""
+    pose = np.random.default_rng(seed).normal(0, 0.3, (POINTS, 3))
+    pose[0] = 0
+    return pose
+
+
+def bone_lengths(pose: Points) -> Points:
+    return np.array([np.linalg.norm(pose[child] - pose[parent]) for parent, child in NATIVE.bones])
+
+
+def bone_directions(pose: Points) -> Points:
+    bones = np.array([pose[child] - pose[parent] for parent, child in NATIVE.bones])
+    return bones / np.linalg.norm(bones, axis=1, keepdims=True)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 999),
+    size=st.integers(1, 60),
+    count=st.integers(1, 20),
+    spread=st.sampled_from([0.0, 0.01, 0.1, 1.0]),
+)
+def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float) -> None:
+    rng = np.random.default_rng(seed)
+    poses = some_pose() + spread * rng.normal(size=(size, POINTS, 3))
+    found = candidates_of(rng.normal(size=6), rng.normal(size=(size, 6)), poses)
+    modes = find_modes(found, count)
+    assert 1 <= len(modes) <= count
+    centres = found.points_3d[[mode.centre for mode in modes], :JOINTS]
+    apart = np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=-1).mean(axis=-1))
+    assert (apart[~np.eye(len(modes), dtype=bool)] >= DISTINCT_M - 1e-6).all()
+    if len(modes) < count:
+        # None was left out: every candidate is near some centre.
+        joints = found.points_3d[:, None, :JOINTS]
+        nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
+        assert (nearest < DISTINCT_M + 1e-6).all()
+    for mode in modes:
+        assert 0 < mode.votes <= 1 + 1e-9
+        assert 0 <= mode.distance < np.inf
+        assert mode.points_3d.shape == (POINTS, 3)
+        assert np.isfinite(mode.points_3d).all()
+        assert np.isfinite(mode.points_normalised).all()
+        assert_allclose(
+            bone_lengths(mode.points_3d), bone_lengths(found.points_3d[mode.centre]), rtol=1e-6
+        )
+
+
+def test_candidates_alike_are_one_mode_with_all_votes() -> None:
+    rng = np.random.default_rng(0)
+    found = candidates_of(
+        rng.normal(size=6), rng.normal(size=(9, 6)), np.tile(some_pose(), (9, 1, 1))
+    )
+    (mode,) = find_modes(found, 5)
+    # An average of equal weights summing to one up to rounding.
+    assert mode.votes == pytest.approx(1)
+    assert_allclose(mode.points_3d, some_pose(), atol=1e-9)
+    assert_allclose(mode.points_normalised, 100 * some_pose()[:, :2], atol=1e-9)
+
+
+def test_the_denser_of_two_modes_comes_first() -> None:
+    poses = np.stack([some_pose(1)] * 3 + [some_pose(2)] * 7)
+    angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # all as near
+    first, second = find_modes(candidates_of(np.zeros(2), ring, poses), 5)
+    assert (first.votes, second.votes) == (pytest.approx(0.7), pytest.approx(0.3))
+    assert_allclose(first.points_3d, some_pose(2), atol=1e-3)
+
+
+@pytest.mark.parametrize("where", [0.35, 0.45, 0.5, 0.6])
+def test_a_query_between_known_poses_lands_between_them(where: float) -> None:
+    """Pose and descriptor both move along a line, of which eleven points are known."""
+    start = some_pose()
+    step = np.zeros((POINTS, 3))
+    wrist = NATIVE.names.index("left_wrist")
+    elbow = NATIVE.names.index("left_elbow")
+    # Square to its bone, so that the bone hardly changes its length.
+    step[wrist] = np.cross(start[wrist] - start[elbow], [0, 0, 1])
+    step *= 0.2 / np.linalg.norm(step)
+    along, direction = np.linspace(0, 1, 11), np.array([3.0, -4.0, 0.0])
+    poses = start + along[:, None, None] * step
+    found = candidates_of(where * direction, along[:, None] * direction, poses)
+    (mode,) = find_modes(found, 3)
+    reached = ((mode.points_normalised - 100 * start[:, :2]) * step[:, :2]).sum()
+    reached /= 100 * (step[:, :2] ** 2).sum()
+    # Half a step between neighbours: the regression must do better than taking the nearest.
+    assert reached == pytest.approx(where, abs=0.05)
+    assert mode.distance < 0.05 * np.linalg.norm(direction)
+    assert_allclose(mode.points_3d[wrist], (start + where * step)[wrist], atol=0.02)
+
+
+@pytest.mark.parametrize("number", range(0, 576, 61))
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_query_that_is_an_entry_gets_its_pose(
+    toy_index: PoseIndex, number: int, mirrored: bool
+) -> None:
+    silhouette = toy_index.silhouette(number)[:, :: -1 if mirrored else 1]
+    modes = find_modes(find_candidates(toy_index, silhouette, 200), 5)
+    best = min(modes, key=lambda mode: mode.distance)
+    entry = toy_index.entry(number, mirrored=mirrored)
+    apart = np.linalg.norm(best.points_3d[:JOINTS] - entry.points_3d[:JOINTS], axis=-1)
+    # Far less than what makes poses distinct: the entry outweighs all others.
+    assert apart.mean() < DISTINCT_M / 4
+
+
+class TestWithBonesOf:
+    def test_a_skeleton_keeps_itself(self) -> None:
+        assert_allclose(with_bones_of(some_pose(), some_pose()), some_pose(), atol=1e-12)
+
+    @given(seed=st.integers(0, 999), shrink=st.floats(0.1, 3))
+    def test_keeps_lengths_of_one_and_directions_of_the_other(
+        self, seed: int, shrink: float
+    ) -> None:
+        skeleton, points = some_pose(seed), shrink * some_pose(seed + 1) + 5.0
+        result = with_bones_of(skeleton, points)
+        assert_allclose(bone_lengths(result), bone_lengths(skeleton), rtol=1e-6)
+        assert_allclose(bone_directions(result), bone_directions(points), atol=1e-6)
+        assert_allclose(result[0], 0)
+
+    def test_the_face_moves_with_the_head(self) -> None:
+        points = some_pose(1)
+        result = with_bones_of(some_pose(2), points)
+        assert_allclose(result[JOINTS:] - result[HEAD], points[JOINTS:] - points[HEAD])
+
+    def test_a_bone_without_direction_stays_finite(self) -> None:
+        assert np.isfinite(with_bones_of(some_pose(), np.zeros((POINTS, 3)))).all()

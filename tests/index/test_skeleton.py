@@ -1,0 +1,218 @@
+"""Conventions of the skeleton and its camera, and the keypoint sets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from index.skeleton import (
+    COCO17,
+    JOINT_NAMES,
+    JOINTS,
+    KEYPOINT_SETS,
+    NATIVE,
+    POINT_NAMES,
+    POINTS,
+    KeypointSet,
+    camera_rotation,
+    mirror_3d,
+    mirror_normalised,
+    project,
+)
+
+LEFT, UP, FRONT = np.eye(3)
+angles = st.floats(-720, 720)
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "roll", "direction", "seen"),
+    [
+        # In the face: the person's left at image right, up is -y, the nose comes nearer.
+        (0, 0, 0, LEFT, (1, 0, 0)),
+        (0, 0, 0, UP, (0, -1, 0)),
+        (0, 0, 0, FRONT, (0, 0, -1)),
+        # From the person's left: the left side is near, the nose points to image left.
+        (90, 0, 0, LEFT, (0, 0, -1)),
+        (90, 0, 0, FRONT, (-1, 0, 0)),
+        # From behind: the person's left at image left.
+        (180, 0, 0, LEFT, (-1, 0, 0)),
+        (270, 0, 0, FRONT, (1, 0, 0)),
+        # From straight above: the head is near, the nose points down the image.
+        (0, 90, 0, UP, (0, 0, -1)),
+        (0, 90, 0, FRONT, (0, 1, 0)),
+        # A positive roll turns the picture clockwise: up goes to image right.
+        (0, 0, 90, UP, (1, 0, 0)),
+    ],
+)
+def test_camera_sees_body_axes(
+    azimuth: float, elevation: float, roll: float, direction: np.ndarray, seen: tuple[float, ...]
+) -> None:
+    assert_allclose(camera_rotation(azimuth, elevation, roll) @ direction, seen, atol=1e-12)
+
+
+@given(azimuth=angles, elevation=angles, roll=angles)
+def test_camera_is_a_rotation(azimuth: float, elevation: float, roll: float) -> None:
+    rotation = camera_rotation(azimuth, elevation, roll)
+    assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+
+
+@given(azimuth=angles, elevation=angles, roll=angles)
+def test_azimuth_turns_the_person_the_other_way(
+    azimuth: float, elevation: float, roll: float
+) -> None:
+    # Walking round a person by an angle looks like the person turning by its negative.
+    turn = np.deg2rad(azimuth)
+    person = np.array(
+        [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+    )
+    assert_allclose(
+        camera_rotation(azimuth, elevation, roll),
+        camera_rotation(0, elevation, roll) @ person,
+        atol=1e-9,
+    )
+
+
+def test_cameras_broadcast() -> None:
+    many = camera_rotation(np.array([10.0, 200.0]), 30.0, np.array([0.0, 5.0]))
+    assert many.shape == (2, 3, 3)
+    assert_allclose(many[1], camera_rotation(200.0, 30.0, 5.0), atol=1e-12)
+
+
+def test_points_in_the_plane_of_the_pelvis_keep_their_size() -> None:
+    points = np.array([[0.3, -0.5, 0.0], [0.0, 0.0, 0.0]])
+    assert_allclose(project(points, 3.0), points[:, :2])
+
+
+def test_far_cameras_project_orthographically() -> None:
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    # The relative error is depth over distance.
+    assert_allclose(project(points, 1e6), points[:, :2], rtol=1e-5)
+
+
+def test_nearer_points_look_larger() -> None:
+    near, far = project(np.array([[0.5, 0.5, -1.0], [0.5, 0.5, 1.0]]), 2.0)
+    assert_allclose(near, [1.0, 1.0])  # half as far away: twice as large
+    assert_allclose(far, [1 / 3, 1 / 3])
+
+
+@given(depth=st.floats(-0.9, 5), scale=st.floats(0.1, 10))
+def test_projection_is_a_line_of_sight(depth: float, scale: float) -> None:
+    # All points on a ray from the camera fall on the same place of the plane.
+    ray = np.array([0.2, -0.1, 1.0])
+    here, there = ray * (1 + depth), ray * (1 + depth) * scale
+    camera = np.array([0.0, 0.0, 1.0])
+    assert_allclose(
+        project((here - camera)[None], 1.0), project((there - camera)[None], 1.0), atol=1e-9
+    )
+
+
+def test_distances_broadcast_over_views() -> None:
+    points = np.random.default_rng(1).normal(size=(2, 5, 3)) * 0.4
+    both = project(points, np.array([3.0, 8.0]))
+    assert_allclose(both[1], project(points[1], 8.0))
+
+
+def other(name: str) -> str:
+    if name.startswith("left_"):
+        return "right_" + name[5:]
+    return "left_" + name[6:] if name.startswith("right_") else name
+
+
+def test_skeleton_has_19_joints_and_5_face_points() -> None:
+    assert (JOINTS, POINTS) == (19, 24)
+    assert len(set(POINT_NAMES)) == POINTS
+    assert KEYPOINT_SETS == {"native": NATIVE, "coco17": COCO17}
+    assert NATIVE.indices == tuple(range(JOINTS))
+    assert NATIVE.names == JOINT_NAMES
+
+
+@pytest.mark.parametrize("keypoints", KEYPOINT_SETS.values(), ids=lambda k: k.name)
+class TestKeypointSets:
+    def test_indices_name_the_points(self, keypoints: KeypointSet) -> None:
+        assert tuple(POINT_NAMES[i] for i in keypoints.indices) == keypoints.names
+
+    def test_bones_connect_all_keypoints_once(self, keypoints: KeypointSet) -> None:
+        assert len(set(keypoints.bones)) == len(keypoints.bones)
+        # COCO draws its face apart from its trunk; every keypoint still has a bone.
+        assert {end for bone in keypoints.bones for end in bone} == set(range(len(keypoints.names)))
+
+    def test_left_and_right_correspond(self, keypoints: KeypointSet) -> None:
+        def named(pairs: tuple[tuple[int, int], ...]) -> set[frozenset[str]]:
+            return {frozenset((keypoints.names[a], keypoints.names[b])) for a, b in pairs}
+
+        bones = {frozenset(map(other, bone)) for bone in named(keypoints.bones)}
+        assert bones == named(keypoints.bones)
+
+
+def some_points(axes: int) -> np.ndarray:
+    return np.random.default_rng(4).normal(size=(3, POINTS, axes))
+
+
+class TestMirror:
+    def test_twice_is_the_same(self) -> None:
+        assert_array_equal(mirror_3d(mirror_3d(some_points(3))), some_points(3))
+        # 47 - (47 - x) rounds once.
+        twice = mirror_normalised(mirror_normalised(some_points(2)))
+        assert_allclose(twice, some_points(2), atol=1e-13)
+
+    def test_left_becomes_right_and_the_middle_stays(self) -> None:
+        points = some_points(3)[0]
+        image = mirror_3d(points)
+        left, right = POINT_NAMES.index("left_wrist"), POINT_NAMES.index("right_wrist")
+        assert_array_equal(image[right], points[left] * (-1, 1, 1))
+        assert_array_equal(image[left], points[right] * (-1, 1, 1))
+        nose = POINT_NAMES.index("nose")
+        assert_array_equal(image[nose], points[nose] * (-1, 1, 1))
+
+    def test_bones_keep_their_length(self) -> None:
+        def lengths(points: np.ndarray) -> np.ndarray:
+            return np.array([np.linalg.norm(points[c] - points[p]) for p, c in NATIVE.bones])
+
+        ends = [NATIVE.names[child] for _, child in NATIVE.bones]
+        swapped = [ends.index(other(name)) for name in ends]
+        points = some_points(3)[0]
+        assert_allclose(lengths(mirror_3d(points)), lengths(points)[swapped])
+
+    def test_columns_of_pixels_change_places(self) -> None:
+        # The centre of column 0 becomes that of column 47.
+        image = mirror_normalised(np.tile([0.0, 5.0], (POINTS, 1)))
+        assert_array_equal(image, np.tile([47.0, 5.0], (POINTS, 1)))
+
+    @given(azimuth=angles, elevation=angles, roll=angles)
+    def test_mirrored_body_before_the_mirrored_camera(
+        self, azimuth: float, elevation: float, roll: float
+    ) -> None:
+        # A camera to a person's left becomes one to the right, and rolls the other way.
+        body = some_points(3)[0]
+        seen = body @ camera_rotation(azimuth, elevation, roll).T
+        image = mirror_3d(body) @ camera_rotation(-azimuth, elevation, -roll).T
+        assert_allclose(image, mirror_3d(seen), atol=1e-9)
+
+    @given(scale=st.floats(10, 200), x=st.floats(-50, 50), distance=st.floats(3, 20))
+    def test_projecting_the_mirror_image_mirrors_the_projection(
+        self, scale: float, x: float, distance: float
+    ) -> None:
+        points = 0.5 * some_points(3)
+        placed = project(points, distance) * scale + (x, 60.0)
+        # In the mirrored frame the pelvis lies as far from the right as it did from the left.
+        image = project(mirror_3d(points), distance) * scale + (47.0 - x, 60.0)
+        assert_allclose(image, mirror_normalised(placed), atol=1e-9)
+
+
+def test_native_bones_form_a_tree_from_the_pelvis() -> None:
+    children = [child for _, child in NATIVE.bones]
+    assert sorted(children) == list(range(1, JOINTS))
+    reached = {0}
+    for parent, child in NATIVE.bones:
+        assert parent in reached
+        reached.add(child)
+
+
+def test_coco17_has_the_order_of_the_standard() -> None:
+    assert COCO17.names[:5] == ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+    assert COCO17.names[-2:] == ("left_ankle", "right_ankle")
+    assert len(COCO17.names) == 17
