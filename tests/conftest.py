@@ -88,7 +88,8 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
     entries = np.zeros(poses * views, ENTRY_DTYPE)
     silhouettes = []
     for number, entry in enumerate(entries):
-        azimuth, elevation = 360.0 / views * (number % views), 10.0
+        # No view exactly from the side: which way it faces would be left to rounding.
+        azimuth, elevation = 20.0 + 360.0 / views * (number % views), 10.0
         points = skeletons[number // views] @ camera_rotation(azimuth, elevation).T
         silhouette, placement = normalise(draw_figure(project(points, CAMERA_DISTANCE_M)))
         silhouettes.append(silhouette)

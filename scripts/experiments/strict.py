@@ -8,6 +8,7 @@ remains. Queries are frames spread evenly over the held-out clips, on the bodies
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -52,9 +53,21 @@ COLUMNS = (
 )
 
 
-def strict(
-    shared: Path, out: Path, command: str, *, entries: int = Plan.entries, growth: bool = True
-) -> None:
+COMMAND = "python -m scripts.evaluate simulation"
+
+
+def add_arguments(parser: argparse._ArgumentGroup) -> None:
+    """Add this experiment's options to the command line."""
+    parser.add_argument("--entries", type=int, default=Plan.entries, help="size of the index")
+    parser.add_argument("--no-growth", action="store_true", help="measure the one size only")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the experiment as the command line asks."""
+    strict(options.shared, options.out, entries=options.entries, growth=not options.no_growth)
+
+
+def strict(shared: Path, out: Path, *, entries: int = Plan.entries, growth: bool = True) -> None:
     """Run the experiment and write ``strict.md``, ``strict.json`` and two plots.
 
     Parameters
@@ -63,8 +76,6 @@ def strict(
         Folder with ``mocap/`` and ``garments/``.
     out : Path
         Folder of the results.
-    command : str
-        What made them.
     entries : int
         Size of the index; the shipped one by default.
     growth : bool
@@ -83,7 +94,7 @@ def strict(
     clean = trials[0.0]
     lines = [
         "# Strict: unseen bodies, clips and views\n",
-        f"`{command}`\n",
+        f"`{COMMAND}`\n",
         f"Index: {len(index):,} entries of {plan.poses:,} poses, {plan.bodies} bodies a pose, "
         f"{plan.views} views a body; each stands for its mirror image too. Queries: "
         f"{len(queries):,} frames spread evenly over the {len({s.clip for s in held})} held-out "
@@ -123,7 +134,7 @@ def strict(
             "\n![growth](strict-growth.png)\n",
         ]
     (out / "strict.md").write_text("\n".join(lines) + "\n")
-    (out / "strict.json").write_text(json.dumps({"command": command, **results}, indent=1) + "\n")
+    (out / "strict.json").write_text(json.dumps({"command": COMMAND, **results}, indent=1) + "\n")
 
 
 def summary(trial: Trial, rows: NDArray[np.bool_] | None = None) -> dict[str, float]:

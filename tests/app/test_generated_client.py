@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT, Photo, Server
+
+from tests.conftest import ROOT, Photo, Server
 
 pytestmark = pytest.mark.slow
 PACKAGE = "silhouette_pose_client"

@@ -26,7 +26,7 @@ def test_an_entry_and_its_silhouette(client: TestClient, tiny_index: PoseIndex) 
     entry = tiny_index.entry(5)
     assert answer["action"] == "jump"
     assert answer["source"]["frame"] == entry.frame == 1
-    assert answer["camera"]["azimuth_deg"] == 90
+    assert answer["camera"]["azimuth_deg"] == 110
     points = [[p["x"], p["y"], p["z"]] for p in answer["joints_3d"]]
     assert np.allclose(points, entry.points_3d[:19], atol=1e-4)
     picture = client.get("/index/entries/5/silhouette.png")

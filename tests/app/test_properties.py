@@ -9,13 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import Photo, png
 from fastapi.testclient import TestClient
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from app.schemas import PoseResponse, Problem
+from tests.conftest import Photo, png
 
 relaxed = settings(
     max_examples=40,

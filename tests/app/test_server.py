@@ -101,7 +101,7 @@ def test_sigterm_finishes_what_runs_and_ends_with_status_0(
 def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
     corrupted = tmp_path / "index"
     shutil.copytree(index_path, corrupted)
-    vectors = corrupted / "descriptors.faiss"
+    vectors = corrupted / "descriptors.faiss.xz"
     vectors.write_bytes(vectors.read_bytes()[:-10])
     running = start_server(corrupted)
     try:

@@ -74,5 +74,5 @@ def test_describes_block_by_block_as_at_once(
 def test_view_joints_are_those_of_the_index(simulation: Simulation, toy_index: PoseIndex) -> None:
     joints_3d, joints_2d = view_joints(simulation)
     everything = np.arange(len(toy_index))
-    assert_allclose(joints_3d, toy_index.points_3d(everything)[:, :19], atol=1e-5)
-    assert_allclose(joints_2d, toy_index.points_normalised(everything)[:, :19], atol=1e-3)
+    assert_allclose(joints_3d, toy_index.points(everything)[0][:, :19], atol=1e-5)
+    assert_allclose(joints_2d, toy_index.points(everything)[1][:, :19], atol=1e-3)

@@ -1,0 +1,49 @@
+"""The experiments: what the service is measured by.
+
+    python -m scripts.evaluate paper        the experiments of Atrevi et al. (2016)
+    python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
+    python -m scripts.evaluate real         photographs and videos of ../shared/real
+
+Without a name, all of them. Results and plots go to ``docs/results/``, each with its command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+EXPERIMENTS = {
+    "simulation": "scripts.experiments.strict",
+}
+"""Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="experiment", help=", ".join(EXPERIMENTS))
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
+    known, _ = parser.parse_known_args(arguments)
+    unknown = [name for name in known.names if name not in EXPERIMENTS]
+    if unknown:
+        parser.error(f"expected {', '.join(EXPERIMENTS)}, got {', '.join(unknown)}")
+    modules = [
+        importlib.import_module(EXPERIMENTS[name]) for name in known.names or list(EXPERIMENTS)
+    ]
+    for module in modules:
+        module.add_arguments(parser.add_argument_group(module.__name__.rsplit(".")[-1]))
+    options = parser.parse_args(arguments)
+    for module in modules:
+        try:
+            module.run(options)
+        except (FileNotFoundError, ValueError) as error:
+            raise SystemExit(f"evaluate: {error}") from None
+
+
+if __name__ == "__main__":
+    main()
