@@ -104,10 +104,12 @@ def find_modes(candidates: Candidates, count: int) -> list[Mode]:
     return [replace(mode, points_3d=points) for mode, points in zip(modes, grown, strict=True)]
 
 
-def candidate_weights(distances: NDArray[np.float64]) -> NDArray[np.float64]:
+def candidate_weights(
+    distances: NDArray[np.float64], fall_off: float = FALL_OFF
+) -> NDArray[np.float64]:
     """How much each candidate counts: ascending distances ``(K,)`` to weights ``(K,)``, 1 first."""
     nearest = max(distances[0], NEAREST_SHARE * distances[-1])
-    return np.asarray(np.exp((distances[0] - distances) / (2 * FALL_OFF * nearest + 1e-9)))
+    return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
 
 
 def _nearest_m(mode: Mode, others: list[Mode]) -> float:

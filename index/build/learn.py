@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from descriptor.descriptor import DiscriminantDescriptor, moment_block
-from index.build.noise import roughen
+from index.build.noise import degrade_all
 from index.build.simulate import BLOCK, Simulation
 from index.skeleton import JOINTS, camera_rotation, project
 
@@ -35,11 +35,8 @@ ANCHORS = 20_000
 NEAREST = 5
 """Nearest skeletons of each."""
 
-NOISE_STD_PX = 1.5
-"""How ragged the outlines are that the descriptor learns to overlook."""
-
 NOISE_WEIGHT = 0.5
-"""What they count beside the differences of body, clothes and pose."""
+"""What the faults of real silhouettes count beside the differences of body, clothes and pose."""
 
 SCALE_PX = 5.0
 SCALE_M = 0.11
@@ -106,7 +103,7 @@ def learn_descriptor(simulation: Simulation, seed: int) -> DiscriminantDescripto
     mean = moments.mean(axis=0) * (np.arange(moments.shape[1]) % HORIZONTAL_ORDERS % 2 == 0)
     centred = moments - mean
     total = centred.T.astype(np.float64) @ centred / len(centred)
-    within += _noise_scatter(simulation, anchors, moments, seed)
+    within += _noise_scatter(simulation, anchors, moments, joints_2d, seed)
     within += REGULARISATION * np.trace(within) / len(within) * np.eye(len(within))
     return DiscriminantDescriptor(
         _directions(total, within), VERTICAL_ORDERS, HORIZONTAL_ORDERS, P1, P2
@@ -117,11 +114,14 @@ def _noise_scatter(
     simulation: Simulation,
     anchors: NDArray[np.int64],
     moments: NDArray[np.float32],
+    joints_2d: NDArray[np.float32],
     seed: int,
 ) -> NDArray[np.float64]:
-    """What a ragged outline does to the moments ``(F, F)``."""
+    """What cutting silhouettes out of photographs does to the moments ``(F, F)``."""
     some = np.sort(anchors[: ANCHORS // 4])
-    rough = roughen(simulation.silhouettes(some), NOISE_STD_PX, np.random.default_rng(seed))
+    rough, _ = degrade_all(
+        simulation.silhouettes(some), joints_2d[some], np.random.default_rng(seed)
+    )
     noise = moment_block(rough, VERTICAL_ORDERS, HORIZONTAL_ORDERS, P1, P2) - moments[some]
     return NOISE_WEIGHT * (noise.T.astype(np.float64) @ noise) / len(noise)
 
