@@ -17,6 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 
 EXPERIMENTS = {
+    "paper": "scripts.experiments.paper",
     "simulation": "scripts.experiments.strict",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
