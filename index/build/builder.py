@@ -17,6 +17,7 @@ from index.build.motion import Segment, read_manifest
 from index.build.poses import Dropped, Poses, farthest_points, joints_of, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
+from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 
 ATTRIBUTION = (
@@ -124,7 +125,7 @@ def assemble(
         clips=simulation.clips,
         subjects=simulation.subjects,
         actions=simulation.actions,
-        silhouette_bits=simulation.bits,
+        silhouette_store=Silhouettes.compress(simulation.bits),
         parameters={**parameters, "confidence": calibration.parameters()},
     )
 

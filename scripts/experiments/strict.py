@@ -14,11 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +34,7 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
 from index.store import PoseIndex
 from scripts.experiments.contour import disturb_all
+from scripts.experiments.strict_pictures import draw_hard_queries, plot_growth, plot_reliability
 
 QUERIES = 2000
 QUERY_SEED = 99
@@ -68,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def strict(shared: Path, out: Path, *, entries: int = Plan.entries, growth: bool = True) -> None:
-    """Run the experiment and write ``strict.md``, ``strict.json`` and two plots.
+    """Run the experiment and write ``strict.md``, ``strict.json`` and pictures.
 
     Parameters
     ----------
@@ -116,7 +112,14 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries, growth: bool
     results: dict[str, object] = {f"noise {std:g}": summary(t) for std, t in trials.items()}
     out.mkdir(parents=True, exist_ok=True)
     plot_reliability(clean, out / "strict-reliability.png")
-    lines.append("\n![reliability diagram](strict-reliability.png)\n")
+    draw_hard_queries(index, queries, clean, out / "strict-hard.png")
+    lines += [
+        "\n## Calibration\n\n![reliability diagram](strict-reliability.png)",
+        "\n## Ten hard queries\n\nEvenly chosen among those whose first hypothesis is wrong: the "
+        "query with its true skeleton, then its seven hypotheses over the silhouettes of their "
+        "entries, with confidence and joint error; framed in green where right. Blue is the "
+        "person's left, red the right.\n\n![hard queries](strict-hard.png)\n",
+    ]
     if growth:
         sizes = grow(shared, kept, plan, queries, print)
         results["growth"] = sizes
@@ -220,41 +223,3 @@ def grow(
 def first_entries(simulation: Simulation, rows: NDArray[np.integer]) -> Simulation:
     """Some entries of a simulation."""
     return replace(simulation, bits=simulation.bits[rows], entries=simulation.entries[rows])
-
-
-def plot_reliability(trial: Trial, file: Path) -> None:
-    """Share of right hypotheses over confidence, in ten bins, above how many there are."""
-    confidence, right = trial.confidence.ravel(), trial.right.ravel()
-    bins = np.minimum((confidence * 10).astype(int), 9)
-    filled = [b for b in range(10) if (bins == b).any()]
-    figure, (top, bottom) = plt.subplots(
-        2, 1, figsize=(5, 6), sharex=True, height_ratios=(3, 1), layout="constrained"
-    )
-    top.plot([0, 1], [0, 1], color="0.7", linewidth=1)
-    top.plot(
-        [confidence[bins == b].mean() for b in filled],
-        [right[bins == b].mean() for b in filled],
-        marker="o",
-    )
-    top.set(ylabel="share that is right", ylim=(0, 1), aspect="equal")
-    bottom.hist(confidence, bins=10, range=(0, 1), color="0.6")
-    bottom.set(xlabel="confidence", ylabel="hypotheses", xlim=(0, 1))
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
-
-
-def plot_growth(sizes: list[dict[str, float]], file: Path) -> None:
-    """Recognition and 3D error over the number of entries."""
-    entries = [s["entries"] for s in sizes]
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
-    left.semilogx(entries, [s["right_1"] for s in sizes], marker="o", label="at rank 1")
-    left.semilogx(entries, [s["right_7"] for s in sizes], marker="o", label="within 7")
-    left.set(xlabel="entries", ylabel="right (%)", ylim=(0, 100))
-    right.semilogx(entries, [s["first_mm"] for s in sizes], marker="o", label="first")
-    right.semilogx(entries, [s["best_mm"] for s in sizes], marker="o", label="best of 7")
-    right.set(xlabel="entries", ylabel="3D error (mm)", ylim=(0, None))
-    for axes in (left, right):
-        axes.legend()
-        axes.grid(alpha=0.3)
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
