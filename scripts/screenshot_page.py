@@ -1,6 +1,6 @@
 """Photograph the debug page with a real result, on a desktop and on a phone.
 
-    python -m scripts.screenshot_page [--shared ../shared] [--frame 100] [--output docs]
+    python -m scripts.screenshot_page [--shared ../shared] [--frame 540] [--output docs]
 
 Needs the extra ``browser`` and Debian's Chromium. The frame shown is one of the PETS 2009 scene
 ``vtest.avi`` that OpenCV ships (Apache-2.0); the pictures may be passed on.
@@ -38,8 +38,12 @@ def save_frame(video: Path, number: int, path: Path) -> None:
 def photograph(browser: Browser, url: str, frame: Path, screen: tuple[int, int], out: Path) -> None:
     """Give the page a frame, wait until it has drawn the result, and save what it looks like."""
     width, height = screen
+    phone = width < 600
     context = browser.new_context(
-        viewport={"width": width, "height": height}, reduced_motion="reduce"
+        viewport={"width": width, "height": height},
+        is_mobile=phone,
+        has_touch=phone,
+        reduced_motion="reduce",
     )
     page = context.new_page()
     page.goto(url)
@@ -59,7 +63,7 @@ def main() -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description="Photograph the debug page.")
     parser.add_argument("--shared", type=Path, default=Path("../shared"))
-    parser.add_argument("--frame", type=int, default=100)
+    parser.add_argument("--frame", type=int, default=540)
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--output", type=Path, default=Path("docs"))
     options = parser.parse_args()
