@@ -1,6 +1,7 @@
 """The experiments: what the service is measured by.
 
     python -m scripts.evaluate paper        the experiments of Atrevi et al. (2016)
+    python -m scripts.evaluate descriptor   how the discriminant descriptor was chosen
     python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate real         photographs and videos of ../shared/real
@@ -19,6 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 EXPERIMENTS = {
     "paper": "scripts.experiments.paper",
+    "descriptor": "scripts.experiments.descriptor_choice",
     "simulation": "scripts.experiments.strict",
     "sizing": "scripts.experiments.sizing",
 }

@@ -14,6 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from index.skeleton import JOINT_NAMES
@@ -147,6 +148,38 @@ def plot_tracks(clips: Mapping[str, Track], joints: Sequence[str], file: Path) -
                 axes.set_ylabel(joint.replace("_", " ") + " (px)")
         grid[-1, column].set_xlabel("frame (30 a second)")
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    _save(figure, file)
+
+
+def plot_choice(
+    curves: Mapping[str, Mapping[str, Mapping[str, float]]],
+    shipped: Mapping[str, str],
+    diagonal: Mapping[str, float],
+    file: Path,
+) -> None:
+    """A panel for each choice: recognition at 1 and within 7, the paper's descriptor dashed."""
+    figure, panels = plt.subplots(
+        1, len(curves), figsize=(13, 4), sharey=True, layout="constrained"
+    )
+    for axes, (name, curve) in zip(panels, curves.items(), strict=True):
+        labels = list(curve)
+        place = np.arange(len(labels))
+        for colour, (key, words) in zip(
+            ("C0", "C2"), (("right_1", "at rank 1"), ("right_7", "within 7")), strict=True
+        ):
+            values = [curve[label][key] for label in labels]
+            axes.plot(place, values, marker="o", color=colour, label=words)
+            axes.axhline(
+                diagonal[key], color=colour, linestyle="--", label=f"{words}, paper's descriptor"
+            )
+        axes.axvline(labels.index(shipped[name]), color="0.8", linewidth=6, zorder=0)
+        axes.set(xlabel=name, xticks=place, ylim=(0, 100))
+        axes.set_xticklabels(labels, rotation=30 if name in ("orders", "regions") else 0)
+        axes.grid(alpha=0.3)
+    panels[0].set(ylabel="right (%)")
+    handles, words_shown = panels[0].get_legend_handles_labels()
+    band = Line2D([], [], color="0.8", linewidth=6)
+    figure.legend([*handles, band], [*words_shown, "shipped"], loc="outside upper center", ncols=5)
     _save(figure, file)
 
 
