@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 EXPERIMENTS = {
     "simulation": "scripts.experiments.strict",
+    "real": "scripts.experiments.real",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 

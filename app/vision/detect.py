@@ -241,7 +241,8 @@ def _mean_inside(presence: PresenceMap, box: NDArray[np.float64]) -> float:
     return float(inside.mean()) if inside.size else 0.0
 
 
-# Fitted to real/pennfudan; see scripts/evaluate_real.py, which fits and cross-validates.
+# Fitted to real/pennfudan by `python -m scripts.evaluate real --fit-detector`, which also
+# cross-validates.
 _WEIGHTS = np.array(
     [
         -2.199,  # trunk
