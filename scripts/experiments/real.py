@@ -329,8 +329,8 @@ def _vtest(found: dict[str, Figures]) -> list[str]:
     first = next(iter(found.values()))
     return [
         f"{int(first['walkers'])} walkers marked by hand in {int(first['frames'])} frames chosen "
-        "evenly (`tests/data/vtest-people.json`); people hidden by more than half or cut by the "
-        f"frame's edge count neither way. Found: a box overlaps by {FOUND_FROM:g} or more. "
+        "evenly (`tests/data/vtest-people.json`); people hidden or cut off by more than half, or "
+        f"under 50 px tall, count neither way. Found: a box overlaps by {FOUND_FROM:g} or more. "
         f"{first['milliseconds']:.0f} ms a frame of 768x576.\n",
         "| boxes from a score of | walkers found | false boxes a frame |",
         "|---|---|---|",

@@ -32,10 +32,10 @@ class Marks:
     frame : int
         Number in the video, from 0.
     people : list of Box
-        Walkers of whom at least half is seen.
+        Walkers of whom at least half is seen, 50 px tall or more.
     ignored : list of Box
-        People hidden by more than half or cut by the frame's edge: neither finding nor missing
-        them counts.
+        People hidden or cut off by more than half, or smaller: neither finding nor missing them
+        counts.
     """
 
     frame: int
