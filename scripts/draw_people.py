@@ -115,7 +115,8 @@ def _nearest(estimator: Estimator, person: Person, window: Box, scale: float) ->
     entry = estimator.index.silhouette(first.entry)
     entry = np.ascontiguousarray(entry[:, ::-1]) if first.mirrored else entry
     placement = normalise(found.crop)[1]
-    corner = placement.to_image(np.zeros(2)) + (found.left - window.x, found.top - window.y)
+    shift = np.array([found.left - window.x, found.top - window.y])
+    corner = placement.to_image(np.zeros(2)) + shift
     factor = scale / placement.scale
     matrix = np.array([[factor, 0, corner[0] * scale], [0, factor, corner[1] * scale]])
     size = round(window.width * scale), round(window.height * scale)
