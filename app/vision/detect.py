@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.box_arrays import Boxes, averaged, drop_parts, suppress
-from app.vision.evidence import by_fitness, evidence, tightened
-from app.vision.hog import person_windows
+from app.vision.evidence import by_fitness, evidence, suited, tightened
+from app.vision.hog import as_cells, person_windows
 from app.vision.network import NetworkError, PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.presence import PresenceMap, presence_maps
@@ -145,6 +145,7 @@ _SAME_PERSON = 0.4
 _MOST_PROPOSALS = 25
 _PROPOSAL_OVERLAP = 0.7
 _PROPOSAL_THRESHOLD = -0.8
+_SLIGHTEST_PRESENCE = 0.05
 # How much full presence inside a window counts in the classifier's units.
 _PRESENCE_GAIN = 3.0
 
@@ -170,8 +171,13 @@ def candidates(
         See :data:`app.vision.evidence.NAMES`.
     """
     maps = presence_maps(network, frame, min_person_px)
-    anywhere = np.max([presence.probability for presence in maps], axis=0)
-    windows, scores = person_windows(frame, min_person_px, _PROPOSAL_THRESHOLD, anywhere > 0.05)
+    anybody = {one.side: as_cells(one.probability > _SLIGHTEST_PRESENCE) for one in maps}
+
+    def worth_searching(person_px: float) -> NDArray[np.bool_]:
+        cells = [anybody[one.side] for one in suited(maps, person_px)]
+        return np.asarray(np.any(cells, axis=0))
+
+    windows, scores = person_windows(frame, min_person_px, _PROPOSAL_THRESHOLD, worth_searching)
     boxes = _proposed_by_gradients(maps, windows, scores) + _proposed_by_presence(
         maps, 0.6 * min_person_px
     )
@@ -228,10 +234,10 @@ def _proposed_by_presence(
     for presence in maps:
         for level in (0.3, 0.6, 0.9):
             region = (presence.probability > level).astype(np.uint8)
-            count, _, stats, _ = cv2.connectedComponentsWithStats(region)
-            for left, top, width, height, _ in stats[1:count].tolist():
-                if height > least_height and width < 1.2 * height:
-                    boxes.append(np.array([left - 0.5, top - 0.5, width, height]))
+            parts = cv2.connectedComponentsWithStats(region)[2][1:, :4].astype(np.float64)
+            width, height = parts[:, 2], parts[:, 3]
+            upright = parts[(height > least_height) & (width < 1.2 * height)]
+            boxes += list(upright - (0.5, 0.5, 0, 0))
     return boxes
 
 
