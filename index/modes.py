@@ -22,16 +22,25 @@ from index.candidates import Candidates
 from index.skeleton import JOINTS, NATIVE
 
 DISTINCT_M = 0.11
-"""Poses whose joints differ by less than this on average count once."""
+"""Poses whose joints differ by less than this (root mean square) count once.
+
+Interpolation may bring two of them nearer, but no nearer than half of it.
+"""
 
 BANDWIDTH_M = 0.10
 """Joint distance at which a candidate still belongs to a mode."""
 
-SUPPRESSION = 1.3
+SUPPRESSION = 1.5
 """A mode takes its surroundings with it, by so much more than its bandwidth."""
 
 FALL_OFF = 0.25
 """A candidate farther than the nearest by twice this share of its distance weighs 1/e."""
+
+NEAREST_SHARE = 0.02
+"""The nearest counts as at least so far off as this share of the farthest's distance.
+
+An entry that is the query itself would else outweigh all others.
+"""
 
 RIDGE = 0.3
 """Regularisation of the regression, as a share of the mean variance of a mode's descriptors."""
@@ -61,30 +70,35 @@ class Mode:
     points_normalised: NDArray[np.float64]
 
 
-def find_modes(candidates: Candidates, count: int) -> list[Mode]:
+def find_modes(
+    candidates: Candidates, count: int, *, bandwidth_m: float = BANDWIDTH_M
+) -> list[Mode]:
     """Up to ``count`` modes, the densest first, no two of their centres alike.
 
     Parameters
     ----------
     candidates : Candidates
     count : int
+    bandwidth_m : float
+        Smaller where an index covers few motions densely, as in the paper's experiments.
 
     Returns
     -------
     list of Mode
         Fewer than ``count`` where the candidates hold fewer distinct poses.
     """
-    nearest = candidates.distances[0]
-    weights = np.exp((nearest - candidates.distances) / (2 * FALL_OFF * nearest + 1e-9))
+    weights = candidate_weights(candidates.distances)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    kernel = np.exp(-(apart**2) / (2 * BANDWIDTH_M**2))
+    kernel = np.exp(-(apart**2) / (2 * bandwidth_m**2))
     remaining, free = weights.copy(), np.ones(len(candidates), bool)
     modes: list[Mode] = []
     while len(modes) < count and free.any():
         density = kernel @ remaining
         centre = int(np.where(free, density, -np.inf).argmax())
-        modes.append(_interpolate(candidates, weights * kernel[centre], centre, weights.sum()))
-        wide = np.exp(-(apart[centre] ** 2) / (2 * (SUPPRESSION * BANDWIDTH_M) ** 2))
+        mode = _interpolate(candidates, remaining * kernel[centre], centre, weights.sum())
+        if not modes or _nearest_m(mode, modes) >= DISTINCT_M / 2:
+            modes.append(mode)
+        wide = np.exp(-(apart[centre] ** 2) / (2 * (SUPPRESSION * bandwidth_m) ** 2))
         remaining *= 1 - wide
         free &= apart[centre] >= DISTINCT_M
     if not modes:
@@ -92,6 +106,21 @@ def find_modes(candidates: Candidates, count: int) -> list[Mode]:
     skeletons = candidates.points_3d[[mode.centre for mode in modes]]
     grown = with_bones_of(skeletons, np.stack([mode.points_3d for mode in modes]))
     return [replace(mode, points_3d=points) for mode, points in zip(modes, grown, strict=True)]
+
+
+def candidate_weights(
+    distances: NDArray[np.float64], fall_off: float = FALL_OFF
+) -> NDArray[np.float64]:
+    """How much each candidate counts: ascending distances ``(K,)`` to weights ``(K,)``, 1 first."""
+    nearest = max(distances[0], NEAREST_SHARE * distances[-1])
+    return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
+
+
+def _nearest_m(mode: Mode, others: list[Mode]) -> float:
+    """Root mean square joint distance of a mode to the nearest of some others."""
+    joints = np.stack([other.points_3d[:JOINTS] for other in others])
+    squared = ((joints - mode.points_3d[:JOINTS]) ** 2).sum(axis=-1)
+    return float(np.sqrt(squared.mean(axis=-1).min()))
 
 
 def _joint_distances(joints: NDArray[np.float64]) -> NDArray[np.float64]:

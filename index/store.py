@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, restore
-from descriptor.silhouette import HEIGHT, WIDTH, unpack
+from index.silhouettes import Silhouettes
 from index.skeleton import (
     NATIVE,
     POINTS,
@@ -33,7 +33,7 @@ from index.skeleton import (
     project,
 )
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 DEFAULT_PATH = Path(__file__).parent / "data"
 
 SKELETON_DTYPE = np.dtype(
@@ -51,6 +51,10 @@ ENTRY_DTYPE = np.dtype(
         ("offset_y", "<f4"),
     ]
 )
+
+
+_INCOMPRESSIBLE = "silhouettes.npy"
+"""Lies in the artefact as it is; every other file is compressed as a whole."""
 
 
 class ArtefactError(ValueError):
@@ -113,8 +117,8 @@ class PoseIndex:
     skeleton_labels : (S,) array of SKELETON_DTYPE
         Where each skeleton comes from, as positions in the next three.
     clips, subjects, actions : tuple of str
-    silhouette_bits : (E, 768) uint8 array
-        Normalised silhouettes, packed by :func:`descriptor.silhouette.pack`.
+    silhouette_store : Silhouettes
+        E normalised silhouettes, compressed.
     parameters : dict
         JSON values: how the index was built, and what was fitted with it.
     version : str
@@ -130,7 +134,7 @@ class PoseIndex:
     clips: tuple[str, ...]
     subjects: tuple[str, ...]
     actions: tuple[str, ...]
-    silhouette_bits: NDArray[np.uint8]
+    silhouette_store: Silhouettes
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
     _flat: Any = field(init=False, repr=False, compare=False)
@@ -147,11 +151,8 @@ class PoseIndex:
                 f"expected skeletons of shape ({len(self.skeleton_labels)}, {POINTS}, 3), "
                 f"got {self.skeletons.shape}"
             )
-        if self.silhouette_bits.shape != (count, HEIGHT * WIDTH // 8):
-            raise ValueError(
-                f"expected silhouettes of shape {(count, HEIGHT * WIDTH // 8)}, "
-                f"got {self.silhouette_bits.shape}"
-            )
+        if len(self.silhouette_store) != count:
+            raise ValueError(f"expected {count} silhouettes, got {len(self.silhouette_store)}")
         if self.entries["skeleton"].max() >= len(self.skeletons):
             raise ValueError(
                 f"expected skeletons below {len(self.skeletons)}, an entry names "
@@ -249,7 +250,7 @@ class PoseIndex:
 
     def silhouettes(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
         """Normalised silhouettes of some entries, ``(B, 128, 48)`` uint8 of 0 and 1."""
-        return unpack(self.silhouette_bits[np.asarray(numbers, np.int64)])
+        return self.silhouette_store.take(numbers)
 
     def silhouette(self, number: int) -> NDArray[np.uint8]:
         """The normalised silhouette of one entry, ``(128, 48)`` uint8 of 0 and 1."""
@@ -279,7 +280,9 @@ class PoseIndex:
         staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
         try:
             for name, content in files.items():
-                (staging / f"{name}.xz").write_bytes(lzma.compress(content, preset=6))
+                (staging / _stored(name)).write_bytes(
+                    content if name == _INCOMPRESSIBLE else lzma.compress(content, preset=6)
+                )
             (staging / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
             staging.chmod(0o755)
             _replace_folder(staging, path)
@@ -294,7 +297,11 @@ class PoseIndex:
             "entries.npy": _npy(self.entries),
             "skeletons.npy": _npy(self.skeletons),
             "skeleton-labels.npy": _npy(self.skeleton_labels),
-            "silhouettes.npy": _npy(_steps(self.silhouette_bits)),
+            _INCOMPRESSIBLE: _npy(self.silhouette_store.data),
+            "silhouette-lengths.npy": _npy(
+                np.diff(self.silhouette_store.ends, prepend=0).astype("<u2")
+            ),
+            "silhouette-dictionary.npy": _npy(self.silhouette_store.dictionary),
             **learned,
         }
 
@@ -316,7 +323,7 @@ class PoseIndex:
                 read = {
                     name: pool.submit(
                         _read_array if name.endswith(".npy") else _read_bytes,
-                        path / f"{name}.xz",
+                        path / _stored(name),
                         sha256,
                     )
                     for name, sha256 in named.items()
@@ -344,7 +351,11 @@ class PoseIndex:
                 clips=tuple(manifest["clips"]),
                 subjects=tuple(manifest["subjects"]),
                 actions=tuple(manifest["actions"]),
-                silhouette_bits=_unstep(arrays["silhouettes"]),
+                silhouette_store=Silhouettes(
+                    arrays["silhouettes"],
+                    np.cumsum(arrays["silhouette-lengths"], dtype=np.int64),
+                    arrays["silhouette-dictionary"],
+                ),
                 parameters=manifest["parameters"],
                 version=manifest["version"],
             )
@@ -379,10 +390,11 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 class _HashingReader(io.RawIOBase):
-    """A compressed file read once, from start to end, and hashed on the way."""
+    """A file read once, from start to end, decompressed if need be, and hashed on the way."""
 
     def __init__(self, file: Path) -> None:
-        self._stream = lzma.open(file)  # noqa: SIM115 - closed with the reader
+        # Closed with the reader.
+        self._stream = lzma.open(file) if file.suffix == ".xz" else file.open("rb")  # noqa: SIM115
         self._hash = hashlib.sha256()
 
     def read(self, size: int = -1) -> bytes:
@@ -435,23 +447,9 @@ def _read_file(
         raise ArtefactError(f"the index file {file} is truncated or altered: {error}") from error
 
 
-def _steps(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """XOR each row of packed silhouettes with the row above.
-
-    Only the outline remains set, which compresses by half.
-    """
-    rows = bits.reshape(len(bits), HEIGHT, WIDTH // 8)
-    steps = rows.copy()
-    steps[:, 1:] ^= rows[:, :-1]
-    return steps.reshape(bits.shape)
-
-
-def _unstep(steps: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Undo :func:`_steps`, in place."""
-    rows = steps.reshape(len(steps), HEIGHT, WIDTH // 8)
-    for row in range(1, HEIGHT):
-        rows[:, row] ^= rows[:, row - 1]
-    return steps
+def _stored(name: str) -> str:
+    """Name on disk of a file that the manifest names."""
+    return name if name == _INCOMPRESSIBLE else f"{name}.xz"
 
 
 def _version(manifest: dict[str, Any]) -> str:

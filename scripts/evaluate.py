@@ -17,6 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 
 EXPERIMENTS = {
+    "paper": "scripts.experiments.paper",
     "simulation": "scripts.experiments.strict",
     "real": "scripts.experiments.real",
 }

@@ -24,6 +24,7 @@ from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
 from index.confidence import FEATURES, Calibration
+from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
 
@@ -114,7 +115,7 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
         clips=("sticks_01",),
         subjects=("stick",),
         actions=("walk", "jump"),
-        silhouette_bits=pack(stack),
+        silhouette_store=Silhouettes.compress(pack(stack)),
         parameters={
             "seed": seed,
             "attribution": "Drawn for tests.",

@@ -20,6 +20,7 @@ from index.build.motion import Segment
 from index.build.poses import Poses, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
+from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -254,7 +255,7 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
         clips=simulation.clips,
         subjects=simulation.subjects,
         actions=simulation.actions,
-        silhouette_bits=simulation.bits,
+        silhouette_store=Silhouettes.compress(simulation.bits),
         parameters={"confidence": Calibration((0.0,) * len(FEATURES), 0.0).parameters()},
     )
 

@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from descriptor.descriptor import DiscriminantDescriptor
 from descriptor.silhouette import normalise
 from index import store
+from index.silhouettes import Silhouettes
 from index.skeleton import camera_rotation, mirror_3d, mirror_normalised, project
 from index.store import ArtefactError, PoseIndex
 
@@ -279,7 +280,11 @@ class TestConstruction:
             ("vectors", np.zeros((3, 48), np.float32), r"expected vectors of shape \(576, 48\)"),
             ("skeletons", np.zeros((1, 19, 3), np.float16), "expected skeletons of shape"),
             ("skeletons", np.zeros((1, 24, 3), np.float16), "expected skeletons of shape"),
-            ("silhouette_bits", np.zeros((2, 768), np.uint8), "expected silhouettes of shape"),
+            (
+                "silhouette_store",
+                Silhouettes.compress(np.zeros((2, 768), np.uint8)),
+                "expected 576 silhouettes, got 2",
+            ),
         ],
     )  # fmt: skip
     def test_parts_must_fit(

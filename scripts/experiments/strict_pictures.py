@@ -1,0 +1,121 @@
+"""Pictures of the strict experiment: calibration, growth, and hard queries with their answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+
+from index.build.calibrate import HYPOTHESES, Queries, Trial
+from index.confidence import RIGHT_BELOW_PX
+from index.matching import match
+from index.skeleton import JOINTS, NATIVE
+from index.store import PoseIndex
+
+HARD = 10
+ZOOM = 2
+GAP = 34
+LEFT_COLOUR, RIGHT_COLOUR, MIDDLE_COLOUR = (200, 90, 30), (30, 60, 220), (60, 60, 60)
+
+
+def plot_reliability(trial: Trial, file: Path) -> None:
+    """Share of right hypotheses over confidence, in ten bins, above how many there are."""
+    confidence, right = trial.confidence.ravel(), trial.right.ravel()
+    bins = np.minimum((confidence * 10).astype(int), 9)
+    filled = [b for b in range(10) if (bins == b).any()]
+    figure, (top, bottom) = plt.subplots(
+        2, 1, figsize=(5, 6), sharex=True, height_ratios=(3, 1), layout="constrained"
+    )
+    top.plot([0, 1], [0, 1], color="0.7", linewidth=1)
+    top.plot(
+        [confidence[bins == b].mean() for b in filled],
+        [right[bins == b].mean() for b in filled],
+        marker="o",
+    )
+    top.set(ylabel="share that is right", ylim=(0, 1), aspect="equal")
+    bottom.hist(confidence, bins=10, range=(0, 1), color="0.6")
+    bottom.set(xlabel="confidence", ylabel="hypotheses", xlim=(0, 1))
+    figure.savefig(file, dpi=120)
+    plt.close(figure)
+
+
+def plot_growth(sizes: list[dict[str, float]], file: Path) -> None:
+    """Recognition and 3D error over the number of entries."""
+    entries = [s["entries"] for s in sizes]
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
+    left.semilogx(entries, [s["right_1"] for s in sizes], marker="o", label="at rank 1")
+    left.semilogx(entries, [s["right_7"] for s in sizes], marker="o", label="within 7")
+    left.set(xlabel="entries", ylabel="right (%)", ylim=(0, 100))
+    right.semilogx(entries, [s["first_mm"] for s in sizes], marker="o", label="first")
+    right.semilogx(entries, [s["best_mm"] for s in sizes], marker="o", label="best of 7")
+    right.set(xlabel="entries", ylabel="3D error (mm)", ylim=(0, None))
+    for axes in (left, right):
+        axes.legend()
+        axes.grid(alpha=0.3)
+    figure.savefig(file, dpi=120)
+    plt.close(figure)
+
+
+def draw_hard_queries(index: PoseIndex, queries: Queries, trial: Trial, file: Path) -> None:
+    """Draw queries whose first answer is wrong, evenly chosen, each beside its answers.
+
+    Left of each row the query with its true skeleton; then the hypotheses over the silhouettes
+    of their entries, with confidence and error, framed in green where right. The person's left
+    is blue, the right red.
+    """
+    wrong = np.flatnonzero(~trial.right[:, 0])
+    chosen = wrong[np.linspace(0, len(wrong) - 1, HARD).astype(int)]
+    truths = queries.joints_2d
+    rows = []
+    for query in chosen.tolist():
+        silhouette = queries.silhouettes[query]
+        cells = [_cell(silhouette, truths[query], "query", None)]
+        for hypothesis in match(index, silhouette, HYPOTHESES):
+            joints = hypothesis.points_normalised[:JOINTS]
+            error = float(np.linalg.norm(joints - truths[query], axis=-1).mean())
+            entry = index.silhouette(hypothesis.entry)
+            cells.append(
+                _cell(
+                    entry[:, ::-1] if hypothesis.mirrored else entry,
+                    joints,
+                    f"{hypothesis.confidence:.2f}  {error:.1f} px",
+                    error < RIGHT_BELOW_PX,
+                )
+            )
+        rows.append(np.hstack(cells))
+    cv2.imwrite(str(file), np.vstack(rows))
+
+
+def _cell(
+    silhouette: NDArray[np.uint8], joints: NDArray[np.floating], text: str, right: bool | None
+) -> NDArray[np.uint8]:
+    height, width = (ZOOM * side for side in silhouette.shape)
+    grey = np.where(silhouette, 190, 255).astype(np.uint8)
+    picture = np.full((height + 2 * GAP, width + 2 * GAP, 3), 255, np.uint8)
+    body = cv2.resize(grey, (width, height), interpolation=cv2.INTER_NEAREST)
+    picture[GAP : GAP + height, GAP : GAP + width] = body[:, :, None]
+    pixels = np.rint((np.asarray(joints) + 0.5) * ZOOM + GAP - 0.5).astype(int).tolist()
+    for parent, child in NATIVE.bones:
+        if child < JOINTS:
+            name = NATIVE.names[child]
+            colour = (
+                LEFT_COLOUR
+                if name.startswith("left")
+                else RIGHT_COLOUR
+                if name.startswith("right")
+                else MIDDLE_COLOUR
+            )
+            cv2.line(picture, pixels[parent], pixels[child], colour, 2, cv2.LINE_AA)
+    if right is not None:
+        frame = (60, 160, 60) if right else (200, 200, 200)
+        cv2.rectangle(picture, (4, 4), (picture.shape[1] - 5, picture.shape[0] - 5), frame, 2)
+    place = (12, picture.shape[0] - 14)
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+    return picture

@@ -1,0 +1,62 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from descriptor.silhouette import pack, unpack
+from index.silhouettes import Silhouettes
+from index.store import PoseIndex
+
+
+@pytest.fixture(scope="module")
+def noise() -> np.ndarray:
+    return pack(np.random.default_rng(0).integers(0, 2, (100, 128, 48), np.uint8))
+
+
+@pytest.mark.parametrize("count", [1, 2, 100])
+def test_returns_what_it_was_given(noise: np.ndarray, count: int) -> None:
+    stored = Silhouettes.compress(noise[:count])
+    assert len(stored) == count
+    assert_array_equal(stored.take(np.arange(count)), unpack(noise[:count]))
+
+
+def test_takes_in_any_order_and_twice(noise: np.ndarray) -> None:
+    asked = [7, 3, 7, 0, 99]
+    assert_array_equal(Silhouettes.compress(noise).take(asked), unpack(noise[asked]))
+
+
+def test_takes_none(noise: np.ndarray) -> None:
+    assert Silhouettes.compress(noise).take([]).shape == (0, 128, 48)
+
+
+def test_outlines_compress_several_times(toy_index: PoseIndex) -> None:
+    stored = toy_index.silhouette_store
+    assert len(stored.data) < len(stored) * 768 / 3
+
+
+@pytest.mark.parametrize("number", [-1, 100])
+def test_refuses_what_is_not_there(noise: np.ndarray, number: int) -> None:
+    with pytest.raises(IndexError, match=f"below 100, got {number}"):
+        Silhouettes.compress(noise).take([number])
+
+
+@pytest.mark.parametrize("shape", [(0, 768), (3, 767), (768,)])
+def test_compresses_packed_silhouettes_only(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="expected silhouettes of shape"):
+        Silhouettes.compress(np.zeros(shape, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("data", np.zeros(5, np.uint8), "bytes of silhouettes, got 5"),
+        ("data", np.zeros((2, 2), np.uint8), "expected data of silhouettes as a row"),
+        ("ends", np.zeros(3, np.int64), "end one after another"),
+        ("ends", np.zeros(0, np.int64), "end one after another"),
+        ("dictionary", np.zeros(3, np.int64), "expected dictionary of silhouettes as a row"),
+    ],
+)
+def test_parts_must_fit(noise: np.ndarray, field: str, value: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(Silhouettes.compress(noise), **{field: value})
