@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from app.vision.box_arrays import Boxes, averaged, drop_parts, suppress
 from app.vision.evidence import by_fitness, evidence, suited, tightened
 from app.vision.hog import as_cells, person_windows
-from app.vision.network import NetworkError, PersonNetwork
+from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.presence import PresenceMap, presence_maps
 from app.vision.resampling import resize
@@ -44,16 +43,12 @@ class Detector(Protocol):
         ...
 
 
-def load_detector(
-    model_path: Path | None, *, min_person_px: float = 50, min_score: float = 0.25
+def make_detector(
+    network: PersonNetwork | None, *, min_person_px: float = 50, min_score: float = 0.3
 ) -> Detector:
-    """Load the cascade if the network is there and sound, else gradients alone."""
-    if model_path is not None:
-        try:
-            network = PersonNetwork(model_path)
-            return CascadeDetector(network, min_person_px=min_person_px, min_score=min_score)
-        except NetworkError:
-            pass
+    """The cascade if there is a network, else gradients alone."""
+    if network is not None:
+        return CascadeDetector(network, min_person_px=min_person_px, min_score=min_score)
     return HogDetector(min_person_px=min_person_px, min_score=min_score)
 
 
@@ -68,7 +63,7 @@ class HogDetector:
         Least probability reported.
     """
 
-    def __init__(self, *, min_person_px: float = 50, min_score: float = 0.25) -> None:
+    def __init__(self, *, min_person_px: float = 50, min_score: float = 0.3) -> None:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
@@ -121,7 +116,7 @@ class CascadeDetector:
     """
 
     def __init__(
-        self, network: PersonNetwork, *, min_person_px: float = 50, min_score: float = 0.25
+        self, network: PersonNetwork, *, min_person_px: float = 50, min_score: float = 0.3
     ) -> None:
         self._network = network
         self._min_person_px = _checked(min_person_px, min_score)
@@ -251,24 +246,24 @@ def _mean_inside(presence: PresenceMap, box: NDArray[np.float64]) -> float:
 # cross-validates.
 _WEIGHTS = np.array(
     [
-        -2.199,  # trunk
-        -0.071,  # beside
-        -2.797,  # above
-        -2.405,  # below
-        3.745,  # head
-        2.188,  # feet
-        0.396,  # shape
-        3.617,  # trunk_other
-        -5.021,  # beside_other
-        -0.839,  # above_other
-        -2.642,  # below_other
-        1.513,  # hog
-        0.919,  # hog_support
-        -1.776,  # aspect
+        -3.690,  # trunk
+        0.382,  # beside
+        -2.635,  # above
+        -2.212,  # below
+        3.191,  # head
+        2.269,  # feet
+        4.164,  # shape
+        3.489,  # trunk_other
+        -4.278,  # beside_other
+        -0.137,  # above_other
+        -2.085,  # below_other
+        1.214,  # hog
+        1.026,  # hog_support
+        -1.212,  # aspect
     ]
 )
-_OFFSET = -3.915
-_CALIBRATION_SLOPE, _CALIBRATION_OFFSET = 0.938, -0.466
+_OFFSET = -5.290
+_CALIBRATION_SLOPE, _CALIBRATION_OFFSET = 0.991, -0.136
 _HOG_SLOPE, _HOG_OFFSET = 2.967, -3.715
 
 

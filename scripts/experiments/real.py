@@ -59,7 +59,7 @@ from scripts.results import machine
 COMMAND = "python -m scripts.evaluate real"
 CAMERAS = ("cam01", "cam03")
 VTEST_FRAMES = 20
-SCORES = (0.25, 0.5)
+SCORES = (0.3, 0.5)
 """Detection scores from which a box is reported (the service's default) or sure."""
 
 Figures = dict[str, float]
@@ -119,7 +119,7 @@ def run(options: argparse.Namespace) -> None:
         print(fit_detector(photographs, network))
         return
     people = read_street_people(folder / "pennfudan", photographs)
-    samples = real_facing.read_samples(people, tools.segmenter, PersonNetwork(options.model))
+    samples = real_facing.read_samples(people, tools.segmenter, network)
     if options.fit_facing:
         everyone = samples.group >= 0
         real_facing.write_weights(real_facing.fit(samples, everyone))
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> None:
     results["detection"] = measure_detection(photographs, network)
     results["silhouettes"] = silhouettes(photographs, tools, python)
     results["facing"] = facing_alone(samples)
-    street = street_people(people, tools, samples, options.model)
+    street = street_people(people, tools, samples)
     results["street"] = street_figures(street)
     videos, results["pose2sim"] = pose2sim(folder, tools, options, python)
     if MARKS.is_file():
@@ -168,13 +168,12 @@ def facing_alone(samples: real_facing.HeadSamples) -> Figures:
 
 
 def street_people(
-    people: Sequence[StreetPerson], tools: Tools, samples: real_facing.HeadSamples, model: Path
+    people: Sequence[StreetPerson], tools: Tools, samples: real_facing.HeadSamples
 ) -> dict[str, list[Trial]]:
     """Trials of the street people, with facing weights that never saw their photograph."""
     names = sorted({person.photograph.name for person in people})
-    network = PersonNetwork(model)
     readers = {
-        names[group]: weights.reader(network)
+        names[group]: weights.reader(tools.network)
         for group, weights in zip(
             samples.group.tolist(), real_facing.cross_validated(samples), strict=True
         )
@@ -206,7 +205,7 @@ def pose2sim(
     folder: Path, tools: Tools, options: argparse.Namespace, python: Path | None
 ) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
     """Trials in the true boxes of both cameras, and the figures of all that was tried."""
-    estimator = tools.estimator(load_facing_reader(options.model))
+    estimator = tools.estimator(load_facing_reader(tools.network))
     trials: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
     for camera in CAMERAS:

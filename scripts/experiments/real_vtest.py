@@ -18,9 +18,8 @@ from scripts.experiments.real_data import as_array
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 MARKS = ROOT / "tests" / "data" / "vtest-people.json"
-FOUND_FROM = 0.4
-"""Overlap of boxes from which a marked walker counts as found: a box of 25 x 60 px that is marked
-by hand is good to two pixels, which alone costs 0.15."""
+FOUND_FROM = 0.5
+"""Overlap (IoU) of boxes from which a marked walker counts as found."""
 
 
 @dataclass(frozen=True)
