@@ -23,6 +23,7 @@ EXPERIMENTS = {
     "descriptor": "scripts.experiments.descriptor_choice",
     "simulation": "scripts.experiments.strict",
     "sizing": "scripts.experiments.sizing",
+    "real": "scripts.experiments.real",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 
