@@ -25,7 +25,7 @@ from index.build.builder import (
     split_by_clip,
     without_clips,
 )
-from index.build.calibrate import Trial, run_trial
+from index.build.calibrate import Queries, Trial, run_trial
 from index.build.learn import Recipe, Scatter, discriminate, measure_scatter
 from index.build.motion import read_manifest
 from index.build.poses import read_poses
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> None:
                 if isinstance(key, Recipe):
                     descriptor = learn(scatters[key.p2], key)
                 index = assemble(known, descriptor, Calibration.none(), {}, "choice")
-                done.append(run_trial(index, queries))
+                done.append(run_trial(index, Queries.of(queries)))
                 bar.update()
     figures = {key: summary(done, trials[SHIPPED]) for key, done in trials.items()}
     report(choices, figures, folds, options.out)
@@ -182,7 +182,8 @@ def report(
         "## The paper's descriptor\n\nDiagonal moments, 24 orders in two regions, 48 values: "
         f"{diagonal['right_1']:.1f} % right at 1, {diagonal['right_7']:.1f} % within 7, "
         f"{diagonal['first_mm']:.0f} and {diagonal['best_mm']:.0f} mm.",
-    ], {"entries": PLAN.entries, "queries": asked, "choices": curves, DIAGONAL: diagonal})  # fmt: skip
+    ], {"entries": PLAN.entries, "queries": asked, "choices": curves,
+        DIAGONAL: diagonal})  # fmt: skip
 
 
 NOTES = {
