@@ -5,14 +5,12 @@ python -m scripts.measure_workers [--workers 1 2 3] [--write]
 
 from __future__ import annotations
 
-import argparse
 import asyncio
-from pathlib import Path
 
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import PoseIndex
 from scripts.open_loop import ClosedLoop
 from scripts.overload import calls
-from scripts.results import RELIABILITY, machine, revision, write_section
+from scripts.results import conclude, machine, measurement_parser, revision
 from scripts.server_process import ServerProcess
 
 SECONDS_A_WORKER = 5.0
@@ -20,10 +18,8 @@ SECONDS_A_WORKER = 5.0
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description="Measure what memory each worker costs.")
-    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser = measurement_parser("Measure what memory each worker costs.")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 3])
-    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
     options = parser.parse_args()
     kinds = calls(PoseIndex.load(options.index))
     requests = [call for kind in kinds.values() for call in kind]
@@ -42,9 +38,7 @@ def main() -> None:
 {chr(10).join(rows)}
 
 Pages that several processes share are counted once (proportional set size)."""
-    print(body)
-    if options.write:
-        write_section(RELIABILITY, "Memory of workers", body)
+    conclude("Memory of workers", body, write=options.write)
 
 
 if __name__ == "__main__":
