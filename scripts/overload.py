@@ -10,7 +10,6 @@ an orchestrator does.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import os
 import sys
@@ -23,10 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from app.settings import Settings
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import PoseIndex
 from scripts.open_loop import MAX_CONNECTIONS, ClosedLoop, OpenLoop, Tally
 from scripts.raw_client import Call, RawClient
-from scripts.results import RELIABILITY, machine, percentile, revision, write_section
+from scripts.results import conclude, machine, measurement_parser, percentile, revision
 from scripts.server_process import ServerProcess
 from scripts.street import encode, street
 
@@ -202,10 +201,8 @@ deadline, nothing but 200 and 503 with `Retry-After`.
 
 def main() -> int:
     """Command line; 1 where a criterion fails."""
-    parser = argparse.ArgumentParser(description="Overload a real server.")
-    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser = measurement_parser("Overload a real server.")
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
     options = parser.parse_args()
     settings = Settings()
     in_flight = settings.concurrency + settings.queue_length
@@ -215,9 +212,7 @@ def main() -> int:
         for name, requests in calls(PoseIndex.load(options.index)).items():
             outcomes.append(overload(server, name, requests, in_flight, options.seconds))
         body, failed = report(outcomes, options.seconds)
-    print(body)
-    if options.write:
-        write_section(RELIABILITY, "Ten times the load it carries", body)
+    conclude("Ten times the load it carries", body, write=options.write)
     return 1 if failed else 0
 
 
