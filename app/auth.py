@@ -41,7 +41,7 @@ def check_key(settings: Settings, given: Iterable[str | None]) -> None:
         )
 
 
-def _require_key(
+async def _require_key(
     runtime: RuntimeDep,
     header: Annotated[str | None, Security(_header)],
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],

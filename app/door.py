@@ -1,17 +1,20 @@
 """The door: how many uploads come in at once, how large they are and how long they take.
 
 FastAPI reads a whole body before any code of a route runs, so this stands before it, as
-plain ASGI. An upload that is refused costs neither parsing nor memory.
+plain ASGI. An upload that is refused costs neither parsing nor memory, so that at many times
+the load the service can carry, the cores are left to the frames it has accepted.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import ProblemError, overloaded, problem_response
+from app.pool import FULL
 
 
 class Door:
@@ -20,6 +23,8 @@ class Door:
     Parameters
     ----------
     app : ASGI application
+    is_full : callable
+        Whether a frame more would be refused where frames are worked on.
     max_bytes : int
         Of one request body.
     max_open : int
@@ -28,8 +33,17 @@ class Door:
         For receiving one body.
     """
 
-    def __init__(self, app: ASGIApp, *, max_bytes: int, max_open: int, timeout_s: float) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        is_full: Callable[[], bool],
+        max_bytes: int,
+        max_open: int,
+        timeout_s: float,
+    ) -> None:
         self.app = app
+        self._is_full = is_full
         self._max_bytes = max_bytes
         self._max_open = max_open
         self._timeout_s = timeout_s
@@ -51,6 +65,8 @@ class Door:
             self._open -= 1
 
     def _refusal(self, scope: Scope) -> ProblemError | None:
+        if self._is_full():
+            return overloaded(FULL, "queue_full")
         if self._open >= self._max_open:
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
         length = dict(scope["headers"]).get(b"content-length", b"")

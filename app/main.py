@@ -15,11 +15,11 @@ from starlette.formparsers import MultiPartParser
 from app.door import Door
 from app.errors import register_error_handlers
 from app.estimator import Estimator
-from app.memory import give_back_freed_memory
 from app.metrics import Metrics
 from app.observation import Observation
 from app.openapi import add_openapi
 from app.pool import WorkPool
+from app.process import give_back_freed_memory, leave_alone_what_stays, switch_threads_often
 from app.routes import deepstack, health, index, pose
 from app.routes.docs import add_docs
 from app.routes.page import add_page
@@ -59,6 +59,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     """
     settings = settings or Settings()
     give_back_freed_memory()
+    switch_threads_often()
     runtime = Runtime(
         settings,
         WorkPool(settings.concurrency, settings.queue_length, settings.request_timeout_s),
@@ -89,6 +90,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     MultiPartParser.spool_max_size = settings.max_upload_bytes
     app.add_middleware(
         Door,
+        is_full=runtime.pool.is_full,
         max_bytes=settings.max_upload_bytes,
         max_open=settings.max_requests,
         timeout_s=settings.upload_timeout_s,
@@ -118,6 +120,7 @@ async def _load(runtime: Runtime) -> None:
     def load() -> Estimator:
         estimator = Estimator.load(runtime.settings)
         estimator.warm_up()
+        leave_alone_what_stays()
         return estimator
 
     try:

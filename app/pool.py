@@ -10,7 +10,11 @@ from typing import TypeVar
 import anyio
 from anyio import CapacityLimiter, to_thread
 
+from app.process import give_way
+
 T = TypeVar("T")
+
+FULL = "the service is working to capacity; try again shortly"
 
 
 class OverloadedError(Exception):
@@ -70,6 +74,10 @@ class WorkPool:
         self.inside = 0
         """Jobs that run or wait."""
 
+    def is_full(self) -> bool:
+        """Whether one job more would be refused."""
+        return self.inside >= self._capacity
+
     async def run(self, work: Callable[[Watch], T], until_gone: Callable[[], Awaitable[None]]) -> T:
         """Do ``work`` in a thread.
 
@@ -85,9 +93,14 @@ class WorkPool:
         ------
         OverloadedError, DeadlineError, ClientGoneError
         """
-        if self.inside >= self._capacity:
-            raise OverloadedError("the service is working to capacity; try again shortly")
+        if self.is_full():
+            raise OverloadedError(FULL)
         watch = Watch(self._timeout_s)
+
+        def job() -> T:
+            give_way()
+            return work(watch)
+
         outcome: T | None = None
         failure: Exception | None = None
         finished = False
@@ -103,7 +116,7 @@ class WorkPool:
 
                     tasks.start_soon(tell_when_gone)
                     try:
-                        outcome = await to_thread.run_sync(work, watch, limiter=self._threads)
+                        outcome = await to_thread.run_sync(job, limiter=self._threads)
                         finished = True
                     except Exception as error:
                         # Kept for later, as a task group would wrap it into a group.

@@ -46,14 +46,16 @@ class Runtime:
         return self.estimator
 
 
-def _runtime(request: Request) -> Runtime:
+# Dependencies are coroutines although they wait for nothing: FastAPI runs any other function
+# in a thread, and each way there and back takes milliseconds while frames keep the cores busy.
+async def _runtime(request: Request) -> Runtime:
     return cast(Runtime, request.app.state.runtime)
 
 
 RuntimeDep = Annotated[Runtime, Depends(_runtime)]
 
 
-def _ready_estimator(runtime: RuntimeDep) -> Estimator:
+async def _ready_estimator(runtime: RuntimeDep) -> Estimator:
     return runtime.ready_estimator()
 
 
@@ -68,4 +70,5 @@ async def run_in_pool(request: Request, work: Callable[[Watch], T]) -> T:
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    return await _runtime(request).pool.run(work, until_gone)
+    runtime = await _runtime(request)
+    return await runtime.pool.run(work, until_gone)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
 _BOUNDARY = b"silhouette-pose-boundary"
+_CONTENT_TYPE = f"multipart/form-data; boundary={_BOUNDARY.decode()}"
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,16 @@ class Call:
         return b"".join(out) + b"--" + _BOUNDARY + b"--\r\n"
 
 
+def request_bytes(call: Call) -> bytes:
+    """Write a request as it goes over the wire, to be sent as often as one likes."""
+    head = [f"{call.method} {call.path} HTTP/1.1", "Host: localhost"]
+    body = b""
+    if call.method == "POST":
+        body = call.body()
+        head += [f"Content-Type: {_CONTENT_TYPE}", f"Content-Length: {len(body)}"]
+    return "\r\n".join([*head, "", ""]).encode() + body
+
+
 class RawClient:
     """Calls over one kept-alive connection, opened anew where the server closed it.
 
@@ -54,7 +65,7 @@ class RawClient:
         headers = {}
         body = None
         if call.method == "POST":
-            headers["Content-Type"] = f"multipart/form-data; boundary={_BOUNDARY.decode()}"
+            headers["Content-Type"] = _CONTENT_TYPE
             body = call.body()
         try:
             self._connection.request(call.method, call.path, body, headers)
@@ -67,6 +78,6 @@ class RawClient:
     def hang_up(self, call: Call) -> None:
         """Send a request and close the connection without waiting for the answer."""
         body = call.body()
-        headers = {"Content-Type": f"multipart/form-data; boundary={_BOUNDARY.decode()}"}
+        headers = {"Content-Type": _CONTENT_TYPE}
         self._connection.request(call.method, call.path, body, headers)
         self._connection.close()

@@ -53,14 +53,11 @@ export async function tint(blob) {
   return canvas;
 }
 
-/** The photograph with boxes, silhouettes and skeletons, as `shown` says. */
-export function drawStage(canvas, { photo, answer, silhouettes, person, hypothesis, shown }) {
+/** Photograph, silhouettes, boxes and skeletons in pixels of the photograph, as `shown` says. */
+function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, shown }, line) {
   const { width, height } = answer.image;
-  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-  const context = canvas.getContext("2d");
   context.drawImage(photo, 0, 0, width, height);
   if (shown.silhouettes && silhouettes) context.drawImage(silhouettes, 0, 0);
-  const line = Math.max(1.5, Math.max(width, height) / 400);
   answer.persons.forEach((found, number) => {
     const chosen = number === person;
     if (shown.boxes) {
@@ -69,7 +66,7 @@ export function drawStage(canvas, { photo, answer, silhouettes, person, hypothes
       context.strokeStyle = personColour(number);
       context.lineWidth = chosen ? line * 1.8 : line;
       context.strokeRect(x + 0.5, y + 0.5, w, h);
-      context.font = `600 ${Math.max(11, line * 8)}px system-ui, sans-serif`;
+      context.font = `600 ${line * 8}px system-ui, sans-serif`;
       context.lineWidth = line * 2;
       context.strokeStyle = "rgb(0 0 0 / 0.75)";
       context.fillStyle = personColour(number);
@@ -80,9 +77,30 @@ export function drawStage(canvas, { photo, answer, silhouettes, person, hypothes
     const pose = found.hypotheses[chosen ? hypothesis : 0];
     if (shown.skeleton && pose) {
       drawFlat(context, pose.joints_2d, answer.keypoints, ({ x, y }) => [x + 0.5, y + 0.5],
-        Math.max(line, found.box.height / 70));
+        Math.max(line * 0.8, found.box.height / 70));
     }
   });
+}
+
+/** The whole photograph with what was found in it. */
+export function drawStage(canvas, scene) {
+  const { width, height } = scene.answer.image;
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  drawLayers(canvas.getContext("2d"), scene, Math.max(1.5, Math.max(width, height) / 400));
+}
+
+/** The chosen person, filling the canvas: in a street they are small. */
+export function drawCloseUp(canvas, scene) {
+  const context = canvas.getContext("2d");
+  context.resetTransform();
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  const found = scene.answer.persons[scene.person];
+  if (!found) return;
+  const { x, y, width, height } = found.box;
+  const scale = Math.min(canvas.width / (1.3 * width), canvas.height / (1.25 * height));
+  const [left, top] = [x + width / 2 - canvas.width / scale / 2, y + height / 2 - canvas.height / scale / 2];
+  context.setTransform(scale, 0, 0, scale, -left * scale, -top * scale);
+  drawLayers(context, scene, 2.5 / scale);
 }
 
 /** A skeleton in a small card, upright and filling it. */
@@ -152,7 +170,7 @@ export class Solid {
     if (!known.length) return;
     const middle = ["x", "y", "z"].map((axis) => known.reduce((sum, p) => sum + p[axis], 0) / known.length);
     const reach = Math.max(...known.map((p) => Math.hypot(p.x - middle[0], p.y - middle[1], p.z - middle[2])));
-    const scale = canvas.width * 0.42 / reach, distance = 6 * reach;
+    const scale = Math.min(canvas.width * 0.5, canvas.height * 0.42) / reach, distance = 6 * reach;
     const [cy, sy, cp, sp] = [Math.cos(this.yaw), Math.sin(this.yaw), Math.cos(this.pitch), Math.sin(this.pitch)];
     // Camera axes: x right, y down, z forward; the skeleton turns about its own middle.
     const place = ({ x, y, z }) => {

@@ -1,6 +1,8 @@
 // The debug page: a photograph in, what the service made of it out.
 
-import { drawStage, drawThumbnail, personColour, Solid, tint } from "./drawing.js";
+import {
+  drawCloseUp, drawStage, drawThumbnail, personColour, Solid, tint,
+} from "./drawing.js";
 import {
   curlCommand, describeIndex, entrySilhouette, estimatePose, extractSilhouettes,
 } from "./service.js";
@@ -55,6 +57,7 @@ async function ask(upload) {
   const chosen = options();
   complain(null);
   $("result").classList.add("busy");
+  $("busy").hidden = Boolean(webcam);
   try {
     const bitmap = await createImageBitmap(upload.frame).catch(() => null);
     const answer = await estimatePose(upload, { ...chosen, signal });
@@ -62,7 +65,8 @@ async function ask(upload) {
       ? await extractSilhouettes(upload, { ...chosen, signal }).catch(() => null) : null;
     const silhouettes = labels && await tint(labels);
     if (signal.aborted) return;
-    const person = Math.min(state.person, Math.max(0, answer.persons.length - 1));
+    const person = upload.sameScene
+      ? Math.min(state.person, Math.max(0, answer.persons.length - 1)) : largest(answer.persons);
     Object.assign(state, { upload, bitmap, answer, silhouettes, person, hypothesis: 0 });
     $("result").hidden = false;
     document.body.classList.add("has-result");
@@ -72,8 +76,17 @@ async function ask(upload) {
   } catch (error) {
     if (error.name !== "AbortError") complain(error);
   } finally {
-    if (!signal.aborted) $("result").classList.remove("busy");
+    if (!signal.aborted) {
+      $("result").classList.remove("busy");
+      $("busy").hidden = true;
+    }
   }
+}
+
+/** Who to look at first: whoever stands nearest to the camera. */
+function largest(persons) {
+  const heights = persons.map(({ box }) => box.height);
+  return Math.max(0, heights.indexOf(Math.max(...heights)));
 }
 
 /** A group of radio buttons: arrow keys, focus and screen readers come with them. */
@@ -148,21 +161,35 @@ function card(hypothesis) {
   return box;
 }
 
+const FACING_FROM = { image: "from the photograph", motion: "from the walk", none: "a silhouette cannot tell" };
+
+/** What is known of a person, as pairs of term and text. */
+function facts(found, { source, camera }) {
+  const front = found.facing.front_probability;
+  const towards = front >= 0.5;
+  const around = ((Math.round(camera.azimuth_deg) + 180) % 360) - 180;
+  const side = around > 0 ? "the person’s left" : "the person’s right";
+  return [
+    ["Faces", `${towards ? "the camera" : "away"}, ${percent(towards ? front : 1 - front)} sure `
+      + `(${FACING_FROM[found.facing.evidence]})`],
+    ["Seen from", `${Math.abs(around)}° to ${side}, ${Math.round(camera.elevation_deg)}° above`],
+    ["Motion", `clip ${source.clip}, frame ${source.frame}${source.mirrored ? ", mirrored" : ""}`],
+    ["Body", source.subject],
+    ["Found by", found.source + (found.detection_score === null ? "" : ` (${percent(found.detection_score)})`)],
+    ["Cut out by", found.silhouette.segmenter + (found.silhouette.truncated ? ", cut off by the edge" : "")],
+  ];
+}
+
 function showPose() {
   const found = state.answer.persons[state.person];
   const hypothesis = found?.hypotheses[state.hypothesis];
   $("pose").hidden = !hypothesis;
   if (hypothesis) {
     solid.show(hypothesis.joints_3d, state.answer.keypoints);
-    const { clip, frame, subject } = hypothesis.source;
-    const { azimuth_deg: azimuth, elevation_deg: elevation } = hypothesis.camera;
-    $("facts").textContent = [
-      `faces the camera with ${percent(found.facing.front_probability)} (evidence: ${found.facing.evidence})`,
-      `clip ${clip}, frame ${frame}, ${subject}`,
-      `seen from ${Math.round(azimuth)}° around, ${Math.round(elevation)}° above`,
-      `found by ${found.source}${found.detection_score === null ? "" : ` (${percent(found.detection_score)})`}`,
-      `cut out by ${found.silhouette.segmenter}${found.silhouette.truncated ? ", truncated" : ""}`,
-    ].join(" · ");
+    $("facts").replaceChildren(...facts(found, hypothesis).flatMap(([term, text]) => [
+      Object.assign(document.createElement("dt"), { textContent: term }),
+      Object.assign(document.createElement("dd"), { textContent: text }),
+    ]));
   }
   const { total, ...stages } = state.answer.timings_ms;
   $("timings").textContent = `${total.toFixed(0)} ms: ${Object.entries(stages)
@@ -172,7 +199,7 @@ function showPose() {
 
 function draw() {
   if (!state.answer || !state.bitmap) return;
-  drawStage($("stage"), {
+  const scene = {
     ...state,
     photo: state.bitmap,
     shown: {
@@ -180,7 +207,10 @@ function draw() {
       silhouettes: $("show-silhouettes").checked,
       skeleton: $("show-skeleton").checked,
     },
-  });
+  };
+  drawStage($("stage"), scene);
+  // Close up there is nobody else to be told from.
+  drawCloseUp($("close-up"), { ...scene, shown: { ...scene.shown, boxes: false } });
 }
 
 /** Frames from the webcam, one after another, as fast as they are answered. */
@@ -206,7 +236,7 @@ async function toggleWebcam() {
     Object.assign(shot, { width: video.videoWidth, height: video.videoHeight });
     shot.getContext("2d").drawImage(video, 0, 0);
     const blob = await new Promise((done) => shot.toBlob(done, "image/jpeg", 0.9));
-    await ask({ frame: new File([blob], "webcam.jpg", { type: "image/jpeg" }) });
+    await ask({ frame: new File([blob], "webcam.jpg", { type: "image/jpeg" }), sameScene: true });
     await new Promise((wake) => setTimeout(wake, 150));
   }
 }
@@ -222,12 +252,14 @@ async function copy(text, what) {
   }
 }
 
-/** What was dropped, pasted or chosen: a photograph, and a mask if a file is named so. */
+/** What was dropped, pasted or chosen: a photograph, and what other files are named for. */
 function take(files) {
   const images = [...files].filter((file) => file.type.startsWith("image/") || !file.type);
-  const mask = images.find((file) => images.length > 1 && /mask/i.test(file.name));
-  const frame = images.find((file) => file !== mask);
-  if (frame) ask({ frame, mask });
+  const named = (word) => images.find((file) => images.length > 1 && word.test(file.name));
+  const mask = named(/mask/i);
+  const background = mask ? undefined : named(/background/i);
+  const frame = images.find((file) => file !== mask && file !== background);
+  if (frame) ask({ frame, mask, background });
   else if (files.length) complain(new Error("That is no picture file."));
 }
 

@@ -24,10 +24,11 @@ async function answer(path, options = {}, key = "") {
   throw new Problem(problem);
 }
 
-function form({ frame, mask }) {
+function form({ frame, mask, background }) {
   const data = new FormData();
   data.append("frame", frame, frame.name || "photo.jpg");
   if (mask) data.append("mask", mask, mask.name);
+  if (background) data.append("background", background, background.name);
   return data;
 }
 
@@ -48,9 +49,9 @@ export async function entrySilhouette(entry, key) {
   return (await answer(`index/entries/${entry}/silhouette.png`, {}, key)).blob();
 }
 
-export function curlCommand({ frame, mask }, { count, keypoints, keyed }) {
+export function curlCommand({ frame, mask, background }, { count, keypoints, keyed }) {
   const url = new URL(`pose?n=${count}&keypoints=${keypoints}`, document.baseURI);
   const part = (field, file) => `-F '${`${field}=@${file.name || "photo.jpg"}`.replaceAll("'", "'\\''")}' `;
   return `curl ${keyed ? "-H \"X-API-Key: $KEY\" " : ""}${part("frame", frame)}`
-    + `${mask ? part("mask", mask) : ""}'${url}'`;
+    + `${mask ? part("mask", mask) : ""}${background ? part("background", background) : ""}'${url}'`;
 }

@@ -222,7 +222,9 @@ def grow(
     for size in GROWTH:
         part = first_entries(whole, np.arange(min(size, len(whole))))
         index = assemble(part, descriptor, Calibration.none(), {}, "growth")
-        figures.append({"entries": len(part), **summary(run_trial(index, asked))})
+        figure = summary(run_trial(index, asked))
+        del figure["ece"]  # These have no calibration.
+        figures.append({"entries": len(part), **figure})
         say(f"{len(part):,} entries: {figures[-1]}")
     return figures
 

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from tests.conftest import Photo, Server
+from tests.conftest import Photo, Server, png
 
 FLAGS = [
     "--no-sandbox",
@@ -108,6 +109,30 @@ def test_the_keyboard_chooses_and_turns(page: Any, pictures: list[str]) -> None:
     still = solid.evaluate("c => c.toDataURL()")
     page.keyboard.press("ArrowLeft")
     assert solid.evaluate("c => c.toDataURL()") != still
+
+
+def test_the_tallest_person_is_shown_first_and_close_up(page: Any, tmp_path: Path) -> None:
+    labels = np.zeros((240, 320), np.uint8)
+    labels[100:160, 30:60], labels[60:200, 200:260] = 1, 2
+    paths = [tmp_path / "two.png", tmp_path / "two_mask.png"]
+    paths[0].write_bytes(png(np.full((240, 320, 3), 90, np.uint8)))
+    paths[1].write_bytes(png(labels))
+    page.set_input_files("#file", [str(path) for path in paths])
+    page.locator("#hypotheses .card").first.wait_for()
+    assert page.locator("#persons input").nth(1).is_checked()
+    close_up = page.locator("#close-up")
+    second = close_up.evaluate("c => c.toDataURL()")
+    page.locator("#persons input").first.check()
+    assert close_up.evaluate("c => c.toDataURL()") != second
+
+
+def test_a_background_goes_with_the_frame(page: Any, photo: Photo, tmp_path: Path) -> None:
+    paths = [tmp_path / "yard.png", tmp_path / "yard_background.png"]
+    paths[0].write_bytes(photo.frame_png)
+    paths[1].write_bytes(png(np.full(photo.frame.shape, 200, np.uint8)))
+    page.set_input_files("#file", [str(path) for path in paths])
+    page.get_by_text("-F 'background=@yard_background.png'").wait_for()
+    assert page.locator("#facts").get_by_text("background").count() > 0
 
 
 def test_a_drop_a_paste_and_a_mistake(page: Any, photo: Photo) -> None:

@@ -1,0 +1,225 @@
+"""Offer a server ten times the load it can carry, and see how it bears it.
+
+    python -m scripts.overload [--index index/data] [--seconds 20] [--write]
+
+Capacity is measured first, with as many requests in flight as the service lets in. Then ten
+times that many requests are sent each second, whether answered or not, at random times, while
+another process asks ``/healthz`` every few milliseconds, each time over a new connection, as
+an orchestrator does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from app.settings import Settings
+from index.store import DEFAULT_PATH, PoseIndex
+from scripts.open_loop import MAX_CONNECTIONS, ClosedLoop, OpenLoop, Tally
+from scripts.raw_client import Call, RawClient
+from scripts.results import RELIABILITY, machine, percentile, revision, write_section
+from scripts.server_process import ServerProcess
+from scripts.street import encode, street
+
+TIMES = 10
+PROBE_EVERY_S = 0.02
+PROBE_P99_MS = 50.0
+REJECTED_MS = 50.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One kind of request under overload.
+
+    Parameters
+    ----------
+    name : str
+    capacity : float
+        Frames per second that the service carries.
+    tally : Tally
+        Of the requests offered at ten times that.
+    probes_ms : list of float
+        Answer times of ``/healthz`` meanwhile.
+    calm_ms : list of float
+        The same before, with nothing else going on.
+    client_share, server_share : float
+        Of one core, that each took meanwhile.
+    """
+
+    name: str
+    capacity: float
+    tally: Tally
+    probes_ms: list[float]
+    calm_ms: list[float]
+    client_share: float
+    server_share: float
+
+    def accepted_ms(self) -> list[float]:
+        """Answer times of the frames that were worked on."""
+        return [answer.ms for answer in self.tally.of(200)]
+
+    def rejected_ms(self) -> list[float]:
+        """Answer times of those that were sent away."""
+        return [answer.ms for answer in self.tally.of(503)]
+
+    def failures(self, deadline_s: float) -> list[str]:
+        """Say which criteria are missed."""
+        out = []
+        statuses = Counter(answer.status for answer in self.tally.answers)
+        if set(statuses) - {200, 503} or self.tally.broken:
+            out.append(f"answers {dict(statuses)}, {self.tally.broken} broken connections")
+        if any(not answer.retry_after for answer in self.tally.of(503)):
+            out.append("503 without Retry-After")
+        if percentile(self.probes_ms, 99) >= PROBE_P99_MS:
+            out.append(f"p99 of /healthz {percentile(self.probes_ms, 99):.0f} ms")
+        if percentile(self.rejected_ms(), 99) >= REJECTED_MS:
+            out.append(f"p99 of rejections {percentile(self.rejected_ms(), 99):.0f} ms")
+        if max(self.accepted_ms(), default=0.0) > deadline_s * 1000:
+            out.append("an accepted frame after its deadline")
+        return [f"{self.name}: {failure}" for failure in out]
+
+
+def calls(index: PoseIndex) -> dict[str, list[Call]]:
+    """Return the kinds of request tried, from the quickest to the slowest to serve."""
+    scenes = [street(index, width=320, height=240, seed=seed) for seed in range(8)]
+    frames = [encode(".jpg", frame) for frame, _ in scenes]
+    masks = [encode(".png", mask) for _, mask in scenes]
+    return {
+        "`/pose` with a mask": [
+            Call("POST", "/pose", {"frame": frame, "mask": mask})
+            for frame, mask in zip(frames, masks, strict=True)
+        ],
+        "`/pose`, people searched for": [Call("POST", "/pose", {"frame": f}) for f in frames],
+    }
+
+
+def probe(url: str, seconds: float) -> list[float]:
+    """Ask ``/healthz`` at fixed times, each over a new connection; return milliseconds."""
+    times = []
+    started = time.perf_counter()
+    for at in np.arange(0.0, seconds, PROBE_EVERY_S):
+        time.sleep(max(0.0, started + at - time.perf_counter()))
+        asked = time.perf_counter()
+        status, _ = RawClient(url).send(Call("GET", "/healthz"))
+        if status != 200:
+            raise RuntimeError(f"/healthz answered {status}")
+        times.append((time.perf_counter() - asked) * 1000)
+    return times
+
+
+def overload(
+    server: ServerProcess, name: str, requests: list[Call], in_flight: int, seconds: float
+) -> Outcome:
+    """Measure capacity, then offer ten times as much."""
+    asyncio.run(ClosedLoop(server.url, requests).run(in_flight, 2))  # Warms up.
+    carried = asyncio.run(ClosedLoop(server.url, requests).run(in_flight, seconds / 3))
+    capacity = len(carried.of(200)) / carried.seconds
+    rng = np.random.default_rng(0)
+    gaps = rng.exponential(1 / (TIMES * capacity), round(TIMES * capacity * seconds))
+    times = np.cumsum(gaps).tolist()
+    with ProcessPoolExecutor(1) as prober:
+        calm = prober.submit(probe, server.url, 3).result()
+        probes = prober.submit(probe, server.url, seconds)
+        before = np.array([sum(os.times()[:2]), server.cpu_s()])
+        tally = asyncio.run(OpenLoop(server.url, requests).run(times))
+        used = np.array([sum(os.times()[:2]), server.cpu_s()]) - before
+        shares = used / tally.seconds
+        return Outcome(name, capacity, tally, probes.result(), calm, *shares.tolist())
+
+
+def spread(values: list[float]) -> str:
+    """Write median, p99 and the most."""
+    most = max(values, default=0.0)
+    return f"{percentile(values, 50):.1f} / {percentile(values, 99):.1f} / {most:.0f}"
+
+
+def report(outcomes: list[Outcome], seconds: float) -> tuple[str, list[str]]:
+    """Return the section in Markdown and what has failed."""
+    settings = Settings()
+    failed = [text for one in outcomes for text in one.failures(settings.request_timeout_s)]
+
+    def row(what: str, cells: list[str]) -> str:
+        return f"| {what} | " + " | ".join(cells) + " |"
+
+    offered = [len(one.tally.late_ms) for one in outcomes]
+    rows = [
+        row("", [one.name for one in outcomes]),
+        row("---", ["---"] * len(outcomes)),
+        row("capacity, frames/s", [f"{one.capacity:.0f}" for one in outcomes]),
+        row(
+            "offered, requests/s",
+            [f"{len(one.tally.late_ms) / seconds:.0f}" for one in outcomes],
+        ),
+        row(
+            "answered 200 / 503 / otherwise or not at all",
+            [
+                f"{len(one.tally.of(200))} / {len(one.tally.of(503))} / "
+                f"{count - one.tally.unsent - len(one.tally.of(200)) - len(one.tally.of(503))}"
+                for one, count in zip(outcomes, offered, strict=True)
+            ],
+        ),
+        row(
+            "frames/s carried meanwhile",
+            [f"{len(one.tally.of(200)) / one.tally.seconds:.0f}" for one in outcomes],
+        ),
+        row("`/healthz`, calm", [spread(one.calm_ms) for one in outcomes]),
+        row("**`/healthz`, overloaded**", [spread(one.probes_ms) for one in outcomes]),
+        row("**rejected**", [spread(one.rejected_ms()) for one in outcomes]),
+        row("**accepted**", [spread(one.accepted_ms()) for one in outcomes]),
+        row("sent after its time", [spread(one.tally.late_ms) for one in outcomes]),
+        row("not sent, too many unanswered", [str(one.tally.unsent) for one in outcomes]),
+        row(
+            "cores taken by client / server",
+            [f"{one.client_share:.2f} / {one.server_share:.2f}" for one in outcomes],
+        ),
+    ]
+    body = f"""`python -m scripts.overload --seconds {seconds:g}`, revision {revision()}.
+{machine()}. Load average before: {os.getloadavg()[0]:.1f}.
+
+{TIMES} times capacity for {seconds:g} s at random times, from one client with at most
+{MAX_CONNECTIONS} kept-alive connections; `/healthz` every {PROBE_EVERY_S * 1000:g} ms from a
+process of its own, over a new connection each. **Client, probe and server share the
+machine's cores**, so the server has less than it would have alone. Times are milliseconds,
+median / p99 / most, as the client sees them, its own delays included. Frames of 320x240.
+Deadline of an accepted frame: {settings.request_timeout_s:g} s (`POSE_REQUEST_TIMEOUT_S`).
+
+{chr(10).join(rows)}
+
+Targets: p99 of `/healthz` and of rejections under 50 ms, every accepted frame within its
+deadline, nothing but 200 and 503 with `Retry-After`.
+{"Failed: " + "; ".join(failed) if failed else "Passed."}"""
+    return body, failed
+
+
+def main() -> int:
+    """Command line; 1 where a criterion fails."""
+    parser = argparse.ArgumentParser(description="Overload a real server.")
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
+    options = parser.parse_args()
+    settings = Settings()
+    in_flight = settings.concurrency + settings.queue_length
+    outcomes = []
+    with ServerProcess(options.index, log=Path("/tmp/overload-server.log")) as server:
+        server.wait_until_ready()
+        for name, requests in calls(PoseIndex.load(options.index)).items():
+            outcomes.append(overload(server, name, requests, in_flight, options.seconds))
+        body, failed = report(outcomes, options.seconds)
+    print(body)
+    if options.write:
+        write_section(RELIABILITY, "Ten times the load it carries", body)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

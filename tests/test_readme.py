@@ -1,0 +1,118 @@
+"""Every curl command of the README does what it says, against a live server."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from index.store import DEFAULT_PATH
+from tests.conftest import ROOT, Server, start_server, wait_until
+
+README = ROOT / "README.md"
+SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
+
+_BLOCK = re.compile(r"^```(?:sh|bash|shell|console)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_SERVICE = re.compile(r"https?://(?:localhost|127\.0\.0\.1)(?::\d+)?")
+_FILE = re.compile(r"@([^\s;,'\"\\]+)")
+# curl's own report goes to standard error, the answer stays what the reader would see.
+_CURL = "curl() { command curl -sS -w '%{stderr}%{http_code} %{content_type}\\n' \"$@\"; }\n"
+
+
+def curl_commands(text: str) -> list[str]:
+    """The commands of a Markdown text that begin with ``curl``, with continued lines."""
+    commands: list[str] = []
+    for block in _BLOCK.findall(text):
+        continued = False
+        for line in block.splitlines():
+            line = line.removeprefix("$ ")
+            if continued:
+                commands[-1] += "\n" + line
+            elif line.startswith("curl "):
+                commands.append(line)
+            else:
+                continue
+            continued = line.endswith("\\")
+    return commands
+
+
+COMMANDS = curl_commands(README.read_text()) if README.exists() else []
+
+
+def test_commands_are_found_in_shell_blocks_alone() -> None:
+    text = (
+        "```sh\nmake run\ncurl a \\\n  b\ncurl c\n```\ncurl d\n```json\ncurl e\n```\n"
+        "```sh\n$ curl f | cat\n```\n"
+    )
+    assert curl_commands(text) == ["curl a \\\n  b", "curl c", "curl f | cat"]
+
+
+def test_the_readme_shows_how_to_call_the_service() -> None:
+    assert COMMANDS, f"{README} has no curl command in a block of sh"
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[Server]:
+    """A server over the index that ships, whose entries a README may name."""
+    running = start_server(DEFAULT_PATH)
+    try:
+        wait_until(f"{running.url}/readyz", timeout_s=60)
+        yield running
+    finally:
+        running.stop()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where all commands run, in order: a later one may send what an earlier one has saved."""
+    return tmp_path_factory.mktemp("readme")
+
+
+def placed(command: str, folder: Path) -> str:
+    """The command with the files it sends named so that they are found from the folder."""
+
+    def place(match: re.Match[str]) -> str:
+        name = match.group(1)
+        if (folder / name).exists():
+            return match.group(0)
+        if name.startswith("../shared/"):
+            path = SHARED / name.removeprefix("../shared/")
+            if not path.exists():
+                pytest.skip(f"needs {name}, which is not there")
+        else:
+            path = ROOT / name
+            assert path.exists(), f"the README sends {name}, which is not in the repository"
+        return f"@{path.resolve()}"
+
+    return _FILE.sub(place, command)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_it_works(command: str, service: Server, folder: Path) -> None:
+    for tool in ("curl", *re.findall(r"\|\s*([\w.-]+)", command)):
+        if shutil.which(tool) is None:
+            pytest.skip(f"needs {tool}")
+    script = _CURL + _SERVICE.sub(service.url, placed(command, folder))
+    assert service.url in script, "the command does not call the service"
+    before = set(folder.iterdir())
+    result = subprocess.run(
+        ["/bin/sh", "-c", script], cwd=folder, capture_output=True, timeout=60, check=False
+    )
+    report = result.stderr.decode()
+    assert result.returncode == 0, report
+    status, _, content_type = report.strip().splitlines()[-1].partition(" ")
+    assert status.startswith("2"), report + result.stdout.decode(errors="replace")[:500]
+    saved = [path for path in folder.iterdir() if path not in before]
+    content = saved[0].read_bytes() if saved else result.stdout
+    if content_type.startswith("image/png"):
+        assert content.startswith(b"\x89PNG")
+    elif content_type.startswith("application/json") and "|" not in command:
+        json.loads(content)
+    else:
+        assert content
