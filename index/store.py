@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, restore
+from index.folders import clear_left_overs, lock, replace_folder
 from index.silhouettes import Silhouettes
 from index.skeleton import (
     NATIVE,
@@ -277,7 +278,9 @@ class PoseIndex:
         manifest["version"] = version
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
+        clear_left_overs(path)
         staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        held = lock(staging)
         try:
             for name, content in files.items():
                 (staging / _stored(name)).write_bytes(
@@ -285,9 +288,11 @@ class PoseIndex:
                 )
             (staging / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
             staging.chmod(0o755)
-            _replace_folder(staging, path)
+            replace_folder(staging, path)
         finally:
             shutil.rmtree(staging, ignore_errors=True)
+            if held is not None:
+                os.close(held)
         return version
 
     def _files(self) -> dict[str, bytes]:
@@ -463,19 +468,3 @@ def _npy(array: NDArray[np.generic]) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array, allow_pickle=False)
     return buffer.getvalue()
-
-
-def _replace_folder(source: Path, target: Path) -> None:
-    """Rename ``source`` to ``target``, setting an existing target aside until it is done."""
-    if not target.exists():
-        source.rename(target)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-    target.rename(aside / target.name)
-    try:
-        source.rename(target)
-    except OSError:
-        (aside / target.name).rename(target)
-        raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)

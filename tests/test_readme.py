@@ -19,7 +19,7 @@ README = ROOT / "README.md"
 SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
 
 _BLOCK = re.compile(r"^```(?:sh|bash|shell|console)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
-_SERVICE = re.compile(r"https?://(?:localhost|127\.0\.0\.1)(?::\d+)?")
+_SERVICE = re.compile(r"(?:https?://)?(?:localhost|127\.0\.0\.1)(?::\d+)?")
 _FILE = re.compile(r"@([^\s;,'\"\\]+)")
 # curl's own report goes to standard error, the answer stays what the reader would see.
 _CURL = "curl() { command curl -sS -w '%{stderr}%{http_code} %{content_type}\\n' \"$@\"; }\n"

@@ -30,7 +30,7 @@ from scripts.experiments.protocol import (
     recognised,
     split_by_frame,
 )
-from scripts.experiments.report import percent, table, write
+from scripts.experiments.report import compare, percent, table, write
 
 STDS_PX = (0.0, 1.0, 2.0, 3.0)
 COUNTS = (1, 3, 5, 7)
@@ -174,19 +174,6 @@ def verdict(rates: dict[str, dict[int, list[float]]]) -> str:
         f"descriptor on the same data: {compare(paper)}. Where the other is 100 %, equal is "
         "the most there is."
     )
-
-
-def compare(pairs: list[tuple[float, float]]) -> str:
-    """Count how often the first of a pair is above the second, as printed."""
-    printed = [(round(ours, 2), round(other, 2)) for ours, other in pairs]
-    above = sum(ours > other for ours, other in printed)
-    equal = sum(ours == other for ours, other in printed)
-    words = [f"above in {above} of {len(pairs)} cells"]
-    if equal:
-        words.append(f"equal in {equal}")
-    if above + equal < len(pairs):
-        words.append(f"below in {len(pairs) - above - equal}")
-    return ", ".join(words)
 
 
 def sampling(data: PaperData) -> str:

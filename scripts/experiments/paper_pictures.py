@@ -159,7 +159,7 @@ def plot_choice(
 ) -> None:
     """A panel for each choice: recognition at 1 and within 7, the paper's descriptor dashed."""
     figure, panels = plt.subplots(
-        1, len(curves), figsize=(13, 4), sharey=True, layout="constrained"
+        1, len(curves), figsize=(15, 4), sharey=True, layout="constrained"
     )
     for axes, (name, curve) in zip(panels, curves.items(), strict=True):
         labels = list(curve)

@@ -32,6 +32,19 @@ def percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
+def compare(pairs: Sequence[tuple[float, float]]) -> str:
+    """Count how often the first of a pair is above the second, as printed."""
+    printed = [(round(ours, 2), round(other, 2)) for ours, other in pairs]
+    above = sum(ours > other for ours, other in printed)
+    equal = sum(ours == other for ours, other in printed)
+    words = [f"above in {above} of {len(pairs)} cells"]
+    if equal:
+        words.append(f"equal in {equal}")
+    if above + equal < len(pairs):
+        words.append(f"below in {len(pairs) - above - equal}")
+    return ", ".join(words)
+
+
 def write(
     out: Path, name: str, command: str, paragraphs: Sequence[str], figures: Mapping[str, object]
 ) -> None:

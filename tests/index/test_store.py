@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import lzma
+import os
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
 from descriptor.silhouette import normalise
-from index import store
+from index import folders, store
 from index.silhouettes import Silhouettes
 from index.skeleton import camera_rotation, mirror_3d, mirror_normalised, project
 from index.store import ArtefactError, PoseIndex
@@ -130,6 +131,7 @@ class TestFailedSave:
     ) -> None:
         before = contents(saved)
         rename = Path.rename
+        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
 
         def fail_for_the_new(self: Path, target: Path) -> Path:
             if target == saved and self.parent == saved.parent:
@@ -158,6 +160,29 @@ dataclasses.replace(index, name="newer").save({str(saved)!r})
         assert contents(saved) == before
         dataclasses.replace(toy_index, name="newer").save(saved)
         assert PoseIndex.load(saved).name == "newer"
+        # What the killed one left is gone too.
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_folders_that_cannot_be_exchanged_are_replaced_in_two_steps(
+        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
+        dataclasses.replace(toy_index, name="newer").save(saved)
+        assert PoseIndex.load(saved).name == "newer"
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_another_save_that_is_under_way_keeps_its_files(
+        self, toy_index: PoseIndex, saved: Path
+    ) -> None:
+        staging = saved.parent / f".{saved.name}-other"
+        staging.mkdir()
+        held = folders.lock(staging)
+        toy_index.save(saved)
+        assert staging.exists()
+        assert held is not None
+        os.close(held)
+        toy_index.save(saved)
+        assert not staging.exists()
 
 
 def _full_disk(*_: object) -> None:
