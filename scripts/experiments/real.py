@@ -286,18 +286,20 @@ def _street(results: dict[str, Any]) -> list[str]:
     facing = results["facing"]
     rows = [
         f"| {name} | {part} | {int(one['people'])} | {one['pck']:.1f} % | {one['facing']:.1f} % "
-        f"| {one['facing_any']:.1f} % | {one['first_mm']:.0f} | {one['best_mm']:.0f} |"
+        f"| {one['within_90']:.1f} % | {one['facing_any']:.1f} % "
+        f"| {one['first_mm']:.0f} | {one['best_mm']:.0f} |"
         for name, parts in results["street"].items()
         for part, one in parts.items()
     ]
     return [
         "The people of `landmarks.json`, in their true boxes; facing weights cross-validated by "
         "photograph. PCK: share of the 12 limb joints within a tenth of the body height, first "
-        "hypothesis. Facing: front or back as in the reference. 3D: mean distance of the limb "
-        "joints, hips on hips.\n",
-        "| silhouettes | photographs | people | PCK | facing, first | facing, any of 7 "
-        "| 3D first (mm) | 3D best of 7 (mm) |",
-        "|---|---|---|---|---|---|---|---|",
+        "hypothesis. Facing: front or back as in the reference (of somebody seen from the side, "
+        "either may be); within 90 degrees: of the reference's azimuth. 3D: mean distance of the "
+        "limb joints, hips on hips.\n",
+        "| silhouettes | photographs | people | PCK | facing, first | within 90 degrees, first "
+        "| facing, any of 7 | 3D first (mm) | 3D best of 7 (mm) |",
+        "|---|---|---|---|---|---|---|---|---|",
         *rows,
         f"\nThe photograph alone tells front from back of {100 * facing['right']:.0f} % "
         f"({100 * facing['right_clear']:.0f} % of those not seen from the side), AUC "

@@ -50,6 +50,8 @@ class Trial:
         The same after the best similarity transform.
     facing_right : (N,) bool array
         Whether the camera sees each from the same side, front or back, as the reference.
+    turned_deg : (N,) float64 array
+        Angle between the azimuths of each and of the reference, 0 to 180.
     confidence : (N,) float64 array
     error_px : (N,) float64 array
         2D distance in the normalised frame.
@@ -61,6 +63,7 @@ class Trial:
     distance_m: NDArray[np.float64]
     procrustes_m: NDArray[np.float64]
     facing_right: NDArray[np.bool_]
+    turned_deg: NDArray[np.float64]
     confidence: NDArray[np.float64]
     error_px: NDArray[np.float64]
 
@@ -90,7 +93,9 @@ def judge(
     points_3d = np.array([one.hypothesis.points_3d[_ROWS] for one in person.hypotheses])
     points_3d = points_3d - points_3d[:, list(HIPS)].mean(axis=1, keepdims=True)
     apart_px = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
-    front = np.cos(np.deg2rad([azimuth_of_limbs(one) for one in points_3d])) > 0
+    azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
+    front = np.cos(np.deg2rad(azimuth)) > 0
+    turned = np.abs((azimuth - reference.azimuth_deg + 180) % 360 - 180)
     return Trial(
         name=name,
         odd=odd,
@@ -98,6 +103,7 @@ def judge(
         distance_m=_distances(points_3d, reference.joints_3d),
         procrustes_m=np.array([procrustes(one, reference.joints_3d) for one in points_3d]),
         facing_right=front == (np.cos(np.deg2rad(reference.azimuth_deg)) > 0),
+        turned_deg=turned,
         confidence=np.array([one.hypothesis.confidence for one in person.hypotheses]),
         error_px=scale * apart_px.mean(axis=1),
     )
@@ -199,6 +205,7 @@ def figures(trials: Sequence[Trial]) -> dict[str, float]:
         "pck_best": 100 * _mean([t.near.max() for t in trials]),
         "facing": 100 * _mean([t.facing_right[0] for t in trials]),
         "facing_any": 100 * _mean([t.facing_right.any() for t in trials]),
+        "within_90": 100 * _mean([t.turned_deg[0] < 90 for t in trials]),
         "first_mm": 1000 * _mean([t.distance_m[0] for t in trials]),
         "best_mm": 1000 * _mean([t.distance_m.min() for t in trials]),
         "first_procrustes_mm": 1000 * _mean([t.procrustes_m[0] for t in trials]),
