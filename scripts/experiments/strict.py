@@ -217,18 +217,13 @@ def grow(
     whole = simulate(poses, avatars, bodies=plan.bodies, views=views, seed=plan.seed, progress=True)
     every = max(1, len(queries) // GROWTH_QUERIES)
     asked = queries.take(np.arange(0, len(queries), every))
-    descriptor = learn_descriptor(first_entries(whole, np.arange(plan.entries)), plan.seed)
+    descriptor = learn_descriptor(whole.take(np.arange(plan.entries)), plan.seed)
     figures = []
     for size in GROWTH:
-        part = first_entries(whole, np.arange(min(size, len(whole))))
+        part = whole.take(np.arange(min(size, len(whole))))
         index = assemble(part, descriptor, Calibration.none(), {}, "growth")
         figure = summary(run_trial(index, asked))
         del figure["ece"]  # These have no calibration.
         figures.append({"entries": len(part), **figure})
         say(f"{len(part):,} entries: {figures[-1]}")
     return figures
-
-
-def first_entries(simulation: Simulation, rows: NDArray[np.integer]) -> Simulation:
-    """Some entries of a simulation."""
-    return replace(simulation, bits=simulation.bits[rows], entries=simulation.entries[rows])
