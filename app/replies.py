@@ -124,9 +124,9 @@ def _source(entry: Entry) -> schemas.MotionSource:
 
 def _camera(entry: Entry) -> schemas.Camera:
     return schemas.Camera(
-        azimuth_deg=entry.azimuth_deg,
-        elevation_deg=entry.elevation_deg,
-        roll_deg=entry.roll_deg,
+        azimuth_deg=round(entry.azimuth_deg, 2),
+        elevation_deg=round(entry.elevation_deg, 2),
+        roll_deg=round(entry.roll_deg, 2),
     )
 
 
