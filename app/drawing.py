@@ -47,7 +47,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
             cv2.drawContours(picture, outlines, -1, (255, 255, 255), line)
         if person.hypotheses:
             points = person.hypotheses[0].points_2d[list(keypoints.indices)]
-            _draw_skeleton(picture, points, keypoints, colour, line + 1)
+            draw_skeleton(picture, points, keypoints, colour, line + 1)
     return picture
 
 
@@ -68,13 +68,27 @@ def encode_png(picture: NDArray[np.uint8]) -> bytes:
     return data.tobytes()
 
 
-def _draw_skeleton(
+def draw_skeleton(
     picture: NDArray[np.uint8],
     points: NDArray[np.float64],
     keypoints: KeypointSet,
     colour: Sequence[int],
     line: int,
 ) -> None:
+    """Draw bones into a BGR picture, with a dark seam; points that are not finite are left out.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 array
+        Changed.
+    points : (K, 2) float64 array
+        Pixels, in the order of ``keypoints``.
+    keypoints : KeypointSet
+    colour : sequence of int
+        BGR.
+    line : int
+        Pixels.
+    """
     # Four binary digits behind the point: OpenCV draws between pixels.
     fixed = np.round(np.nan_to_num(points) * 16).astype(int)
     drawable = [bool(np.isfinite(point).all()) for point in points]

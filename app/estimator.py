@@ -15,10 +15,11 @@ from app.facing import Facing, weigh, weigh_by_image
 from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
-from app.vision.detect import Detector, load_detector
+from app.vision.detect import Detector, make_detector
 from app.vision.facing_evidence import FacingReader, load_facing_reader
+from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
-from app.vision.segment import Segmenter, load_segmenter, silhouettes_from_labels
+from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
 from descriptor.silhouette import normalise
 from index.matching import Hypothesis, match
 from index.store import Entry, PoseIndex
@@ -222,14 +223,15 @@ class Estimator:
         ArtefactError
             If the index cannot be used.
         """
+        network = load_network(settings.segmentation_model)
         return cls(
             PoseIndex.load(settings.index),
-            load_detector(settings.segmentation_model, min_person_px=settings.min_person_px),
-            load_segmenter(settings.segmentation_model),
+            make_detector(network, min_person_px=settings.min_person_px),
+            make_segmenter(network),
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            facing_reader=load_facing_reader(settings.segmentation_model),
+            facing_reader=load_facing_reader(network),
         )
 
     def warm_up(self) -> None:

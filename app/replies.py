@@ -124,7 +124,7 @@ def _source(entry: Entry) -> schemas.MotionSource:
 
 def _camera(entry: Entry) -> schemas.Camera:
     return schemas.Camera(
-        azimuth_deg=round(entry.azimuth_deg, 2),
+        azimuth_deg=round(entry.azimuth_deg, 2) % 360.0,
         elevation_deg=round(entry.elevation_deg, 2),
         roll_deg=round(entry.roll_deg, 2),
     )

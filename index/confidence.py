@@ -17,13 +17,19 @@ FEATURES = (
     "log_nearest",
     "reprojection_error_px",
     "log_rank",
+    "log_agreement_5px_near",
+    "log_agreement_10px_near",
+    "log_agreement_5px_far",
+    "log_agreement_10px_far",
 )
 """What a hypothesis shows of itself:
 
 the logarithm of its descriptor distance, and how much more it is than the best's; the
 logarithm of the share of candidates that agree on it, and how much less that is than the most
 agreed one's; the logarithm of the distance to the nearest entry of all; how far its outline lies
-from the query's; and the logarithm of its rank.
+from the query's; the logarithm of its rank; and the logarithms of the shares of the candidates
+whose joints lie within 5 or 10 px of its own, where only the nearest candidates count much, or
+those farther off as well.
 """
 
 RIGHT_BELOW_PX = 5.0

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.candidates import Candidates, find_candidates
-from index.confidence import Calibration
-from index.modes import Mode, find_modes
-from index.skeleton import POINTS
+from index.confidence import RIGHT_BELOW_PX, Calibration
+from index.modes import Mode, candidate_weights, find_modes
+from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
 
 CANDIDATES = 200
@@ -20,6 +20,11 @@ CANDIDATES = 200
 
 SPARE_MODES = 3
 """Modes looked at beyond those asked for: a thin one may fit best."""
+
+
+AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
+AGREEMENT_FALL_OFFS = (0.15, 0.5)
+"""How near candidates must come to a hypothesis, and how fast they count less with distance."""
 
 
 @dataclass(frozen=True)
@@ -137,9 +142,23 @@ def match_features(
             nearest,
             np.asarray(errors, np.float64),
             np.log(np.arange(1, len(modes) + 1)),
+            *np.log(_agreements(candidates, modes) + 1e-3),
         ],
         axis=-1,
     )
+
+
+def _agreements(candidates: Candidates, modes: list[Mode]) -> NDArray[np.float64]:
+    """Shares ``(4, M)`` of the candidates that lie near each mode in the normalised frame.
+
+    Which of several hypotheses is right shows less in how well each fits than in how many of
+    the candidates would count as right if it is.
+    """
+    ours = np.stack([mode.points_normalised[:JOINTS] for mode in modes])
+    theirs = candidates.points_normalised[:, :JOINTS]
+    errors = np.linalg.norm(ours[:, None] - theirs[None], axis=-1).mean(axis=-1)
+    weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
+    return np.stack([(errors < px) @ w / w.sum() for w in weights for px in AGREEMENT_PX])
 
 
 def outline_distances(

@@ -70,13 +70,17 @@ class Mode:
     points_normalised: NDArray[np.float64]
 
 
-def find_modes(candidates: Candidates, count: int) -> list[Mode]:
+def find_modes(
+    candidates: Candidates, count: int, *, bandwidth_m: float = BANDWIDTH_M
+) -> list[Mode]:
     """Up to ``count`` modes, the densest first, no two of their centres alike.
 
     Parameters
     ----------
     candidates : Candidates
     count : int
+    bandwidth_m : float
+        Smaller where an index covers few motions densely, as in the paper's experiments.
 
     Returns
     -------
@@ -85,7 +89,7 @@ def find_modes(candidates: Candidates, count: int) -> list[Mode]:
     """
     weights = candidate_weights(candidates.distances)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    kernel = np.exp(-(apart**2) / (2 * BANDWIDTH_M**2))
+    kernel = np.exp(-(apart**2) / (2 * bandwidth_m**2))
     remaining, free = weights.copy(), np.ones(len(candidates), bool)
     modes: list[Mode] = []
     while len(modes) < count and free.any():
@@ -94,7 +98,7 @@ def find_modes(candidates: Candidates, count: int) -> list[Mode]:
         mode = _interpolate(candidates, remaining * kernel[centre], centre, weights.sum())
         if not modes or _nearest_m(mode, modes) >= DISTINCT_M / 2:
             modes.append(mode)
-        wide = np.exp(-(apart[centre] ** 2) / (2 * (SUPPRESSION * BANDWIDTH_M) ** 2))
+        wide = np.exp(-(apart[centre] ** 2) / (2 * (SUPPRESSION * bandwidth_m) ** 2))
         remaining *= 1 - wide
         free &= apart[centre] >= DISTINCT_M
     if not modes:
@@ -104,10 +108,12 @@ def find_modes(candidates: Candidates, count: int) -> list[Mode]:
     return [replace(mode, points_3d=points) for mode, points in zip(modes, grown, strict=True)]
 
 
-def candidate_weights(distances: NDArray[np.float64]) -> NDArray[np.float64]:
+def candidate_weights(
+    distances: NDArray[np.float64], fall_off: float = FALL_OFF
+) -> NDArray[np.float64]:
     """How much each candidate counts: ascending distances ``(K,)`` to weights ``(K,)``, 1 first."""
     nearest = max(distances[0], NEAREST_SHARE * distances[-1])
-    return np.asarray(np.exp((distances[0] - distances) / (2 * FALL_OFF * nearest + 1e-9)))
+    return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
 
 
 def _nearest_m(mode: Mode, others: list[Mode]) -> float:

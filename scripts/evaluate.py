@@ -1,7 +1,9 @@
 """The experiments: what the service is measured by.
 
     python -m scripts.evaluate paper        the experiments of Atrevi et al. (2016)
+    python -m scripts.evaluate descriptor   how the discriminant descriptor was chosen
     python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
+    python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate real         photographs and videos of ../shared/real
 
 Without a name, all of them. Results and plots go to ``docs/results/``, each with its command.
@@ -17,7 +19,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 
 EXPERIMENTS = {
+    "paper": "scripts.experiments.paper",
+    "descriptor": "scripts.experiments.descriptor_choice",
     "simulation": "scripts.experiments.strict",
+    "sizing": "scripts.experiments.sizing",
+    "real": "scripts.experiments.real",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -11,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.box_arrays import Boxes, averaged, drop_parts, suppress
-from app.vision.evidence import by_fitness, evidence, tightened
-from app.vision.hog import person_windows
-from app.vision.network import NetworkError, PersonNetwork
+from app.vision.evidence import by_fitness, evidence, suited, tightened
+from app.vision.hog import as_cells, person_windows
+from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.presence import PresenceMap, presence_maps
 from app.vision.resampling import resize
@@ -44,17 +43,11 @@ class Detector(Protocol):
         ...
 
 
-def load_detector(
-    model_path: Path | None, *, min_person_px: float = 50, min_score: float = 0.25
-) -> Detector:
-    """Load the cascade if the network is there and sound, else gradients alone."""
-    if model_path is not None:
-        try:
-            network = PersonNetwork(model_path)
-            return CascadeDetector(network, min_person_px=min_person_px, min_score=min_score)
-        except NetworkError:
-            pass
-    return HogDetector(min_person_px=min_person_px, min_score=min_score)
+def make_detector(network: PersonNetwork | None, *, min_person_px: float = 50) -> Detector:
+    """The cascade if there is a network, else gradients alone."""
+    if network is not None:
+        return CascadeDetector(network, min_person_px=min_person_px)
+    return HogDetector(min_person_px=min_person_px)
 
 
 class HogDetector:
@@ -121,7 +114,7 @@ class CascadeDetector:
     """
 
     def __init__(
-        self, network: PersonNetwork, *, min_person_px: float = 50, min_score: float = 0.25
+        self, network: PersonNetwork, *, min_person_px: float = 50, min_score: float = 0.3
     ) -> None:
         self._network = network
         self._min_person_px = _checked(min_person_px, min_score)
@@ -145,6 +138,7 @@ _SAME_PERSON = 0.4
 _MOST_PROPOSALS = 25
 _PROPOSAL_OVERLAP = 0.7
 _PROPOSAL_THRESHOLD = -0.8
+_SLIGHTEST_PRESENCE = 0.05
 # How much full presence inside a window counts in the classifier's units.
 _PRESENCE_GAIN = 3.0
 
@@ -170,8 +164,13 @@ def candidates(
         See :data:`app.vision.evidence.NAMES`.
     """
     maps = presence_maps(network, frame, min_person_px)
-    anywhere = np.max([presence.probability for presence in maps], axis=0)
-    windows, scores = person_windows(frame, min_person_px, _PROPOSAL_THRESHOLD, anywhere > 0.05)
+    anybody = {one.side: as_cells(one.probability > _SLIGHTEST_PRESENCE) for one in maps}
+
+    def worth_searching(person_px: float) -> NDArray[np.bool_]:
+        cells = [anybody[one.side] for one in suited(maps, person_px)]
+        return np.asarray(np.any(cells, axis=0))
+
+    windows, scores = person_windows(frame, min_person_px, _PROPOSAL_THRESHOLD, worth_searching)
     boxes = _proposed_by_gradients(maps, windows, scores) + _proposed_by_presence(
         maps, 0.6 * min_person_px
     )
@@ -228,10 +227,10 @@ def _proposed_by_presence(
     for presence in maps:
         for level in (0.3, 0.6, 0.9):
             region = (presence.probability > level).astype(np.uint8)
-            count, _, stats, _ = cv2.connectedComponentsWithStats(region)
-            for left, top, width, height, _ in stats[1:count].tolist():
-                if height > least_height and width < 1.2 * height:
-                    boxes.append(np.array([left - 0.5, top - 0.5, width, height]))
+            parts = cv2.connectedComponentsWithStats(region)[2][1:, :4].astype(np.float64)
+            width, height = parts[:, 2], parts[:, 3]
+            upright = parts[(height > least_height) & (width < 1.2 * height)]
+            boxes += list(upright - (0.5, 0.5, 0, 0))
     return boxes
 
 
@@ -241,27 +240,28 @@ def _mean_inside(presence: PresenceMap, box: NDArray[np.float64]) -> float:
     return float(inside.mean()) if inside.size else 0.0
 
 
-# Fitted to real/pennfudan; see scripts/evaluate_real.py, which fits and cross-validates.
+# Fitted to real/pennfudan by `python -m scripts.evaluate real --fit-detector`, which also
+# cross-validates.
 _WEIGHTS = np.array(
     [
-        -2.199,  # trunk
-        -0.071,  # beside
-        -2.797,  # above
-        -2.405,  # below
-        3.745,  # head
-        2.188,  # feet
-        0.396,  # shape
-        3.617,  # trunk_other
-        -5.021,  # beside_other
-        -0.839,  # above_other
-        -2.642,  # below_other
-        1.513,  # hog
-        0.919,  # hog_support
-        -1.776,  # aspect
+        -3.690,  # trunk
+        0.382,  # beside
+        -2.635,  # above
+        -2.212,  # below
+        3.191,  # head
+        2.269,  # feet
+        4.164,  # shape
+        3.489,  # trunk_other
+        -4.278,  # beside_other
+        -0.137,  # above_other
+        -2.085,  # below_other
+        1.214,  # hog
+        1.026,  # hog_support
+        -1.212,  # aspect
     ]
 )
-_OFFSET = -3.915
-_CALIBRATION_SLOPE, _CALIBRATION_OFFSET = 0.938, -0.466
+_OFFSET = -5.290
+_CALIBRATION_SLOPE, _CALIBRATION_OFFSET = 0.991, -0.136
 _HOG_SLOPE, _HOG_OFFSET = 2.967, -3.715
 
 

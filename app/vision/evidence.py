@@ -20,6 +20,8 @@ _ASIDE = round(0.3 * _ROWS)
 _ABOVE = round(0.15 * _ROWS)
 # A presence map judges best the people of this share of its windows' side.
 _BEST_SHARE = 0.6
+# Of other shares than these it tells little.
+_SUITED = (0.2, 1.0)
 
 NAMES = (
     "trunk", "beside", "above", "below", "head", "feet", "shape",
@@ -66,6 +68,15 @@ def by_fitness(maps: Sequence[PresenceMap], person_px: float) -> list[PresenceMa
         return abs(float(np.log(share / _BEST_SHARE))) + (share > 0.95)
 
     return sorted(maps, key=misfit)
+
+
+def suited(maps: Sequence[PresenceMap], person_px: float) -> list[PresenceMap]:
+    """Maps whose windows suit people of a height, at least one.
+
+    What windows too large for such people make of them is of no use.
+    """
+    chosen = [one for one in maps if _SUITED[0] < person_px / one.side < _SUITED[1]]
+    return chosen or by_fitness(maps, person_px)[:1]
 
 
 def tightened(presence: PresenceMap, box: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from app.vision.network import NetworkError, PersonNetwork
+from app.vision.network import PersonNetwork
 from app.vision.people import Silhouette
 from app.vision.resampling import Window, cut, resize
 
@@ -83,7 +83,6 @@ class FacingReader:
     Parameters
     ----------
     network : PersonNetwork
-        For this use alone: OpenCV sets a network up anew for each other output asked for.
     weights : (2, F) array
         Of ``front`` and ``left``, over the features of :func:`head_features`.
     bias : (2,) array
@@ -125,14 +124,10 @@ class FacingReader:
 
 
 def load_facing_reader(
-    model_path: Path | None, weights_path: Path = WEIGHTS_PATH
+    network: PersonNetwork | None, weights_path: Path = WEIGHTS_PATH
 ) -> FacingReader | None:
-    """Load the network and the weights; None without the network."""
-    if model_path is None:
-        return None
-    try:
-        network = PersonNetwork(model_path)
-    except NetworkError:
+    """Load the weights; None without the network."""
+    if network is None:
         return None
     with np.load(weights_path, allow_pickle=False) as stored:
         return FacingReader(network, stored["weights"], stored["bias"])

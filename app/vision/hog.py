@@ -10,7 +10,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
@@ -27,6 +27,10 @@ _PYRAMID_STEP = 1.15
 # The person inside a window, as shares of its width and height.
 _PERSON_X = (0.18, 0.82)
 _PERSON_Y = (0.09, 0.93)
+# Side of the cells by which the search is guided, in pixels of the frame.
+_CELL = 4
+# A blob taller than so many people of a size is a larger person, or a crowd of larger ones.
+_TALLEST_BLOB = 2.5
 # Room beyond the frame, in window pixels, so that people at its border get a whole window.
 _BEYOND = 16
 
@@ -47,7 +51,7 @@ def person_windows(
     frame: NDArray[np.uint8],
     min_person_px: float,
     threshold: float,
-    worth_searching: NDArray[np.bool_] | None = None,
+    worth_searching: Callable[[float], NDArray[np.bool_]] | None = None,
 ) -> tuple[Boxes, NDArray[np.float64]]:
     """Windows that look like a person, many for each.
 
@@ -59,8 +63,9 @@ def person_windows(
         Height of the smallest person wanted, in pixels.
     threshold : float
         Least classifier score; 0 is the classifier's own border, lower finds more.
-    worth_searching : (H, W) bool array, optional
-        Where people may be; windows elsewhere are not looked at. None searches everywhere.
+    worth_searching : callable, optional
+        The height of people in pixels to where such may be, by :func:`as_cells`; windows
+        elsewhere are not looked at. None searches everywhere.
 
     Returns
     -------
@@ -74,12 +79,21 @@ def person_windows(
     scores: list[NDArray[np.float64]] = [np.zeros(0)]
     factor = _PERSON_PX / min_person_px
     while _PERSON_PX / factor <= 1.15 * height:
-        for area in _areas(frame.shape, worth_searching, _PERSON_PX / factor):
+        person_px = _PERSON_PX / factor
+        worth = None if worth_searching is None else worth_searching(person_px)
+        for area in _areas(frame.shape, worth, person_px):
             found, values = _search(frame, area, factor, threshold)
             boxes.append(found)
             scores.append(values)
         factor /= _PYRAMID_STEP
     return np.vstack(boxes), np.concatenate(scores)
+
+
+def as_cells(somebody: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where people may be, ``(H, W)``, on a grid of cells of 4 px: a twentieth of one counts."""
+    height, width = somebody.shape
+    size = max(1, width // _CELL), max(1, height // _CELL)
+    return resize(somebody.astype(np.float32), *size) > 0.05
 
 
 def _areas(
@@ -90,26 +104,30 @@ def _areas(
     if worth_searching is None:
         yield 0, 0, width, height
         return
-    shrink = 4
-    small = resize(
-        worth_searching.astype(np.float32), max(1, width // shrink), max(1, height // shrink)
-    )
     # Blobs nearer than a third of a body may be parts of one person.
-    reach = max(1, round(0.35 * person_px / shrink))
+    reach = max(1, round(0.35 * person_px / _CELL))
     kernel: NDArray[np.uint8] = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    grown = cv2.dilate((small > 0.05).astype(np.uint8), kernel)
+    grown = cv2.dilate(_without_tall(worth_searching, _TALLEST_BLOB * person_px / _CELL), kernel)
     count, _, stats, _ = cv2.connectedComponentsWithStats(grown)
     for left, top, columns, rows, _ in stats[1:count].tolist():
         inner_width, inner_height = columns - 2 * reach, rows - 2 * reach
-        if inner_height * shrink < 0.4 * person_px or inner_width * shrink < 0.08 * person_px:
+        if inner_height * _CELL < 0.4 * person_px or inner_width * _CELL < 0.08 * person_px:
             continue  # too small to be a person of this size
         aside, above = 0.25 * person_px, 0.3 * person_px
         yield (
-            int(left * shrink - aside),
-            int(top * shrink - above),
-            int((left + columns) * shrink + aside),
-            int((top + rows) * shrink + above),
+            int(left * _CELL - aside),
+            int(top * _CELL - above),
+            int((left + columns) * _CELL + aside),
+            int((top + rows) * _CELL + above),
         )
+
+
+def _without_tall(mask: NDArray[np.bool_], most_rows: float) -> NDArray[np.uint8]:
+    """Drop connected parts taller than ``most_rows``: 1 on what remains, 0 elsewhere."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    kept = stats[:, cv2.CC_STAT_HEIGHT] <= most_rows
+    kept[0] = False
+    return np.asarray(kept[labels], np.uint8)
 
 
 def _search(

@@ -28,8 +28,9 @@ class PersonNetwork:
     """MediaPipe's selfie segmentation: 256x256 RGB in, probability of a person out.
 
     Safe under several threads: an OpenCV network keeps its input and its layers' outputs
-    inside, so each thread reads its own copy of the 249 KB file; a lock would make the
-    request threads wait for one another.
+    inside, so each thread reads its own copies of the 249 KB file, one for each layer asked
+    for (OpenCV sets a network up anew when that changes); a lock would make the request threads
+    wait for one another.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class PersonNetwork:
             raise NetworkError(f"cannot read the segmentation model: {error}") from error
         self._local = threading.local()
         try:
-            shape = self._forward(np.zeros((1, 3, SIZE, SIZE), np.float32)).shape
+            shape = self._forward(np.zeros((1, 3, SIZE, SIZE), np.float32), "").shape
         except cv2.error as error:
             raise NetworkError(f"{model_path} is not a network OpenCV can run") from error
         if shape != (1, 1, SIZE, SIZE):
@@ -91,23 +92,31 @@ class PersonNetwork:
         for start in range(0, len(images), BATCH):
             inputs = [resize(image, SIZE, SIZE) for image in images[start : start + BATCH]]
             blob = cv2.dnn.blobFromImages(inputs, 1 / 255, swapRB=True)
-            result[start : start + BATCH] = self._forward(blob)[:, 0]
+            result[start : start + BATCH] = self._forward(blob, "")[:, 0]
         return result
 
     def features(self, frame: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
-        """What the network knows half-way of a window of a frame, ``(32, 16, 16)``.
-
-        An instance that gives these should give nothing else: OpenCV sets the network up anew
-        when the output asked for changes.
-        """
+        """What the network knows half-way of a window of a frame, ``(32, 16, 16)``."""
         pixels = resize(cut(frame, window), SIZE, SIZE)
         blob = cv2.dnn.blobFromImages([pixels], 1 / 255, swapRB=True)
         return np.asarray(self._forward(blob, INNER_LAYER)[0], np.float32)
 
-    def _forward(self, blob: MatLike, layer: str = "") -> NDArray[np.float32]:
-        net = getattr(self._local, "net", None)
+    def _forward(self, blob: MatLike, layer: str) -> NDArray[np.float32]:
+        """Output of a layer; of the last one for an empty name."""
+        nets: dict[str, cv2.dnn.Net] = self._local.__dict__
+        net = nets.get(layer)
         if net is None:
-            net = self._local.net = cv2.dnn.readNetFromTFLite(self._model)
+            net = nets[layer] = cv2.dnn.readNetFromTFLite(self._model)
         net.setInput(blob)
         # The output lies in the network's memory, which the next pass overwrites.
         return np.array(net.forward(layer) if layer else net.forward(), np.float32)
+
+
+def load_network(model_path: Path | None) -> PersonNetwork | None:
+    """Load the network if its file is there and sound; the service runs without it, less well."""
+    if model_path is None:
+        return None
+    try:
+        return PersonNetwork(model_path)
+    except NetworkError:
+        return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.neighbours import own_part
-from app.vision.network import NetworkError, PersonNetwork
+from app.vision.network import PersonNetwork
 from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_mask
 from app.vision.resampling import Window, cut, resize, resize_mask
 from app.vision.truncation import with_truncation
@@ -43,14 +42,9 @@ class Segmenter(Protocol):
         ...
 
 
-def load_segmenter(model_path: Path | None) -> Segmenter:
-    """Load the network if its file is there and sound, else fall back on GrabCut."""
-    if model_path is not None:
-        try:
-            return NetworkSegmenter(PersonNetwork(model_path))
-        except NetworkError:
-            pass
-    return GrabCutSegmenter()
+def make_segmenter(network: PersonNetwork | None) -> Segmenter:
+    """The network's segmenter if there is a network, else GrabCut."""
+    return GrabCutSegmenter() if network is None else NetworkSegmenter(network)
 
 
 # The network sees a window of the box's height and 0.8 times as wide, stretched to its

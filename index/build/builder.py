@@ -11,7 +11,12 @@ import numpy as np
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from index.build.avatars import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
 from index.build.body import Avatar
-from index.build.calibrate import expected_calibration_error, fit_calibration, run_trial
+from index.build.calibrate import (
+    Queries,
+    expected_calibration_error,
+    fit_calibration,
+    run_trial,
+)
 from index.build.learn import learn_descriptor
 from index.build.motion import Segment, read_manifest
 from index.build.poses import Dropped, Poses, farthest_points, joints_of, read_poses
@@ -217,12 +222,14 @@ def _calibrate(
     inner = without_clips(simulation, kept_clips)
     index = assemble(inner, descriptor, Calibration.none(), {}, "calibration")
     avatars = make_avatars(CALIBRATION_AVATARS, garments)
-    queries = simulate_queries(motion, held, avatars, plan.calibration_queries, plan.seed + 1)
+    simulated = simulate_queries(motion, held, avatars, plan.calibration_queries, plan.seed + 1)
+    queries = Queries.of(simulated).half_degraded(plan.seed + 1)
     trial = run_trial(index, queries, progress=progress)
     calibration = fit_calibration(trial)
     confidence = calibration.probability(trial.features.reshape(-1, len(FEATURES)))
     say(
-        f"Confidence fitted on {len(queries)} silhouettes of {len(held)} held-out segments: "
+        f"Confidence fitted on {len(queries)} silhouettes of {len(held)} held-out segments, "
+        "every second one degraded: "
         f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
         f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
         f"{expected_calibration_error(confidence, trial.right):.3f}."
@@ -234,7 +241,4 @@ def without_clips(simulation: Simulation, kept: set[str]) -> Simulation:
     """Keep the entries of some clips only."""
     keep_clip = np.array([clip in kept for clip in simulation.clips])
     keep = keep_clip[simulation.skeleton_labels["clip"][simulation.entries["skeleton"]]]
-    return Simulation(
-        simulation.bits[keep], simulation.entries[keep], simulation.skeletons,
-        simulation.skeleton_labels, simulation.clips, simulation.subjects, simulation.actions,
-    )  # fmt: skip
+    return simulation.take(keep)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from index.build.learn import view_joints
+from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match_with_features
@@ -20,6 +21,62 @@ HYPOTHESES = 7
 
 
 @dataclass(frozen=True)
+class Queries:
+    """Silhouettes to ask for, and where their joints truly are.
+
+    Parameters
+    ----------
+    silhouettes : (Q, 128, 48) uint8 array
+    joints_2d : (Q, 19, 2) float array
+        Pixels of the normalised frame.
+    joints_3d : (Q, 19, 3) float array
+        Camera axes, metres, pelvis at the origin.
+    """
+
+    silhouettes: NDArray[np.uint8]
+    joints_2d: NDArray[np.floating]
+    joints_3d: NDArray[np.floating]
+
+    def __post_init__(self) -> None:
+        count = len(self.silhouettes)
+        for name, array, shape in (
+            ("joints_2d", self.joints_2d, (count, JOINTS, 2)),
+            ("joints_3d", self.joints_3d, (count, JOINTS, 3)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"expected {name} of shape {shape}, got {array.shape}")
+
+    def __len__(self) -> int:
+        return len(self.silhouettes)
+
+    def take(self, rows: NDArray[np.integer]) -> Queries:
+        """Some of them."""
+        return Queries(self.silhouettes[rows], self.joints_2d[rows], self.joints_3d[rows])
+
+    @classmethod
+    def of(cls, simulation: Simulation) -> Queries:
+        """The silhouettes of a simulation as they are."""
+        joints_3d, joints_2d = view_joints(simulation)
+        return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d)
+
+    def degraded(self, seed: int) -> Queries:
+        """The same as if they had been cut out of photographs; see :mod:`index.build.noise`."""
+        silhouettes, joints_2d = degrade_all(
+            self.silhouettes, self.joints_2d, np.random.default_rng(seed)
+        )
+        return replace(self, silhouettes=silhouettes, joints_2d=joints_2d)
+
+    def half_degraded(self, seed: int) -> Queries:
+        """Every second one degraded."""
+        degraded, odd = self.degraded(seed), np.arange(len(self)) % 2 == 1
+        return replace(
+            self,
+            silhouettes=np.where(odd[:, None, None], degraded.silhouettes, self.silhouettes),
+            joints_2d=np.where(odd[:, None, None], degraded.joints_2d, self.joints_2d),
+        )
+
+
+@dataclass(frozen=True)
 class Trial:
     """What an index answered to simulated queries, and how far off it was.
 
@@ -27,9 +84,11 @@ class Trial:
     ----------
     features : (Q, N, F) float64 array
         Columns are :data:`index.confidence.FEATURES`.
+        0 where an index has fewer than N poses to offer.
     confidence : (Q, N) float64 array
+        As features.
     error_px : (Q, N) float64 array
-        Mean joint error in the normalised frame.
+        Mean joint error in the normalised frame; infinite where there is no hypothesis.
     error_m : (Q, N) float64 array
         Mean joint error in camera axes, pelvis on pelvis, metres.
     """
@@ -46,38 +105,28 @@ class Trial:
 
 
 def run_trial(
-    index: PoseIndex,
-    queries: Simulation,
-    silhouettes: NDArray[np.uint8] | None = None,
-    *,
-    n: int = HYPOTHESES,
-    progress: bool = False,
+    index: PoseIndex, queries: Queries, *, n: int = HYPOTHESES, progress: bool = False
 ) -> Trial:
-    """Ask an index for every silhouette of a simulation.
+    """Ask an index for silhouettes whose skeletons are known.
 
     Parameters
     ----------
     index : PoseIndex
-    queries : Simulation
-        Where the true skeletons are.
-    silhouettes : (Q, 128, 48) uint8 array, optional
-        What to ask instead of the simulated silhouettes, say their noisy versions.
+    queries : Queries
     n : int
         Hypotheses per query.
     progress : bool
         Whether to draw a progress bar.
     """
-    joints_3d, joints_2d = view_joints(queries)
-    features = np.empty((len(queries), n, len(FEATURES)))
-    confidence, error_px, error_m = (np.empty((len(queries), n)) for _ in range(3))
+    features = np.zeros((len(queries), n, len(FEATURES)))
+    confidence = np.zeros((len(queries), n))
+    error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=not progress):
-        asked = (
-            queries.silhouettes(slice(row, row + 1))[0] if silhouettes is None else silhouettes[row]
-        )
-        hypotheses, features[row] = match_with_features(index, asked, n)
+        hypotheses, shown = match_with_features(index, queries.silhouettes[row], n)
+        features[row, : len(hypotheses)] = shown
         for rank, hypothesis in enumerate(hypotheses):
-            apart_2d = hypothesis.points_normalised[:JOINTS] - joints_2d[row]
-            apart_3d = hypothesis.points_3d[:JOINTS] - joints_3d[row]
+            apart_2d = hypothesis.points_normalised[:JOINTS] - queries.joints_2d[row]
+            apart_3d = hypothesis.points_3d[:JOINTS] - queries.joints_3d[row]
             confidence[row, rank] = hypothesis.confidence
             error_px[row, rank] = np.linalg.norm(apart_2d, axis=-1).mean()
             error_m[row, rank] = np.linalg.norm(apart_3d, axis=-1).mean()
@@ -86,8 +135,9 @@ def run_trial(
 
 def fit_calibration(trial: Trial) -> Calibration:
     """Logistic regression of being right on what a hypothesis shows of itself."""
-    features = trial.features.reshape(-1, len(FEATURES))
-    model = LogisticRegression(C=1e3, max_iter=1000).fit(features, trial.right.ravel())
+    offered = np.isfinite(trial.error_px)
+    model = LogisticRegression(C=1e3, max_iter=1000)
+    model.fit(trial.features[offered], trial.right[offered])
     return Calibration(tuple(float(w) for w in model.coef_[0]), float(model.intercept_[0]))
 
 

@@ -12,22 +12,16 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from descriptor.descriptor import DiscriminantDescriptor, moment_block
-from index.build.noise import roughen
+from index.build.noise import degrade_all
 from index.build.simulate import BLOCK, Simulation
 from index.skeleton import JOINTS, camera_rotation, project
-
-DIMENSION = 48
-VERTICAL_ORDERS = 28
-HORIZONTAL_ORDERS = 14
-P1 = 0.5
-P2 = (0.5,)
-REGULARISATION = 1e-2
-"""Share of the mean within-scatter added to every direction."""
 
 ANCHORS = 20_000
 """Silhouettes whose nearest skeletons are looked up."""
@@ -35,15 +29,73 @@ ANCHORS = 20_000
 NEAREST = 5
 """Nearest skeletons of each."""
 
-NOISE_STD_PX = 1.5
-"""How ragged the outlines are that the descriptor learns to overlook."""
-
-NOISE_WEIGHT = 0.5
-"""What they count beside the differences of body, clothes and pose."""
+NOISE_WEIGHT = 0.25
+"""What the faults of real silhouettes count beside the differences of body, clothes and pose."""
 
 SCALE_PX = 5.0
 SCALE_M = 0.11
 """Joint differences, in the normalised frame and in space, that count alike."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Which moments a descriptor is made of, and how.
+
+    Parameters
+    ----------
+    vertical_orders, horizontal_orders : int
+        Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
+    p1 : float
+        Horizontal centre of the polynomials.
+    p2 : tuple of float
+        Vertical centres, one block of moments each.
+    dimension : int
+        Values of the descriptor.
+    regularisation : float
+        Share of the mean within-scatter added to every direction.
+    """
+
+    vertical_orders: int = 28
+    horizontal_orders: int = 14
+    p1: float = 0.5
+    p2: tuple[float, ...] = (0.5,)
+    dimension: int = 48
+    regularisation: float = 1e-2
+
+    def block(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
+        """The moments ``(B, F)`` of silhouettes ``(B, 128, 48)``."""
+        return moment_block(
+            silhouettes, self.vertical_orders, self.horizontal_orders, self.p1, self.p2
+        )
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What moments do over a simulation.
+
+    Parameters
+    ----------
+    total : (F, F) float64 array
+        Covariance over all silhouettes and their mirror images.
+    within : (F, F) float64 array
+        Mean square difference of silhouettes that belong together; not yet regularised.
+    recipe : Recipe
+        Of the moments; its dimension and regularisation play no part.
+    """
+
+    total: NDArray[np.float64]
+    within: NDArray[np.float64]
+    recipe: Recipe
+
+    def below(self, vertical_orders: int, horizontal_orders: int) -> Scatter:
+        """The scatter of the moments of lower orders only."""
+        own = self.recipe
+        rows = np.arange(len(self.total)).reshape(
+            len(own.p2), own.vertical_orders, own.horizontal_orders
+        )[:, :vertical_orders, :horizontal_orders]
+        some = np.ix_(rows.ravel(), rows.ravel())
+        fewer = replace(own, vertical_orders=rows.shape[1], horizontal_orders=rows.shape[2])
+        return Scatter(self.total[some], self.within[some], fewer)
 
 
 def view_joints(simulation: Simulation) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -60,7 +112,9 @@ def view_joints(simulation: Simulation) -> tuple[NDArray[np.float32], NDArray[np
     return joints_3d, joints_2d.astype(np.float32)
 
 
-def learn_descriptor(simulation: Simulation, seed: int) -> DiscriminantDescriptor:
+def learn_descriptor(
+    simulation: Simulation, seed: int, recipe: Recipe = Recipe()
+) -> DiscriminantDescriptor:
     """The projection that best tells the poses of a simulation apart.
 
     Parameters
@@ -68,22 +122,26 @@ def learn_descriptor(simulation: Simulation, seed: int) -> DiscriminantDescripto
     simulation : Simulation
     seed : int
         Chooses the silhouettes whose neighbours are compared.
+    recipe : Recipe
 
     Returns
     -------
     DiscriminantDescriptor
     """
+    scatter = measure_scatter(simulation, seed, recipe)
+    return discriminate(scatter, recipe.dimension, recipe.regularisation)
+
+
+def measure_scatter(simulation: Simulation, seed: int, recipe: Recipe) -> Scatter:
+    """Measure what the moments of a recipe do over a simulation."""
     import faiss
 
     moments = np.concatenate(
         [
-            moment_block(
-                simulation.silhouettes(slice(start, start + BLOCK)),
-                VERTICAL_ORDERS, HORIZONTAL_ORDERS, P1, P2,
-            )
+            recipe.block(simulation.silhouettes(slice(start, start + BLOCK)))
             for start in range(0, len(simulation), BLOCK)
         ]
-    )  # fmt: skip
+    )
     joints_3d, joints_2d = view_joints(simulation)
     poses = np.concatenate(
         [
@@ -103,36 +161,55 @@ def learn_descriptor(simulation: Simulation, seed: int) -> DiscriminantDescripto
     closeness = 1.0 / (squares[:, 1:].ravel() / (2 * JOINTS) + 0.05)
     within = (differences * closeness[:, None]).T.astype(np.float64) @ differences / closeness.sum()
     # The mean of silhouettes and mirror images has no odd moment.
-    mean = moments.mean(axis=0) * (np.arange(moments.shape[1]) % HORIZONTAL_ORDERS % 2 == 0)
+    mean = moments.mean(axis=0) * ~_odd(recipe)
     centred = moments - mean
     total = centred.T.astype(np.float64) @ centred / len(centred)
-    within += _noise_scatter(simulation, anchors, moments, seed)
-    within += REGULARISATION * np.trace(within) / len(within) * np.eye(len(within))
+    within += _noise_scatter(simulation, anchors, moments, joints_2d, seed, recipe)
+    return Scatter(total, within, recipe)
+
+
+def discriminate(scatter: Scatter, dimension: int, regularisation: float) -> DiscriminantDescriptor:
+    """The descriptor that a scatter of moments gives, as :class:`Recipe` describes it."""
+    within, recipe = scatter.within, scatter.recipe
+    share = regularisation * np.trace(within) / len(within)
+    directions = _directions(scatter.total, within + share * np.eye(len(within)), recipe, dimension)
     return DiscriminantDescriptor(
-        _directions(total, within), VERTICAL_ORDERS, HORIZONTAL_ORDERS, P1, P2
+        directions, recipe.vertical_orders, recipe.horizontal_orders, recipe.p1, recipe.p2
     )
+
+
+def _odd(recipe: Recipe) -> NDArray[np.bool_]:
+    """Which moments ``(F,)`` are of odd horizontal order."""
+    count = len(recipe.p2) * recipe.vertical_orders * recipe.horizontal_orders
+    return np.asarray(np.arange(count) % recipe.horizontal_orders % 2 == 1)
 
 
 def _noise_scatter(
     simulation: Simulation,
     anchors: NDArray[np.int64],
     moments: NDArray[np.float32],
+    joints_2d: NDArray[np.float32],
     seed: int,
+    recipe: Recipe,
 ) -> NDArray[np.float64]:
-    """What a ragged outline does to the moments ``(F, F)``."""
+    """What cutting silhouettes out of photographs does to the moments ``(F, F)``."""
     some = np.sort(anchors[: ANCHORS // 4])
-    rough = roughen(simulation.silhouettes(some), NOISE_STD_PX, np.random.default_rng(seed))
-    noise = moment_block(rough, VERTICAL_ORDERS, HORIZONTAL_ORDERS, P1, P2) - moments[some]
+    rough, _ = degrade_all(
+        simulation.silhouettes(some), joints_2d[some], np.random.default_rng(seed)
+    )
+    noise = recipe.block(rough) - moments[some]
     return NOISE_WEIGHT * (noise.T.astype(np.float64) @ noise) / len(noise)
 
 
-def _directions(total: NDArray[np.float64], within: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The most discriminating directions ``(DIMENSION, F)``, each even or odd.
+def _directions(
+    total: NDArray[np.float64], within: NDArray[np.float64], recipe: Recipe, dimension: int
+) -> NDArray[np.float32]:
+    """The most discriminating directions ``(dimension, F)``, each even or odd.
 
     Mirrored silhouettes are as likely as the simulated ones. Mirroring changes the sign of the
     moments of odd horizontal order, so no scatter remains between those and the even ones.
     """
-    odd = np.arange(len(total)) % HORIZONTAL_ORDERS % 2 == 1
+    odd = _odd(recipe)
     values, rows = [], []
     for part in (np.flatnonzero(~odd), np.flatnonzero(odd)):
         block = np.ix_(part, part)
@@ -141,8 +218,8 @@ def _directions(total: NDArray[np.float64], within: NDArray[np.float64]) -> NDAr
         spread[:, part] = eigenvectors.T
         values.append(eigenvalues)
         rows.append(spread)
-    strongest = np.argsort(-np.concatenate(values), kind="stable")[:DIMENSION]
+    strongest = np.argsort(-np.concatenate(values), kind="stable")[:dimension]
     directions = np.concatenate(rows)[strongest]
     # The sign of an eigenvector is arbitrary: fixed, so that the same inputs give the same bytes.
-    signs = np.sign(directions[np.arange(DIMENSION), np.abs(directions).argmax(axis=1)])
+    signs = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
     return np.asarray(directions * signs[:, None], np.float32)

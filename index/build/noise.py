@@ -1,4 +1,9 @@
-"""What real silhouettes have and simulated ones lack: ragged outlines."""
+"""What silhouettes cut out of photographs have and simulated ones lack.
+
+Outlines are ragged and a little too wide, gaps between the limbs are filled, background sticks to
+the body, and hands, feet and heads are cut off. The shares and sizes below are those of the
+service's own silhouettes beside the true ones, on street photographs and indoors.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +11,164 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import HEIGHT, WIDTH, normalise
-
-GRAIN_PX = 1.5
-"""How far along the outline an error reaches."""
+from descriptor.silhouette import HEIGHT, Placement, normalise
+from index.skeleton import JOINT_NAMES
 
 MARGIN = 8
 """Room about the silhouette for an outline that moves outwards."""
 
+GRAIN_PX = 3.5
+"""How far along the outline an error reaches."""
 
-def roughen(
-    silhouettes: NDArray[np.uint8], std_px: float, generator: np.random.Generator
-) -> NDArray[np.uint8]:
-    """Move the outlines of silhouettes in and out at random, and normalise them again.
+OUTLINE_STD_PX = (0.6, 2.4)
+"""Least and most standard deviation of the shift across the outline of an upright person."""
+
+WIDER_PX = 0.4
+"""How much the outline lies outside the body's on average."""
+
+EXTRA_SHARE, MISSING_SHARE = 0.4, 0.3
+"""How many silhouettes have filled gaps or background, and how many lack a part."""
+
+GAP_PX = (3, 8)
+"""Least and most radius of a gap that is filled."""
+
+BLOB_SHARE = (0.02, 0.12)
+"""Least and most area of background that sticks to the body, as a share of the body's."""
+
+CUT_SHARE = (0.03, 0.09)
+"""Least and most radius that is cut off about a hand, a foot or the head, as a share of the
+height of the frame."""
+
+_ENDS = tuple(
+    JOINT_NAMES.index(name)
+    for name in ("left_wrist", "right_wrist", "left_wrist", "right_wrist",
+                 "left_elbow", "right_elbow", "left_toe", "right_toe", "head")
+)  # fmt: skip
+_TRUNK = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine", "chest", "neck"))
+_TRUNK_WIDTH_SHARE = 0.12
+
+
+def degrade(
+    silhouette: NDArray[np.uint8],
+    joints: NDArray[np.floating],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.uint8], Placement]:
+    """Make a simulated silhouette look as if it had been cut out of a photograph.
 
     Parameters
     ----------
-    silhouettes : (B, 128, 48) uint8 array
-    std_px : float
-        Standard deviation of the shift across the outline, in normalised pixels.
+    silhouette : (128, 48) uint8 array
+        Normalised; 1 on the person.
+    joints : (19, 2) array
+        Where the joints are in it.
     generator : numpy.random.Generator
 
     Returns
     -------
-    (B, 128, 48) uint8 array
+    degraded : (128, 48) uint8 array
+        Normalised again.
+    placement : Placement
+        From the old normalised frame to the new one, which shifts where parts were lost.
     """
-    rough = np.empty_like(silhouettes)
-    for row, silhouette in enumerate(silhouettes):
-        padded = np.pad(silhouette, MARGIN)
-        inside = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
-        outside = cv2.distanceTransform(1 - padded, cv2.DIST_L2, 3)
-        grain = cv2.GaussianBlur(
-            generator.standard_normal((HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN)), (0, 0), GRAIN_PX
-        )
-        moved = inside - outside + grain * (std_px / grain.std()) > 0
-        rough[row] = normalise(moved)[0] if moved.any() else silhouette
-    return rough
+    padded = np.pad(silhouette, MARGIN)
+    places = np.asarray(joints, np.float64) + MARGIN
+    # Beyond its bounding box nothing sticks to a person: that is where the detector's box ends.
+    box = tuple(cv2.boundingRect(padded))
+    if generator.random() < EXTRA_SHARE:
+        padded = _with_extra(padded, box, generator)
+    if generator.random() < MISSING_SHARE:
+        padded = _with_less(padded, places, box, generator)
+    moved = _with_ragged_outline(padded, box[3] / HEIGHT, generator)
+    kept = _largest(moved) if moved.any() else padded
+    degraded, placement = normalise(kept)
+    shift = placement.to_normalised([MARGIN, MARGIN])
+    return degraded, Placement(placement.scale, float(shift[0]), float(shift[1]))
+
+
+def _with_extra(
+    mask: NDArray[np.uint8], box: tuple[int, ...], generator: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Fill narrow gaps, or let a blob of background stick to the outline, or both."""
+    kind = generator.integers(3)
+    scale = box[3] / HEIGHT
+    if kind != 0:
+        size = 2 * max(1, round(generator.uniform(*GAP_PX) * scale)) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc), np.uint8)
+    if kind != 1:
+        rows, columns = np.nonzero(mask != cv2.erode(mask, np.ones((3, 3), np.uint8)))
+        at = generator.integers(len(rows))
+        area = generator.uniform(*BLOB_SHARE) * int(mask.sum())
+        stretch = generator.uniform(1.0, 2.5)
+        radius = np.sqrt(area / np.pi)
+        axes = (max(1, round(radius / np.sqrt(stretch))), max(1, round(radius * np.sqrt(stretch))))
+        blob = np.zeros_like(mask)
+        centre = (int(columns[at]), int(rows[at]))
+        cv2.ellipse(blob, centre, axes, generator.uniform(-45, 45), 0, 360, 1, -1)
+        inside = np.zeros_like(mask)
+        x, y, width, height = box
+        inside[y : y + height, x : x + width] = 1
+        mask = mask | (blob & inside)
+    return mask
+
+
+def _with_less(
+    mask: NDArray[np.uint8],
+    joints: NDArray[np.float64],
+    box: tuple[int, ...],
+    generator: np.random.Generator,
+) -> NDArray[np.uint8]:
+    """Cut off what is near the end of one limb or two, or the head; the trunk stays."""
+    trunk = np.zeros_like(mask)
+    line = np.rint(joints[list(_TRUNK)]).astype(np.int32)
+    cv2.polylines(trunk, [line], False, 1, max(1, round(_TRUNK_WIDTH_SHARE * box[3])))
+    cut = np.zeros_like(mask)
+    for _ in range(int(generator.integers(1, 3))):
+        centre = np.rint(joints[generator.choice(_ENDS)]).astype(int).tolist()
+        cv2.circle(cut, centre, max(1, round(generator.uniform(*CUT_SHARE) * box[3])), 1, -1)
+    less = mask & ~(cut & ~trunk)
+    return less if less.any() else mask
+
+
+def _with_ragged_outline(
+    mask: NDArray[np.uint8], scale: float, generator: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Move the outline in and out at random, on average a little out."""
+    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
+    outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3)
+    grain = cv2.GaussianBlur(generator.standard_normal(mask.shape, np.float32), (0, 0), GRAIN_PX)
+    shift = grain * (generator.uniform(*OUTLINE_STD_PX) / float(grain.std())) + WIDER_PX
+    return (inside - outside + scale * shift > 0).astype(np.uint8)
+
+
+def _largest(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """The largest connected part of a mask that is not empty."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    return np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+
+
+def degrade_all(
+    silhouettes: NDArray[np.uint8],
+    joints: NDArray[np.floating],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Degrade many silhouettes.
+
+    Parameters
+    ----------
+    silhouettes : (B, 128, 48) uint8 array
+    joints : (B, 19, 2) array
+    generator : numpy.random.Generator
+
+    Returns
+    -------
+    degraded : (B, 128, 48) uint8 array
+    joints : (B, 19, 2) float64 array
+        Where the joints are in them.
+    """
+    degraded = np.empty_like(silhouettes)
+    moved = np.empty(joints.shape)
+    for row, (silhouette, places) in enumerate(zip(silhouettes, joints, strict=True)):
+        degraded[row], placement = degrade(silhouette, places, generator)
+        moved[row] = placement.to_normalised(places)
+    return degraded, moved

@@ -13,9 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.calibrate import HYPOTHESES, Trial
-from index.build.learn import view_joints
-from index.build.simulate import Simulation
+from index.build.calibrate import HYPOTHESES, Queries, Trial
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import match
 from index.skeleton import JOINTS, NATIVE
@@ -65,7 +63,7 @@ def plot_growth(sizes: list[dict[str, float]], file: Path) -> None:
     plt.close(figure)
 
 
-def draw_hard_queries(index: PoseIndex, queries: Simulation, trial: Trial, file: Path) -> None:
+def draw_hard_queries(index: PoseIndex, queries: Queries, trial: Trial, file: Path) -> None:
     """Draw queries whose first answer is wrong, evenly chosen, each beside its answers.
 
     Left of each row the query with its true skeleton; then the hypotheses over the silhouettes
@@ -74,10 +72,10 @@ def draw_hard_queries(index: PoseIndex, queries: Simulation, trial: Trial, file:
     """
     wrong = np.flatnonzero(~trial.right[:, 0])
     chosen = wrong[np.linspace(0, len(wrong) - 1, HARD).astype(int)]
-    truths = view_joints(queries)[1]
+    truths = queries.joints_2d
     rows = []
     for query in chosen.tolist():
-        silhouette = queries.silhouettes(slice(query, query + 1))[0]
+        silhouette = queries.silhouettes[query]
         cells = [_cell(silhouette, truths[query], "query", None)]
         for hypothesis in match(index, silhouette, HYPOTHESES):
             joints = hypothesis.points_normalised[:JOINTS]

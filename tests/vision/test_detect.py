@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.box_arrays import averaged, drop_parts, iou_matrix, suppress
-from app.vision.detect import CascadeDetector, Detector, HogDetector, load_detector
+from app.vision.detect import CascadeDetector, Detector, HogDetector, make_detector
 from app.vision.network import PersonNetwork
 from app.vision.people import Box
 
@@ -61,9 +60,9 @@ def test_threads_agree(network: PersonNetwork, street: NDArray[np.uint8]) -> Non
             assert found == expected
 
 
-def test_without_a_model_gradients_serve(tmp_path: Path) -> None:
-    assert isinstance(load_detector(None), HogDetector)
-    assert isinstance(load_detector(tmp_path / "missing"), HogDetector)
+def test_without_a_network_gradients_serve(network: PersonNetwork) -> None:
+    assert isinstance(make_detector(None), HogDetector)
+    assert isinstance(make_detector(network), CascadeDetector)
     with pytest.raises(ValueError, match="min_person_px"):
         HogDetector(min_person_px=0)
     with pytest.raises(ValueError, match="min_score"):

@@ -14,9 +14,9 @@ from app.vision.body_shape import body_prior
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.neighbours import own_part
-from app.vision.network import NetworkError, PersonNetwork
+from app.vision.network import NetworkError, PersonNetwork, load_network
 from app.vision.people import Box
-from app.vision.segment import NetworkSegmenter, load_segmenter, silhouettes_from_labels
+from app.vision.segment import NetworkSegmenter, make_segmenter, silhouettes_from_labels
 
 
 def figure(frame: NDArray[np.uint8], left: int, colour: tuple[int, int, int]) -> np.ndarray:
@@ -129,12 +129,12 @@ def test_threads_agree(
                 assert (one.crop == other.crop).all()
 
 
-def test_without_a_model_grabcut_serves(tmp_path: Path) -> None:
-    assert load_segmenter(None).name == "grabcut"
-    assert load_segmenter(tmp_path / "missing.tflite").name == "grabcut"
+def test_without_a_network_grabcut_serves(tmp_path: Path) -> None:
+    assert make_segmenter(load_network(None)).name == "grabcut"
+    assert make_segmenter(load_network(tmp_path / "missing.tflite")).name == "grabcut"
     broken = tmp_path / "broken.tflite"
     broken.write_bytes(b"not a network" * 100)
-    assert load_segmenter(broken).name == "grabcut"
+    assert make_segmenter(load_network(broken)).name == "grabcut"
     with pytest.raises(NetworkError):
         PersonNetwork(broken)
 

@@ -1,0 +1,98 @@
+"""How the silhouettes of the paper's experiments are answered, and how far off the answers are.
+
+Two ways: the nearest entries, as the paper answers, and the service's way
+(:mod:`index.matching`): the nearest entries and their mirror images are gathered into distinct
+poses, each interpolated to the query.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptor.descriptor import Descriptor
+from index.build.builder import assemble
+from index.build.learn import view_joints
+from index.build.simulate import Simulation
+from index.candidates import Candidates, find_candidates
+from index.confidence import Calibration
+from index.modes import Mode, find_modes
+from index.skeleton import JOINTS
+from index.store import PoseIndex
+from scripts.experiments.protocol import joint_errors, nearest
+
+HYPOTHESES = 7
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How nearest entries are gathered into distinct poses.
+
+    Parameters
+    ----------
+    candidates : int
+        Nearest entries that are looked at.
+    bandwidth_m : float
+        Joint distance at which they still belong together.
+    """
+
+    candidates: int
+    bandwidth_m: float
+
+
+def make_index(known: Simulation, descriptor: Descriptor) -> PoseIndex:
+    """An index of known silhouettes; its confidence knows nothing."""
+    return assemble(known, descriptor, Calibration.none(), {}, "paper")
+
+
+def nearest_errors(
+    known: Simulation,
+    descriptor: Descriptor,
+    unseen: Simulation,
+    silhouettes: NDArray[np.uint8],
+    count: int = HYPOTHESES,
+) -> NDArray[np.float32]:
+    """Joint errors ``(Q, count)`` in px of the nearest entries."""
+    numbers = nearest(known.describe(descriptor), descriptor.describe(silhouettes), count)
+    return joint_errors(known, unseen, numbers)
+
+
+def all_candidates(
+    index: PoseIndex, silhouettes: Iterable[NDArray[np.uint8]], count: int
+) -> list[Candidates]:
+    """The nearest entries to each silhouette."""
+    return [find_candidates(index, silhouette, count) for silhouette in silhouettes]
+
+
+def first(candidates: Candidates, count: int) -> Candidates:
+    """The nearest of some candidates."""
+    values = {f.name: getattr(candidates, f.name) for f in fields(candidates)}
+    query = values.pop("query")
+    return Candidates(query, **{name: value[:count] for name, value in values.items()})
+
+
+def ranked_modes(candidates: Candidates, matching: Matching, count: int) -> list[Mode]:
+    """Distinct poses, best first, as :func:`index.matching.match` ranks them."""
+    modes = find_modes(
+        first(candidates, matching.candidates), count + 3, bandwidth_m=matching.bandwidth_m
+    )
+    return sorted(modes, key=lambda mode: mode.distance)[:count]
+
+
+def mode_errors(
+    found: Sequence[Candidates],
+    unseen: Simulation,
+    matching: Matching,
+    count: int = HYPOTHESES,
+) -> NDArray[np.float64]:
+    """Joint errors ``(Q, count)`` in px of distinct poses; infinite where there are fewer."""
+    errors = np.full((len(found), count), np.inf)
+    truth = view_joints(unseen)[1]
+    for row, candidates in enumerate(found):
+        for rank, mode in enumerate(ranked_modes(candidates, matching, count)):
+            apart = mode.points_normalised[:JOINTS] - truth[row]
+            errors[row, rank] = np.linalg.norm(apart, axis=-1).mean()
+    return errors

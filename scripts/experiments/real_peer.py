@@ -1,0 +1,87 @@
+"""MediaPipe Pose beside the service: the same images, by an interpreter of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.people import Box
+
+SCRIPT = Path(__file__).resolve().parent.parent / "mediapipe_peer.py"
+ROOM = 0.25
+"""Room left about a true box, in shares of its height: MediaPipe looks for a person first."""
+
+
+@dataclass(frozen=True)
+class PeerAnswer:
+    """What MediaPipe says of one image.
+
+    Parameters
+    ----------
+    milliseconds : float
+    mask : (h, w) bool array or None
+        None, as are the others, where it finds nobody.
+    points_2d : (12, 2) float64 array or None
+        Pixels of the image; rows are :data:`scripts.experiments.real_data.LIMBS`.
+    points_3d : (12, 3) float64 array or None
+        Camera axes, metres, origin between the hips.
+    """
+
+    milliseconds: float
+    mask: NDArray[np.bool_] | None
+    points_2d: NDArray[np.float64] | None
+    points_3d: NDArray[np.float64] | None
+
+
+def why_absent(python: Path | None) -> str:
+    """One sentence on why there is no peer to compare with; empty where there is one."""
+    if python is None:
+        return "no interpreter was named (`--mediapipe PYTHON`)"
+    command = [str(python), "-c", "import mediapipe; print(mediapipe.__version__)"]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        return f"{python} cannot be run ({error.strerror})"
+    version = result.stdout.strip().rsplit("\n", 1)[-1]
+    if result.returncode or version != "0.10.21":
+        return f"{python} has no mediapipe 0.10.21"
+    return ""
+
+
+def ask(python: Path, images: Mapping[str, NDArray[np.uint8]]) -> dict[str, PeerAnswer]:
+    """Ask MediaPipe about images ``(h, w, 3)``, BGR, by name."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "images.npz"), Path(folder, "answers.npz")
+        np.savez(source, **dict(images))  # type: ignore[arg-type]
+        command = [str(python), str(SCRIPT), str(source), str(target)]
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        if result.returncode:
+            raise ValueError(f"MediaPipe failed: {result.stderr.strip()[-500:]}")
+        with np.load(target, allow_pickle=False) as answers:
+            return {name: _answer(answers, name) for name in images}
+
+
+def _answer(answers: Mapping[str, NDArray[np.generic]], name: str) -> PeerAnswer:
+    milliseconds = float(answers[f"{name}/milliseconds"])
+    if not bool(answers[f"{name}/found"]):
+        return PeerAnswer(milliseconds, None, None, None)
+    return PeerAnswer(
+        milliseconds,
+        np.asarray(answers[f"{name}/mask"], bool),
+        np.asarray(answers[f"{name}/points_2d"], np.float64),
+        np.asarray(answers[f"{name}/points_3d"], np.float64),
+    )
+
+
+def room_about(box: Box, frame_shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """Columns and rows ``(left, top, right, bottom)`` of a box with room, inside the frame."""
+    room = ROOM * box.height
+    roomy = Box(box.x - room, box.y - room, box.width + 2 * room, box.height + 2 * room)
+    left, top, right, bottom = roomy.pixels()
+    return max(0, left), max(0, top), min(frame_shape[1], right), min(frame_shape[0], bottom)

@@ -1,0 +1,99 @@
+"""How well silhouettes overlap the true masks of the street photographs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from app.vision.detect import Detector
+from app.vision.segment import Segmenter
+from scripts.experiments.real_data import Photograph
+from scripts.experiments.real_peer import ask, room_about
+
+
+def overlap(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks."""
+    return float((mask & truth).sum() / max(1, int((mask | truth).sum())))
+
+
+def summary(values: Sequence[float], odd: NDArray[np.bool_]) -> dict[str, float]:
+    """Mean and median overlap, of all people and of those in odd photographs."""
+    every = np.array(values)
+    return {
+        "people": len(every),
+        "mean": float(every.mean()),
+        "median": float(np.median(every)),
+        "odd_people": int(odd.sum()),
+        "odd_mean": float(every[odd].mean()),
+        "odd_median": float(np.median(every[odd])),
+    }
+
+
+def odd_people(photographs: Sequence[Photograph]) -> NDArray[np.bool_]:
+    """Whether each labelled person is in an odd photograph."""
+    return np.concatenate([np.full(len(one.boxes), one.odd) for one in photographs])
+
+
+def in_true_boxes(photographs: Sequence[Photograph], segmenter: Segmenter) -> dict[str, float]:
+    """Overlap where the segmenter is given the true boxes; 0 where it finds nobody."""
+    values, spent = [], 0.0
+    for photograph in tqdm(photographs, desc=segmenter.name, unit="photograph"):
+        boxes = photograph.boxes
+        started = time.perf_counter()
+        silhouettes = segmenter.segment(photograph.frame, boxes)
+        spent += time.perf_counter() - started
+        for label, one in enumerate(silhouettes, start=1):
+            truth = photograph.labels == label
+            values.append(0.0 if one is None else overlap(one.mask(truth.shape), truth))
+    found = summary(values, odd_people(photographs))
+    found["milliseconds"] = 1000 * spent / len(values)
+    return found
+
+
+def end_to_end(
+    photographs: Sequence[Photograph], detector: Detector, segmenter: Segmenter
+) -> dict[str, float]:
+    """Overlap of the best silhouette among those of all detections; 0 where none touches."""
+    values = []
+    for photograph in tqdm(photographs, desc="end to end", unit="photograph"):
+        boxes = [one.box for one in detector.detect(photograph.frame)]
+        silhouettes = segmenter.segment(photograph.frame, boxes)
+        masks = [one.mask(photograph.labels.shape) for one in silhouettes if one is not None]
+        for label in range(1, len(photograph.boxes) + 1):
+            truth = photograph.labels == label
+            values.append(max((overlap(mask, truth) for mask in masks), default=0.0))
+    return summary(values, odd_people(photographs))
+
+
+def peer_in_true_boxes(photographs: Sequence[Photograph], python: Path) -> dict[str, float]:
+    """MediaPipe's masks, each of a true box with room about it, cut to the box."""
+    crops, places = {}, []
+    for photograph in photographs:
+        for label, box in enumerate(photograph.boxes, start=1):
+            left, top, right, bottom = room_about(box, photograph.frame.shape)
+            name = f"{photograph.name}-{label}"
+            crops[name] = photograph.frame[top:bottom, left:right]
+            places.append((name, photograph, label, (left, top, right, bottom)))
+    answers = ask(python, crops)
+    values, missed = [], 0
+    for name, photograph, label, (left, top, right, bottom) in places:
+        mask = answers[name].mask
+        if mask is None:
+            missed += 1
+            values.append(0.0)
+            continue
+        whole = np.zeros(photograph.labels.shape, bool)
+        whole[top:bottom, left:right] = mask
+        inside = np.zeros_like(whole)
+        x0, y0, x1, y1 = photograph.boxes[label - 1].pixels()
+        inside[y0:y1, x0:x1] = whole[y0:y1, x0:x1]
+        values.append(overlap(inside, photograph.labels == label))
+    found = summary(values, odd_people(photographs))
+    found["missed"] = missed
+    found["milliseconds"] = float(np.mean([one.milliseconds for one in answers.values()]))
+    return found

@@ -1,0 +1,111 @@
+"""People found in the street video, against marks made by hand."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.box_arrays import iou_matrix
+from app.vision.detect import Detector
+from app.vision.people import Box
+from scripts.experiments.real_data import as_array
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+MARKS = ROOT / "tests" / "data" / "vtest-people.json"
+FOUND_FROM = 0.5
+"""Overlap (IoU) of boxes from which a marked walker counts as found."""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """The people of one frame.
+
+    Parameters
+    ----------
+    frame : int
+        Number in the video, from 0.
+    people : list of Box
+        Walkers of whom at least half is seen, 50 px tall or more.
+    ignored : list of Box
+        People hidden or cut off by more than half, or smaller: neither finding nor missing them
+        counts.
+    """
+
+    frame: int
+    people: list[Box]
+    ignored: list[Box]
+
+
+def read_marks(file: Path = MARKS) -> list[Marks]:
+    """Read the marks of all frames."""
+    document = json.loads(file.read_text())
+    return [
+        Marks(
+            int(one["frame"]),
+            [Box(*map(float, box)) for box in one["people"]],
+            [Box(*map(float, box)) for box in one["ignored"]],
+        )
+        for one in document["frames"]
+    ]
+
+
+def measure_vtest(
+    frames: Sequence[tuple[int, NDArray[np.uint8]]],
+    marks: Sequence[Marks],
+    detector: Detector,
+    min_score: float,
+) -> dict[str, float]:
+    """Share of the marked walkers that are found, and false boxes per frame.
+
+    Parameters
+    ----------
+    frames : sequence of (int, (H, W, 3) uint8 array)
+        Numbered frames; those without marks are left out.
+    marks : sequence of Marks
+    detector : Detector
+    min_score : float
+        Detections below count as not made.
+    """
+    by_number = dict(frames)
+    marked = found = boxes = false = frames_seen = 0
+    spent = []
+    for one in marks:
+        frame = by_number[one.frame]
+        started = time.perf_counter()
+        detections = [d for d in detector.detect(frame) if d.score >= min_score]
+        spent.append(1000 * (time.perf_counter() - started))
+        hits, wrong = compare([d.box for d in detections], one)
+        marked += len(one.people)
+        found += hits
+        boxes += len(detections)
+        false += wrong
+        frames_seen += 1
+    return {
+        "frames": frames_seen,
+        "walkers": marked,
+        "found": found / max(1, marked),
+        "boxes": boxes,
+        "false_per_frame": false / max(1, frames_seen),
+        "milliseconds": float(np.median(spent)),
+    }
+
+
+def compare(boxes: Sequence[Box], marks: Marks) -> tuple[int, int]:
+    """Count walkers found and false boxes; boxes come best first."""
+    overlaps = iou_matrix(as_array(boxes), as_array(marks.people + marks.ignored))
+    free = np.ones(len(marks.people), bool)
+    found = false = 0
+    for row in overlaps:
+        reachable = np.where(free, row[: len(free)], 0)
+        if reachable.size and reachable.max() >= FOUND_FROM:
+            free[reachable.argmax()] = False
+            found += 1
+        elif row[len(free) :].max(initial=0) < 0.3:
+            false += 1
+    return found, false

@@ -1,0 +1,79 @@
+"""Noise on the contour: as much as asked for, along the radius, nothing else."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from numpy.typing import NDArray
+
+from scripts.experiments.contour import disturb, disturb_all
+
+RADIUS = 20
+
+
+@pytest.fixture
+def disc() -> NDArray[np.uint8]:
+    """A filled circle in the middle of the frame."""
+    frame = np.zeros((128, 48), np.uint8)
+    return np.asarray(cv2.circle(frame, (24, 64), RADIUS, 1, cv2.FILLED), np.uint8)
+
+
+@pytest.fixture
+def ring(disc: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same with a hole."""
+    return np.asarray(cv2.circle(disc.copy(), (24, 64), RADIUS // 2, 0, cv2.FILLED), np.uint8)
+
+
+def test_no_noise_changes_nothing(disc: NDArray[np.uint8]) -> None:
+    same = disturb(disc, 0.0, np.random.default_rng(0))
+    assert_array_equal(same, disc)
+    assert same is not disc
+
+
+def test_equal_seeds_make_equal_noise_and_every_silhouette_has_its_own(
+    disc: NDArray[np.uint8],
+) -> None:
+    pair = np.stack([disc, disc])
+    one, other = disturb_all(pair, 2.0, 5), disturb_all(pair, 2.0, 5)
+    assert_array_equal(one, other)
+    assert (one[0] != one[1]).any()
+    assert (one != disturb_all(pair, 2.0, 6)).any()
+
+
+def test_a_silhouette_stays_one(disc: NDArray[np.uint8]) -> None:
+    noisy = disturb(disc, 3.0, np.random.default_rng(1))
+    assert noisy.shape == disc.shape
+    assert noisy.dtype == np.uint8
+    assert set(np.unique(noisy)) == {0, 1}
+
+
+def test_more_noise_changes_more(disc: NDArray[np.uint8]) -> None:
+    changed = [
+        np.mean([(disturb(disc, std, np.random.default_rng(s)) != disc).sum() for s in range(20)])
+        for std in (1.0, 2.0, 3.0)
+    ]
+    assert changed[0] < changed[1] < changed[2]
+
+
+def test_noise_moves_the_outline_as_far_as_its_deviation_says(disc: NDArray[np.uint8]) -> None:
+    # Along a ray, the disturbed outline lies std * N(0, 1) from the true one. Neighbouring
+    # points are a pixel apart, so a filled polygon shows nearly all of it.
+    rays = np.deg2rad(np.arange(0, 360, 5))
+    steps = np.arange(0, 24, 0.1)
+    rows = np.rint(64 + np.outer(np.sin(rays), steps)).astype(int)
+    columns = np.clip(np.rint(24 + np.outer(np.cos(rays), steps)).astype(int), 0, 47)
+    lengths = []
+    for seed in range(30):
+        noisy = disturb(disc, 1.0, np.random.default_rng(seed))
+        lengths.append(noisy[rows, columns].sum(axis=1) * 0.1)
+    assert np.std(lengths) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(lengths) == pytest.approx(RADIUS, abs=0.7)
+
+
+def test_holes_stay_holes(ring: NDArray[np.uint8]) -> None:
+    noisy = disturb(ring, 1.0, np.random.default_rng(2))
+    assert noisy[64, 24] == 0
+    assert noisy[64, 24 + 3 * RADIUS // 4] == 1
+    assert int(noisy.sum()) == pytest.approx(int(ring.sum()), rel=0.15)
