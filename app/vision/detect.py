@@ -43,13 +43,11 @@ class Detector(Protocol):
         ...
 
 
-def make_detector(
-    network: PersonNetwork | None, *, min_person_px: float = 50, min_score: float = 0.3
-) -> Detector:
+def make_detector(network: PersonNetwork | None, *, min_person_px: float = 50) -> Detector:
     """The cascade if there is a network, else gradients alone."""
     if network is not None:
-        return CascadeDetector(network, min_person_px=min_person_px, min_score=min_score)
-    return HogDetector(min_person_px=min_person_px, min_score=min_score)
+        return CascadeDetector(network, min_person_px=min_person_px)
+    return HogDetector(min_person_px=min_person_px)
 
 
 class HogDetector:
@@ -63,7 +61,7 @@ class HogDetector:
         Least probability reported.
     """
 
-    def __init__(self, *, min_person_px: float = 50, min_score: float = 0.3) -> None:
+    def __init__(self, *, min_person_px: float = 50, min_score: float = 0.25) -> None:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
