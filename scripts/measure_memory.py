@@ -30,7 +30,7 @@ def large_frame(index: PoseIndex) -> list[Call]:
 
 def peaks(path: Path, small: list[Call], large: list[Call]) -> list[str]:
     """Return rows of resident memory, now and at the most, as the work grows."""
-    rows = []
+    rows: list[str] = []
 
     def row(what: str) -> None:
         now, most = server.memory_mb(), server.memory_mb("VmHWM")
