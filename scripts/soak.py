@@ -152,6 +152,7 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
         failed.append(f"memory grew from {after_warm_up:.0f} to {at_end:.0f} MB")
     if percentile(late, 99) > LATENCY_GROWTH * percentile(early, 99):
         failed.append("the p99 of good requests grew")
+    along = [f"{mb:.0f}" for position, mb in soak.memory if position % (requests // 10) == 0]
     rows = [
         f"| {kind.name} | "
         + ", ".join(
@@ -172,6 +173,7 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
 | `/pose` with a mask, median | {percentile(early, 50):.1f} ms | {percentile(late, 50):.1f} ms |
 | `/pose` with a mask, p99 | {percentile(early, 99):.1f} ms | {percentile(late, 99):.1f} ms |
 
+Resident memory in megabytes after each tenth: {", ".join(along)}.
 5xx besides deliberate 503s: {sum(faults.values())}; deliberate 503s: {deliberate};
 broken connections: {sum(soak.broken.values())}.
 {"Failed: " + "; ".join(failed) if failed else "Passed."}
