@@ -25,8 +25,7 @@ _GIVEN_BACK_FROM_BYTES = 1024**2
 _HEAPS = 2
 
 # How long a thread that runs Python keeps another one waiting. The thread that answers has to
-# ask anew after every call to the system, several times a request: at Python's 5 ms, two busy
-# threads make 20 ms of a liveness probe.
+# ask anew after every call to the system, several times a request; Python's default is 5 ms.
 _SWITCH_S = 0.001
 
 _NICENESS = 5
