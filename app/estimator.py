@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.facing import Facing, weigh, weigh_by_image
-from app.png_chunks import check_png_chunks
 from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
@@ -385,7 +384,6 @@ class Estimator:
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:
-            check_png_chunks(data)
             return decode(data, max_pixels=self._max_pixels)
         except ImageTooLargeError as error:
             raise UploadError(name, "too_large", f"{name}: {error}") from error

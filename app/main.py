@@ -128,6 +128,10 @@ async def _load(runtime: Runtime) -> None:
     except ArtefactError as error:
         runtime.not_ready_because = str(error)
         log.error("not ready: %s", error)
+    except Exception:
+        # A process that ends here would be started again and again, and say nothing to probes.
+        runtime.not_ready_because = "the index could not be loaded; the log says more"
+        log.exception("not ready")
     else:
         _become_ready(runtime, estimator)
 

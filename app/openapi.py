@@ -28,6 +28,9 @@ def add_openapi(app: FastAPI) -> None:
             schemas = document["components"]["schemas"]
             schemas["Problem"] = Problem.model_json_schema()
             for name, schema in schemas.items():
+                # The models here allow no others, but a later version may add fields: clients
+                # that refuse what they do not know would break. (And openapi-generator warns.)
+                schema.pop("additionalProperties", None)
                 if name.startswith("Body_"):
                     properties = schema["properties"]
                     schema["properties"] = {k: _form_field(v) for k, v in properties.items()}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -29,7 +29,7 @@ from app.estimator import Estimator, Person
 from app.settings import Settings
 from app.vision.people import Box, Silhouette
 from descriptor.silhouette import normalise
-from index.skeleton import NATIVE, KeypointSet
+from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
 from scripts.experiments.real_data import read_pennfudan, read_pose2sim, read_vtest
 from scripts.experiments.real_poses import estimate
@@ -42,22 +42,6 @@ VTEST_PEOPLE, VIDEO_PEOPLE = 16, 8
 VTEST_FRAMES = 20
 SHOWN_FROM_PX = 100
 """People of the small sheet are at least this tall, so that a reader sees something."""
-
-
-def _side(name: str) -> KeypointSet:
-    """The native skeleton, of its bones only those that end in the joints of a side."""
-    bones = tuple(
-        bone for bone in NATIVE.bones if NATIVE.names[bone[1]].partition("_")[0] in name.split()
-    )
-    return replace(NATIVE, bones=bones)
-
-
-SIDES = (
-    (_side("spine chest neck head"), (90, 200, 90)),
-    (_side("left"), (255, 130, 40)),
-    (_side("right"), (50, 60, 235)),
-)
-"""Bones and their colour, BGR: trunk green, left blue, right red."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +73,7 @@ def pictures(
     points = (
         first.points_2d[list(NATIVE.indices)] + 0.5 - (window.x + 0.5, window.y + 0.5)
     ) * scale
-    for keypoints, colour in SIDES:
-        draw_skeleton(overlay, points - 0.5, keypoints, colour, 3)
+    draw_skeleton(overlay, points - 0.5, NATIVE, 3)
     confidence = first.hypothesis.confidence
     action = estimator.index.entry(
         first.hypothesis.entry, mirrored=first.hypothesis.mirrored
@@ -178,8 +161,26 @@ def street_people(estimator: Estimator, folder: Path) -> list[Pictures]:
     return [one for one in found if one is not None]
 
 
+def draw_strip(people: Sequence[Pictures], file: Path) -> None:
+    """A column for each person, a row for each stage."""
+    stages = ("photograph", "silhouette", "nearest\nsimulated", "skeleton")
+    figure, axes = plt.subplots(
+        4, len(people), figsize=(1.55 * len(people) + 0.9, 8.9), squeeze=False,
+        layout="constrained",
+    )  # fmt: skip
+    for column, person in enumerate(people):
+        cells = (person.photograph, person.silhouette, person.nearest, person.skeleton)
+        for row, cell in enumerate(cells):
+            _show(axes[row, column], cell)
+        axes[3, column].set_xlabel(person.caption.split("\n")[1].replace(", ", "\n"), fontsize=9)
+    for row, stage in enumerate(stages):
+        axes[row, 0].set_ylabel(stage, fontsize=10)
+    figure.savefig(file, dpi=90)
+    plt.close(figure)
+
+
 def draw_sheet(people: Sequence[Pictures], file: Path, columns: int = 4) -> None:
-    """Photograph, silhouette, nearest simulated one and skeleton of every person, numbered."""
+    """Photograph, silhouette and skeleton of every person, with number and caption."""
     rows = -(-len(people) // columns)
     figure, axes = plt.subplots(
         rows, columns, figsize=(4.3 * columns, 1.85 * rows), squeeze=False, layout="constrained"
@@ -216,8 +217,7 @@ def main() -> None:
     street, video = vtest_people(estimator, folder), video_people(estimator, folder)
     tall = [one for one in street if one.height_px >= SHOWN_FROM_PX]
     (options.docs / "results").mkdir(parents=True, exist_ok=True)
-    shown = evenly(tall, 4) + evenly(video, 4)[1:3]
-    draw_sheet(shown, options.docs / "people.png", columns=2)
+    draw_strip(evenly(tall, 4) + evenly(video, 4)[1:3], options.docs / "people.png")
     sheet = evenly(street, VTEST_PEOPLE) + evenly(video, VIDEO_PEOPLE)
     draw_sheet(sheet, options.docs / "results" / "real-people.png")
 

@@ -5,7 +5,6 @@ python -m scripts.fuzz [--index index/data] [--uploads 100000] [--write]
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
 import time
@@ -15,9 +14,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import PoseIndex
 from scripts.raw_client import Call, RawClient
-from scripts.results import RELIABILITY, machine, percentile, revision, write_section
+from scripts.results import conclude, machine, measurement_parser, percentile, revision
 from scripts.server_process import ServerProcess
 from scripts.street import encode, street
 
@@ -164,10 +163,8 @@ Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %).
 
 def main() -> int:
     """Command line; 1 where a criterion fails."""
-    parser = argparse.ArgumentParser(description="Fuzz the uploads of a real server.")
-    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser = measurement_parser("Fuzz the uploads of a real server.")
     parser.add_argument("--uploads", type=int, default=100_000)
-    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
     options = parser.parse_args()
     with ServerProcess(options.index, log=Path("/tmp/fuzz-server.log")) as server:
         server.wait_until_ready()
@@ -180,9 +177,7 @@ def main() -> int:
             return 1
         body, failed = report(fuzz, server, seconds)
         body += f"\nThe server ended with status {server.stop()}."
-    print(body)
-    if options.write:
-        write_section(RELIABILITY, "Fuzzed uploads", body)
+    conclude("Fuzzed uploads", body, write=options.write)
     return 1 if failed else 0
 
 

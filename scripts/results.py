@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import platform
 import subprocess
 from pathlib import Path
 
 import numpy as np
+
+from index.store import DEFAULT_PATH
 
 ROOT = Path(__file__).resolve().parent.parent
 RELIABILITY = ROOT / "docs" / "results" / "reliability.md"
@@ -33,6 +36,21 @@ def revision() -> str:
 def percentile(values: list[float], share: float) -> float:
     """Return a percentile, 0 where there are no values."""
     return float(np.percentile(values, share)) if values else 0.0
+
+
+def measurement_parser(description: str) -> argparse.ArgumentParser:
+    """Make a command line with what every measurement of a server takes."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--write", action="store_true", help=f"into {RELIABILITY.name}")
+    return parser
+
+
+def conclude(title: str, body: str, *, write: bool) -> None:
+    """Print a section, and put it into ``docs/results/reliability.md`` where that is asked."""
+    print(body)
+    if write:
+        write_section(RELIABILITY, title, body)
 
 
 def write_section(file: Path, title: str, body: str) -> None:

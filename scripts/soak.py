@@ -8,7 +8,6 @@ is more than 5 % above that after warm-up, or where good requests have become sl
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
 import time
@@ -18,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import PoseIndex
 from scripts.raw_client import Call, RawClient
-from scripts.results import RELIABILITY, machine, percentile, revision, write_section
+from scripts.results import conclude, machine, measurement_parser, percentile, revision
 from scripts.server_process import ServerProcess
 from scripts.street import encode, street
 
@@ -185,10 +184,8 @@ broken connections: {sum(soak.broken.values())}.
 
 def main() -> int:
     """Command line; 1 where a criterion fails."""
-    parser = argparse.ArgumentParser(description="Soak a real server.")
-    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser = measurement_parser("Soak a real server.")
     parser.add_argument("--requests", type=int, default=20_000)
-    parser.add_argument("--write", action="store_true", help="into docs/results/reliability.md")
     options = parser.parse_args()
     mixture = kinds(PoseIndex.load(options.index))
     with ServerProcess(options.index, log=Path("/tmp/soak-server.log")) as server:
@@ -199,9 +196,7 @@ def main() -> int:
         seconds = time.perf_counter() - started
         body, failed = report(soak, options.requests, seconds)
         body += f"\n\nThe server ended with status {server.stop()}."
-    print(body)
-    if options.write:
-        write_section(RELIABILITY, "Soak", body)
+    conclude("Soak", body, write=options.write)
     return 1 if failed else 0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.image_header import ImageError, ImageHeader, read_header
+from app.vision.png_chunks import check_png_chunks
 
 __all__ = ["ImageError", "ImageTooLargeError", "decode_image", "decode_mask"]
 
@@ -113,6 +114,7 @@ def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:
         raise ImageTooLargeError(
             f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
         )
+    check_png_chunks(data)
     return header
 
 

@@ -241,7 +241,4 @@ def without_clips(simulation: Simulation, kept: set[str]) -> Simulation:
     """Keep the entries of some clips only."""
     keep_clip = np.array([clip in kept for clip in simulation.clips])
     keep = keep_clip[simulation.skeleton_labels["clip"][simulation.entries["skeleton"]]]
-    return Simulation(
-        simulation.bits[keep], simulation.entries[keep], simulation.skeletons,
-        simulation.skeleton_labels, simulation.clips, simulation.subjects, simulation.actions,
-    )  # fmt: skip
+    return simulation.take(keep)

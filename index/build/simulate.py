@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,10 @@ class Simulation:
 
     def __len__(self) -> int:
         return len(self.entries)
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Simulation:
+        """Some entries; all skeletons stay."""
+        return replace(self, bits=self.bits[rows], entries=self.entries[rows])
 
     def silhouettes(self, rows: slice | NDArray[np.integer]) -> NDArray[np.uint8]:
         """Unpack some silhouettes ``(B, 128, 48)`` of 0 and 1."""

@@ -195,7 +195,8 @@ def report(
         "shipped one and the figures are lower for it; what counts is how they compare.",
         "The shipped descriptor is in bold; from it, one thing is changed at a time, and in "
         "the last table several. *Gain*: points at rank 1 over the shipped one on the same "
-        "queries, clean and degraded, with its standard error (a gain below two standard errors may be chance).",
+        "queries, clean and degraded, with its standard error (a gain below two standard errors "
+        "may be chance).",
         "![recognition over each choice](descriptor-choice.png)",
         *(choice_table(name, curve, shipped[name]) for name, curve in curves.items()),
         "## The paper's descriptor\n\nDiagonal moments, 24 orders in two regions, 48 values: "

@@ -26,7 +26,6 @@ from scripts.experiments.protocol import (
     PaperData,
     film,
     nearest,
-    pick,
     rig,
 )
 from scripts.experiments.report import table, write
@@ -112,19 +111,19 @@ def every_frame(motion: Path, action: str) -> Poses:
 def frames_between(filmed: Simulation) -> Simulation:
     """The frames that no sample of the stretch holds."""
     frames = filmed.skeleton_labels["frame"][filmed.entries["skeleton"]].astype(int)
-    return pick(filmed, np.flatnonzero((frames - frames.min()) % STEP != 0))
+    return filmed.take(np.flatnonzero((frames - frames.min()) % STEP != 0))
 
 
 def only(simulation: Simulation, avatar: Avatar) -> Simulation:
     """The entries of one avatar."""
     subjects = simulation.skeleton_labels["subject"][simulation.entries["skeleton"]]
-    return pick(simulation, np.flatnonzero(subjects == simulation.subjects.index(avatar.name)))
+    return simulation.take(np.flatnonzero(subjects == simulation.subjects.index(avatar.name)))
 
 
 def without(simulation: Simulation, avatar: Avatar) -> Simulation:
     """The entries of all other avatars."""
     subjects = simulation.skeleton_labels["subject"][simulation.entries["skeleton"]]
-    return pick(simulation, np.flatnonzero(subjects != simulation.subjects.index(avatar.name)))
+    return simulation.take(np.flatnonzero(subjects != simulation.subjects.index(avatar.name)))
 
 
 def ask(known: Simulation, asked: Simulation, matching: Matching) -> NDArray[np.float64]:
@@ -150,7 +149,7 @@ def follow(known: Simulation, filmed: Simulation, avatar: Avatar, matching: Matc
     """One avatar before one camera over all frames, asked of the other avatars."""
     rest, shown = without(known, avatar), only(filmed, avatar)
     azimuth = rig()["azimuth_deg"][SHOWN_CAMERA]
-    shown = pick(shown, np.flatnonzero(shown.entries["azimuth_deg"] == azimuth))
+    shown = shown.take(np.flatnonzero(shown.entries["azimuth_deg"] == azimuth))
     index = make_index(rest, learn_descriptor(rest, SEED))
     return Track(
         shown.skeleton_labels["frame"][shown.entries["skeleton"]].astype(int),

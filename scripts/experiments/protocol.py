@@ -97,14 +97,6 @@ def film(
     )  # fmt: skip
 
 
-def pick(simulation: Simulation, rows: NDArray[np.integer]) -> Simulation:
-    """Some entries of a simulation."""
-    return Simulation(
-        simulation.bits[rows], simulation.entries[rows], simulation.skeletons,
-        simulation.skeleton_labels, simulation.clips, simulation.subjects, simulation.actions,
-    )  # fmt: skip
-
-
 @dataclass(frozen=True)
 class PaperData:
     """Silhouettes known to the index, and those asked for."""
@@ -134,7 +126,7 @@ def paper_data(motion: Path, *, step: int = STEP, progress: bool = False) -> Pap
         known_rows.append(np.delete(rows, asked))
     known = film(poses.take(np.concatenate(known_rows)), avatars, rig(), progress=progress)
     unseen = film(poses.take(np.concatenate(unseen_rows)), avatars, rig(), progress=progress)
-    return PaperData(pick(known, np.linspace(0, len(known) - 1, KNOWN).round().astype(int)), unseen)
+    return PaperData(known.take(np.linspace(0, len(known) - 1, KNOWN).round().astype(int)), unseen)
 
 
 def split_by_frame(
@@ -150,7 +142,7 @@ def split_by_frame(
     for clip in np.unique(labels["clip"]):
         frames = np.unique(labels["frame"][labels["clip"] == clip])
         held |= (labels["clip"] == clip) & np.isin(labels["frame"], frames[position::every])
-    return pick(simulation, np.flatnonzero(~held)), pick(simulation, np.flatnonzero(held))
+    return simulation.take(np.flatnonzero(~held)), simulation.take(np.flatnonzero(held))
 
 
 def joint_errors(

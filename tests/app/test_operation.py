@@ -164,3 +164,19 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         response = client.post("/pose", files={"frame": frame, "mask": mask})
         assert response.status_code == 422
         assert response.json()["field"] == "mask"
+
+
+def test_whatever_goes_wrong_while_loading_is_told_to_probes(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_: Settings) -> Estimator:
+        raise ZeroDivisionError("an inside matter")
+
+    monkeypatch.setattr(Estimator, "load", fail)
+    with TestClient(create_app(settings)) as client:
+        while "not ready" not in caplog.text:
+            assert client.get("/healthz").status_code == 200
+        response = client.get("/readyz")
+        assert response.status_code == 503
+        assert "inside" not in response.text
+        assert "ZeroDivisionError" in caplog.text

@@ -6,7 +6,7 @@ gigabytes, for many seconds, before it notices that they are not there.
 
 from __future__ import annotations
 
-from app.vision.decode import ImageError
+from app.vision.image_header import ImageError
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

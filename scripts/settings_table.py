@@ -1,0 +1,57 @@
+"""Write the table of settings into ``docs/operations.md``, from the settings themselves.
+
+python -m scripts.settings_table
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic.fields import FieldInfo
+
+from app.settings import Settings
+from scripts.results import ROOT, write_section
+
+OPERATIONS = ROOT / "docs" / "operations.md"
+TITLE = "Settings"
+
+INTRODUCTION = """
+Everything is set by environment variables; a value that makes no sense ends the start with a
+sentence that names it. Besides these, `HOST` (default `127.0.0.1`), `PORT` (`8000`) and
+`WORKERS` (`1`, see below) say where and how often the service runs.
+"""
+
+
+def table() -> str:
+    """Return all settings as a table in Markdown."""
+    prefix = Settings.model_config["env_prefix"]
+    rows = [
+        f"| `{prefix}{name.upper()}` | {_default(field)} | {field.description or _plain(name)} |"
+        for name, field in Settings.model_fields.items()
+    ]
+    return "\n".join(["| variable | default | |", "|---|---|---|", *rows])
+
+
+def section() -> str:
+    """Return the text of the section."""
+    return f"{INTRODUCTION.strip()}\n\n{table()}"
+
+
+def _plain(name: str) -> str:
+    return f"{name.replace('_', ' ').capitalize()}."
+
+
+def _default(field: FieldInfo) -> str:
+    if field.default_factory is not None:
+        return "one a core"
+    value = field.default
+    if isinstance(value, Path):
+        return f"`{value.relative_to(ROOT)}` of the service"
+    if value == ():
+        return "none"
+    return f"`{value}`"
+
+
+if __name__ == "__main__":
+    write_section(OPERATIONS, TITLE, section())
+    print(OPERATIONS)

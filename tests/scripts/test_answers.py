@@ -1,0 +1,56 @@
+"""Answers to the paper's queries: the nearest of some candidates, gathered into distinct poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+pytest.importorskip("pybvh", reason="needs the test extra: pybvh")
+
+from index.candidates import Candidates
+from index.skeleton import POINTS
+from scripts.experiments.answers import Matching, first, ranked_modes
+
+CLUSTERS, EACH = 4, 5
+
+
+@pytest.fixture
+def candidates() -> Candidates:
+    """Four poses a metre apart, five entries near each; the query is in the middle of the last."""
+    rng = np.random.default_rng(0)
+    pose = np.repeat(np.arange(CLUSTERS), EACH)
+    points = np.zeros((len(pose), POINTS, 3))
+    points[:, 1:, 0] = pose[:, None] + 0.01 * rng.standard_normal((len(pose), 1))
+    vectors = np.zeros((len(pose), 8), np.float32)
+    vectors[np.arange(len(pose)), pose] = 3.0
+    vectors += rng.normal(0, 0.1, vectors.shape).astype(np.float32)
+    query = vectors[pose == CLUSTERS - 1].mean(axis=0)
+    distances = np.linalg.norm(vectors - query, axis=1).astype(np.float64)
+    order = np.argsort(distances)
+    return Candidates(
+        query, pose[order], np.zeros(len(pose), bool), distances[order], vectors[order],
+        points[order], 10 * points[order][..., :2],
+    )  # fmt: skip
+
+
+def test_first_keeps_the_nearest_and_the_query(candidates: Candidates) -> None:
+    some = first(candidates, 7)
+    assert len(some) == 7
+    assert_array_equal(some.query, candidates.query)
+    assert_array_equal(some.distances, candidates.distances[:7])
+    assert some.points_3d.shape == (7, POINTS, 3)
+
+
+def test_every_pose_is_answered_once_the_nearest_first(candidates: Candidates) -> None:
+    modes = ranked_modes(candidates, Matching(len(candidates), 0.05), 7)
+    answered = [int(candidates.numbers[mode.centre]) for mode in modes]
+    assert answered[0] == CLUSTERS - 1
+    assert sorted(answered) == list(range(CLUSTERS))
+    assert np.diff([mode.distance for mode in modes]).min() >= 0
+    # Interpolated between the entries of the pose.
+    assert modes[0].points_normalised[5, 0] == pytest.approx(10 * (CLUSTERS - 1), abs=0.3)
+
+
+def test_poses_beyond_the_candidates_are_not_answered(candidates: Candidates) -> None:
+    assert len(ranked_modes(candidates, Matching(EACH, 0.05), 7)) == 1
