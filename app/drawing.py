@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +10,10 @@ from app.estimator import Estimate, Scene
 from index.skeleton import KeypointSet
 
 COLOURS = ((66, 165, 255), (80, 220, 100), (255, 120, 80), (230, 110, 230), (90, 230, 240))
-"""BGR; bright enough for night scenes, dark enough for snow."""
+"""Of people, BGR; bright enough for night scenes, dark enough for snow."""
+
+SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
+"""Of limbs, BGR: the person's own left orange, right blue; as the debug page draws them."""
 
 
 def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
@@ -47,7 +48,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
             cv2.drawContours(picture, outlines, -1, (255, 255, 255), line)
         if person.hypotheses:
             points = person.hypotheses[0].points_2d[list(keypoints.indices)]
-            draw_skeleton(picture, points, keypoints, colour, line + 1)
+            draw_skeleton(picture, points, keypoints, line + 1)
     return picture
 
 
@@ -72,10 +73,11 @@ def draw_skeleton(
     picture: NDArray[np.uint8],
     points: NDArray[np.float64],
     keypoints: KeypointSet,
-    colour: Sequence[int],
     line: int,
 ) -> None:
     """Draw bones into a BGR picture, with a dark seam; points that are not finite are left out.
+
+    Left and right have the colours of :data:`SIDES`.
 
     Parameters
     ----------
@@ -84,23 +86,21 @@ def draw_skeleton(
     points : (K, 2) float64 array
         Pixels, in the order of ``keypoints``.
     keypoints : KeypointSet
-    colour : sequence of int
-        BGR.
     line : int
         Pixels.
     """
     # Four binary digits behind the point: OpenCV draws between pixels.
     fixed = np.round(np.nan_to_num(points) * 16).astype(int)
     drawable = [bool(np.isfinite(point).all()) for point in points]
-    for shade, thickness in (((0, 0, 0), line + 2), (colour, line)):
+    for seam in (2, 0):
         for parent, child in keypoints.bones:
             if drawable[parent] and drawable[child]:
-                cv2.line(
-                    picture,
-                    fixed[parent].tolist(),
-                    fixed[child].tolist(),
-                    shade,
-                    thickness,
-                    cv2.LINE_AA,
-                    4,
-                )
+                ends = fixed[parent].tolist(), fixed[child].tolist()
+                colour = (0, 0, 0) if seam else SIDES[_side(keypoints, parent, child)]
+                cv2.line(picture, *ends, colour, line + seam, cv2.LINE_AA, 4)
+
+
+def _side(keypoints: KeypointSet, *points: int) -> str:
+    """``left`` or ``right`` where that is where a bone ends, else ``middle``."""
+    sides = {keypoints.names[point].split("_")[0] for point in points} & {"left", "right"}
+    return sides.pop() if len(sides) == 1 else "middle"

@@ -112,7 +112,7 @@ COCO17 = _keypoint_set(
     ),
 )  # fmt: skip
 
-_MIRRORED = [
+_OTHER_SIDE = [
     POINT_NAMES.index(
         name.replace("left_", "right_")
         if name.startswith("left_")
@@ -122,14 +122,19 @@ _MIRRORED = [
 ]
 
 
+def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Skeletons ``(..., 24, D)`` with left and right exchanged; every point stays in its place."""
+    return points[..., _OTHER_SIDE, :]
+
+
 def mirror_3d(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mirror image of skeletons ``(..., 24, 3)`` in body or camera axes."""
-    return points[..., _MIRRORED, :] * (-1.0, 1.0, 1.0)
+    return exchange_sides(points) * (-1.0, 1.0, 1.0)
 
 
 def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mirror image of skeletons ``(..., 24, 2)`` in pixels of the normalised frame."""
-    return points[..., _MIRRORED, :] * (-1.0, 1.0) + (WIDTH - 1.0, 0.0)
+    return exchange_sides(points) * (-1.0, 1.0) + (WIDTH - 1.0, 0.0)
 
 
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17)}

@@ -73,7 +73,7 @@ def pictures(
     points = (
         first.points_2d[list(NATIVE.indices)] + 0.5 - (window.x + 0.5, window.y + 0.5)
     ) * scale
-    draw_skeleton(overlay, points - 0.5, NATIVE, (66, 165, 255), 3)
+    draw_skeleton(overlay, points - 0.5, NATIVE, 3)
     confidence = first.hypothesis.confidence
     action = estimator.index.entry(
         first.hypothesis.entry, mirrored=first.hypothesis.mirrored

@@ -3,6 +3,7 @@
     python -m scripts.evaluate paper        the experiments of Atrevi et al. (2016)
     python -m scripts.evaluate descriptor   how the discriminant descriptor was chosen
     python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
+    python -m scripts.evaluate growth       the same as the index grows
     python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate real         photographs and videos of ../shared/real
 
@@ -22,6 +23,7 @@ EXPERIMENTS = {
     "paper": "scripts.experiments.paper",
     "descriptor": "scripts.experiments.descriptor_choice",
     "simulation": "scripts.experiments.strict",
+    "growth": "scripts.experiments.growth",
     "sizing": "scripts.experiments.sizing",
     "real": "scripts.experiments.real",
 }

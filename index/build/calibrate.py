@@ -14,7 +14,7 @@ from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match_with_features
-from index.skeleton import JOINTS
+from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
 
 HYPOTHESES = 7
@@ -89,6 +89,9 @@ class Trial:
         As features.
     error_px : (Q, N) float64 array
         Mean joint error in the normalised frame; infinite where there is no hypothesis.
+    twin_error_px : (Q, N) float64 array
+        The same if left and right are exchanged, as an outline seen from the height of the hips
+        cannot tell them.
     error_m : (Q, N) float64 array
         Mean joint error in camera axes, pelvis on pelvis, metres.
     """
@@ -96,6 +99,7 @@ class Trial:
     features: NDArray[np.float64]
     confidence: NDArray[np.float64]
     error_px: NDArray[np.float64]
+    twin_error_px: NDArray[np.float64]
     error_m: NDArray[np.float64]
 
     @property
@@ -120,17 +124,20 @@ def run_trial(
     """
     features = np.zeros((len(queries), n, len(FEATURES)))
     confidence = np.zeros((len(queries), n))
-    error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
+    error_px, twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(3))
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=not progress):
         hypotheses, shown = match_with_features(index, queries.silhouettes[row], n)
         features[row, : len(hypotheses)] = shown
         for rank, hypothesis in enumerate(hypotheses):
+            twin = exchange_sides(hypothesis.points_normalised)
             apart_2d = hypothesis.points_normalised[:JOINTS] - queries.joints_2d[row]
+            apart_twin = twin[:JOINTS] - queries.joints_2d[row]
             apart_3d = hypothesis.points_3d[:JOINTS] - queries.joints_3d[row]
             confidence[row, rank] = hypothesis.confidence
             error_px[row, rank] = np.linalg.norm(apart_2d, axis=-1).mean()
+            twin_error_px[row, rank] = np.linalg.norm(apart_twin, axis=-1).mean()
             error_m[row, rank] = np.linalg.norm(apart_3d, axis=-1).mean()
-    return Trial(features, confidence, error_px, error_m)
+    return Trial(features, confidence, error_px, twin_error_px, error_m)
 
 
 def fit_calibration(trial: Trial) -> Calibration:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,8 +53,8 @@ class Trial:
     turned_deg : (N,) float64 array
         Angle between the azimuths of each and of the reference, 0 to 180.
     confidence : (N,) float64 array
-    error_px : (N,) float64 array
-        2D distance in the normalised frame.
+    apart_px : (N, 12, 2) float64 array
+        From each reference joint to the hypothesis's, in pixels of the normalised frame.
     """
 
     name: str
@@ -65,7 +65,12 @@ class Trial:
     facing_right: NDArray[np.bool_]
     turned_deg: NDArray[np.float64]
     confidence: NDArray[np.float64]
-    error_px: NDArray[np.float64]
+    apart_px: NDArray[np.float64]
+
+    @property
+    def error_px(self) -> NDArray[np.float64]:
+        """Mean 2D distance of each hypothesis in the normalised frame, ``(N,)``."""
+        return np.asarray(np.linalg.norm(self.apart_px, axis=-1).mean(axis=-1))
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -92,20 +97,20 @@ def judge(
     points_2d = np.array([one.points_2d[_ROWS] for one in person.hypotheses])
     points_3d = np.array([one.hypothesis.points_3d[_ROWS] for one in person.hypotheses])
     points_3d = points_3d - points_3d[:, list(HIPS)].mean(axis=1, keepdims=True)
-    apart_px = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
+    apart = points_2d - reference.joints_2d
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
     front = np.cos(np.deg2rad(azimuth)) > 0
     turned = np.abs((azimuth - reference.azimuth_deg + 180) % 360 - 180)
     return Trial(
         name=name,
         odd=odd,
-        near=(apart_px < NEAR * height_px).mean(axis=1),
+        near=(np.linalg.norm(apart, axis=-1) < NEAR * height_px).mean(axis=1),
         distance_m=_distances(points_3d, reference.joints_3d),
         procrustes_m=np.array([procrustes(one, reference.joints_3d) for one in points_3d]),
         facing_right=front == (np.cos(np.deg2rad(reference.azimuth_deg)) > 0),
         turned_deg=turned,
         confidence=np.array([one.hypothesis.confidence for one in person.hypotheses]),
-        error_px=scale * apart_px.mean(axis=1),
+        apart_px=scale * apart,
     )
 
 
@@ -259,6 +264,22 @@ def reliability(trials: Sequence[Trial], bins: int = 5) -> list[dict[str, float]
         for b in range(bins)
         if (bin_of == b).any()
     ]
+
+
+def without_definitions(trials: Sequence[Trial]) -> list[Trial]:
+    """The same trials less what their joints are defined differently from the reference's.
+
+    That is the mean offset of each joint over the people whose first hypothesis is roughly right;
+    those in odd photographs lend theirs to the others, and the reverse.
+    """
+    offset = {
+        odd: np.mean(
+            [t.apart_px[0] for t in trials if t.odd != odd and t.error_px[0] < 2 * RIGHT_BELOW_PX],
+            axis=0,
+        )
+        for odd in (False, True)
+    }
+    return [replace(t, apart_px=t.apart_px - offset[t.odd]) for t in trials]
 
 
 def calibration_error(trials: Sequence[Trial]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
+from app.drawing import draw_skeleton
 from index.build.calibrate import HYPOTHESES, Queries, Trial
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import match
@@ -22,7 +24,6 @@ from index.store import PoseIndex
 HARD = 10
 ZOOM = 2
 GAP = 34
-LEFT_COLOUR, RIGHT_COLOUR, MIDDLE_COLOUR = (200, 90, 30), (30, 60, 220), (60, 60, 60)
 
 
 def plot_reliability(trial: Trial, file: Path) -> None:
@@ -46,7 +47,7 @@ def plot_reliability(trial: Trial, file: Path) -> None:
     plt.close(figure)
 
 
-def plot_growth(sizes: list[dict[str, float]], file: Path) -> None:
+def plot_growth(sizes: Sequence[dict[str, float]], file: Path) -> None:
     """Recognition and 3D error over the number of entries."""
     entries = [s["entries"] for s in sizes]
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
@@ -68,7 +69,7 @@ def draw_hard_queries(index: PoseIndex, queries: Queries, trial: Trial, file: Pa
 
     Left of each row the query with its true skeleton; then the hypotheses over the silhouettes
     of their entries, with confidence and error, framed in green where right. The person's left
-    is blue, the right red.
+    is orange, the right blue.
     """
     wrong = np.flatnonzero(~trial.right[:, 0])
     chosen = wrong[np.linspace(0, len(wrong) - 1, HARD).astype(int)]
@@ -99,20 +100,12 @@ def _cell(
     height, width = (ZOOM * side for side in silhouette.shape)
     grey = np.where(silhouette, 190, 255).astype(np.uint8)
     picture = np.full((height + 2 * GAP, width + 2 * GAP, 3), 255, np.uint8)
-    body = cv2.resize(grey, (width, height), interpolation=cv2.INTER_NEAREST)
-    picture[GAP : GAP + height, GAP : GAP + width] = body[:, :, None]
-    pixels = np.rint((np.asarray(joints) + 0.5) * ZOOM + GAP - 0.5).astype(int).tolist()
-    for parent, child in NATIVE.bones:
-        if child < JOINTS:
-            name = NATIVE.names[child]
-            colour = (
-                LEFT_COLOUR
-                if name.startswith("left")
-                else RIGHT_COLOUR
-                if name.startswith("right")
-                else MIDDLE_COLOUR
-            )
-            cv2.line(picture, pixels[parent], pixels[child], colour, 2, cv2.LINE_AA)
+    enlarged = cv2.resize(grey, (width, height), interpolation=cv2.INTER_NEAREST)
+    picture[GAP : GAP + height, GAP : GAP + width] = enlarged[:, :, None]
+    pixels = (np.asarray(joints, np.float64) + 0.5) * ZOOM + GAP - 0.5
+    body = np.full((len(NATIVE.names), 2), np.nan)
+    body[:JOINTS] = pixels
+    draw_skeleton(picture, body, NATIVE, 2)
     if right is not None:
         frame = (60, 160, 60) if right else (200, 200, 200)
         cv2.rectangle(picture, (4, 4), (picture.shape[1] - 5, picture.shape[0] - 5), frame, 2)

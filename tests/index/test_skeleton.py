@@ -18,6 +18,7 @@ from index.skeleton import (
     POINTS,
     KeypointSet,
     camera_rotation,
+    exchange_sides,
     mirror_3d,
     mirror_normalised,
     project,
@@ -216,3 +217,13 @@ def test_coco17_has_the_order_of_the_standard() -> None:
     assert COCO17.names[:5] == ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
     assert COCO17.names[-2:] == ("left_ankle", "right_ankle")
     assert len(COCO17.names) == 17
+
+
+def test_exchanging_sides_moves_names_not_points() -> None:
+    points = np.random.default_rng(0).normal(size=(3, POINTS, 2))
+    exchanged = exchange_sides(points)
+    left, right = (POINT_NAMES.index(f"{side}_knee") for side in ("left", "right"))
+    head = POINT_NAMES.index("head")
+    assert_array_equal(exchanged[:, left], points[:, right])
+    assert_array_equal(exchanged[:, head], points[:, head])
+    assert_array_equal(exchange_sides(exchanged), points)

@@ -1,0 +1,60 @@
+"""The measures of the real experiment, on answers that are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.vision.people import Box
+from scripts.experiments.real_detection import average_precision, figures, matches
+from scripts.experiments.real_peer import why_absent
+from scripts.experiments.real_poses import procrustes
+from scripts.experiments.real_vtest import Marks, compare, read_marks
+
+PEOPLE = np.array([[0.0, 0.0, 10.0, 30.0], [50.0, 0.0, 10.0, 30.0]])
+
+
+def test_finding_everybody_first_is_perfect_precision() -> None:
+    found = [(np.vstack([PEOPLE, [[100.0, 0.0, 10.0, 30.0]]]), np.array([0.9, 0.8, 0.1]))]
+    assert average_precision(matches(found, [PEOPLE]), 2) == pytest.approx(1.0)
+    measured = figures(found, [PEOPLE])
+    assert measured["recall"] == measured["precision"] == 1.0
+
+
+def test_a_second_box_on_one_person_is_false() -> None:
+    found = [(PEOPLE[[0, 0]], np.array([0.9, 0.8]))]
+    assert matches(found, [PEOPLE])[:, 1].tolist() == [1.0, 0.0]
+    assert average_precision(matches(found, [PEOPLE]), 2) == pytest.approx(0.5)
+
+
+def test_procrustes_ignores_turning_moving_and_scaling() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(12, 3))
+    turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turned *= np.sign(np.linalg.det(turned))
+    assert procrustes(1.7 * points @ turned + 3, points) == pytest.approx(0, abs=1e-9)
+    mirrored = points * (-1, 1, 1)
+    assert procrustes(mirrored, points) > 0.1
+
+
+def test_ignored_people_count_neither_way() -> None:
+    marks = Marks(0, [Box(0, 0, 10, 30)], [Box(50, 0, 10, 30)])
+    boxes = [Box(0, 1, 10, 30), Box(50, 1, 10, 30), Box(90, 0, 10, 30)]
+    assert compare(boxes, marks) == (1, 1)
+    assert compare([], marks) == (0, 0)
+
+
+def test_the_marks_are_sound() -> None:
+    marks = read_marks()
+    assert len(marks) == 20
+    for one in marks:
+        for box in one.people:
+            assert box.height >= 50
+            assert box.clip(768, 576) == box or box.right <= 768.5
+
+
+def test_a_peer_that_is_not_there_is_named() -> None:
+    assert "--mediapipe" in why_absent(None)
+    assert "cannot be run" in why_absent(Path("/nonexistent/python"))
