@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from app.vision.box_arrays import averaged, drop_parts, iou_matrix, suppress
 from app.vision.detect import CascadeDetector, Detector, HogDetector, make_detector
+from app.vision.evidence import suited
+from app.vision.hog import as_cells, person_windows
 from app.vision.network import PersonNetwork
 from app.vision.people import Box
+from app.vision.presence import PresenceMap
 
 
 def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box]) -> float:
@@ -89,3 +92,27 @@ def test_iou_of_equal_and_disjoint_boxes() -> None:
     far = BOXES + np.array([100, 0, 0, 0])
     assert np.allclose(np.diag(iou_matrix(BOXES, BOXES)), 1)
     assert (iou_matrix(BOXES, far) == 0).all()
+
+
+def test_windows_are_looked_at_only_where_people_may_be(
+    street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    somebody = np.zeros(street.shape[:2], bool)
+    left, top, right, bottom = walkers[1].pixels()
+    somebody[top:bottom, left:right] = True
+    everywhere, _ = person_windows(street, 50, 0.0)
+    near, _ = person_windows(street, 50, 0.0, lambda _: as_cells(somebody))
+    nowhere, _ = person_windows(street, 50, 0.0, lambda _: as_cells(np.zeros_like(somebody)))
+    assert 0 < len(near) < len(everywhere)
+    assert len(nowhere) == 0
+    # A blob of one person's height says nothing of people a quarter as tall.
+    assert near[:, 3].min() > walkers[1].height / 4
+
+
+def test_maps_are_asked_about_people_who_suit_their_windows() -> None:
+    empty = np.zeros((4, 4), np.float32)
+    maps = [PresenceMap(empty, 800), PresenceMap(empty, 200)]
+    assert [one.side for one in suited(maps, 60)] == [200]
+    assert [one.side for one in suited(maps, 170)] == [800, 200]
+    assert [one.side for one in suited(maps, 400)] == [800]
+    assert [one.side for one in suited(maps, 20)] == [200]
