@@ -22,7 +22,7 @@ from scripts.server_process import ServerProcess
 
 SCREENS = {"desktop": (1280, 900), "phone": (390, 844)}
 FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
-SLOWEST_MS = 30_000
+SLOWEST_MS = 120_000
 
 
 def save_frame(video: Path, number: int, path: Path) -> None:

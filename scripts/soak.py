@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from scripts.street import encode, street
 CLIENTS = 2
 MEMORY_GROWTH = 0.05
 LATENCY_GROWTH = 1.25
+REST_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,8 @@ class Soak:
         self._mixture = mixture
         self._requests = requests
         self._lock = threading.Lock()
+        # Each is held while its client has a request in flight.
+        self._in_flight = [threading.Lock() for _ in range(CLIENTS)]
         self.sent = 0
         self.statuses: Counter[tuple[str, int]] = Counter()
         self.broken: Counter[str] = Counter()
@@ -102,6 +106,14 @@ class Soak:
         for thread in threads:
             thread.join()
 
+    def _weigh(self, position: int) -> None:
+        """Take the memory while nothing is in flight: one frame can hold tens of megabytes."""
+        with ExitStack() as stack:
+            for lock in self._in_flight:
+                stack.enter_context(lock)
+            time.sleep(REST_S)  # For what a client that hung up has left.
+            self.memory.append((position, self._server.memory_mb()))
+
     def _client(self, number: int) -> None:
         rng = np.random.default_rng(number)
         weights = np.array([kind.weight for kind in self._mixture])
@@ -112,16 +124,17 @@ class Soak:
                     return
                 self.sent += 1
                 position = self.sent
-                if position % max(1, self._requests // 40) == 0:
-                    self.memory.append((position, self._server.memory_mb()))
+            if position % max(1, self._requests // 40) == 0:
+                self._weigh(position)
             kind = self._mixture[rng.choice(len(weights), p=weights / weights.sum())]
             call = kind.calls[rng.integers(len(kind.calls))]
             started = time.perf_counter()
             try:
-                if kind.hang_up:
-                    client.hang_up(call)
-                    continue
-                status, _ = client.send(call)
+                with self._in_flight[number]:
+                    if kind.hang_up:
+                        client.hang_up(call)
+                        continue
+                    status, _ = client.send(call)
             except Exception as error:  # Whatever it is, it is counted and shown.
                 with self._lock:
                     self.broken[f"{kind.name}: {type(error).__name__}"] += 1
@@ -136,9 +149,12 @@ class Soak:
 def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
     """Return the section in Markdown and what has failed."""
     warm = requests // 10
-    after_warm_up = next(mb for position, mb in soak.memory if position >= warm)
-    at_end = soak.memory[-1][1]
     fifth = requests // 5
+    # Threads come and go with their buffers: one moment says little, so the median of a fifth.
+    after_warm_up = percentile(
+        [mb for position, mb in soak.memory if warm <= position < warm + fifth], 50
+    )
+    at_end = percentile([mb for position, mb in soak.memory if position > requests - fifth], 50)
     early = [ms for position, ms in soak.main_latencies if warm <= position < warm + fifth]
     late = [ms for position, ms in soak.main_latencies if position >= requests - fifth]
     deliberate = sum(n for (_, status), n in soak.statuses.items() if status == 503)
@@ -152,6 +168,7 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
         failed.append(f"memory grew from {after_warm_up:.0f} to {at_end:.0f} MB")
     if percentile(late, 99) > LATENCY_GROWTH * percentile(early, 99):
         failed.append("the p99 of good requests grew")
+    along = [f"{mb:.0f}" for position, mb in soak.memory if position % (requests // 10) == 0]
     rows = [
         f"| {kind.name} | "
         + ", ".join(
@@ -166,12 +183,14 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
 {machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s,
 {requests / seconds:.0f} requests/s.
 
-| | after warm-up ({warm} requests) | at the end |
+| medians of a fifth of the run | after warm-up ({warm} requests) | at the end |
 |---|---|---|
-| resident memory | {after_warm_up:.1f} MB | {at_end:.1f} MB ({at_end / after_warm_up - 1:+.1%}) |
+| resident memory at rest | {after_warm_up:.1f} MB | {at_end:.1f} MB \
+({at_end / after_warm_up - 1:+.1%}) |
 | `/pose` with a mask, median | {percentile(early, 50):.1f} ms | {percentile(late, 50):.1f} ms |
 | `/pose` with a mask, p99 | {percentile(early, 99):.1f} ms | {percentile(late, 99):.1f} ms |
 
+Resident memory in megabytes after each tenth: {", ".join(along)}.
 5xx besides deliberate 503s: {sum(faults.values())}; deliberate 503s: {deliberate};
 broken connections: {sum(soak.broken.values())}.
 {"Failed: " + "; ".join(failed) if failed else "Passed."}

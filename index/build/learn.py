@@ -12,6 +12,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +36,12 @@ NOISE_WEIGHT = 0.25
 SCALE_PX = 5.0
 SCALE_M = 0.11
 """Joint differences, in the normalised frame and in space, that count alike."""
+
+Faults = Callable[
+    [NDArray[np.uint8], NDArray[np.floating], np.random.Generator],
+    tuple[NDArray[np.uint8], NDArray[np.floating]],
+]
+"""As :func:`index.build.noise.degrade_all`: silhouettes, their joints and chance to faulty ones."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +120,7 @@ def view_joints(simulation: Simulation) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def learn_descriptor(
-    simulation: Simulation, seed: int, recipe: Recipe = Recipe()
+    simulation: Simulation, seed: int, recipe: Recipe = Recipe(), *, faults: Faults = degrade_all
 ) -> DiscriminantDescriptor:
     """The projection that best tells the poses of a simulation apart.
 
@@ -123,16 +130,20 @@ def learn_descriptor(
     seed : int
         Chooses the silhouettes whose neighbours are compared.
     recipe : Recipe
+    faults : callable
+        Makes the silhouettes faulty that the descriptor learns to overlook the faults of.
 
     Returns
     -------
     DiscriminantDescriptor
     """
-    scatter = measure_scatter(simulation, seed, recipe)
+    scatter = measure_scatter(simulation, seed, recipe, faults=faults)
     return discriminate(scatter, recipe.dimension, recipe.regularisation)
 
 
-def measure_scatter(simulation: Simulation, seed: int, recipe: Recipe) -> Scatter:
+def measure_scatter(
+    simulation: Simulation, seed: int, recipe: Recipe, *, faults: Faults = degrade_all
+) -> Scatter:
     """Measure what the moments of a recipe do over a simulation."""
     import faiss
 
@@ -164,7 +175,7 @@ def measure_scatter(simulation: Simulation, seed: int, recipe: Recipe) -> Scatte
     mean = moments.mean(axis=0) * ~_odd(recipe)
     centred = moments - mean
     total = centred.T.astype(np.float64) @ centred / len(centred)
-    within += _noise_scatter(simulation, anchors, moments, joints_2d, seed, recipe)
+    within += _noise_scatter(simulation, anchors, moments, joints_2d, seed, recipe, faults)
     return Scatter(total, within, recipe)
 
 
@@ -191,12 +202,11 @@ def _noise_scatter(
     joints_2d: NDArray[np.float32],
     seed: int,
     recipe: Recipe,
+    faults: Faults,
 ) -> NDArray[np.float64]:
-    """What cutting silhouettes out of photographs does to the moments ``(F, F)``."""
+    """What faults do to the moments ``(F, F)``."""
     some = np.sort(anchors[: ANCHORS // 4])
-    rough, _ = degrade_all(
-        simulation.silhouettes(some), joints_2d[some], np.random.default_rng(seed)
-    )
+    rough, _ = faults(simulation.silhouettes(some), joints_2d[some], np.random.default_rng(seed))
     noise = recipe.block(rough) - moments[some]
     return NOISE_WEIGHT * (noise.T.astype(np.float64) @ noise) / len(noise)
 

@@ -13,18 +13,25 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.descriptor import Descriptor
+from descriptor.descriptor import Descriptor, DiscriminantDescriptor
 from index.build.builder import assemble
-from index.build.learn import view_joints
+from index.build.learn import Faults, Recipe, learn_descriptor, view_joints
+from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
 from index.modes import Mode, find_modes
 from index.skeleton import JOINTS
 from index.store import PoseIndex
+from scripts.experiments.contour import contour_faults
 from scripts.experiments.protocol import joint_errors, nearest
 
 HYPOTHESES = 7
+SEED = 2016
+
+FAULTS: dict[str, Faults] = {"photographs": degrade_all, "contour noise": contour_faults}
+"""What the discriminant descriptor learns to overlook: the faults of silhouettes cut out of
+photographs, as the shipped one does, or contour noise as in the paper's experiment."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,25 @@ class Matching:
 
     candidates: int
     bandwidth_m: float
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How a set of known silhouettes is made searchable.
+
+    Parameters
+    ----------
+    faults : str
+        Of :data:`FAULTS`.
+    matching : Matching
+    """
+
+    faults: str
+    matching: Matching
+
+    def learn(self, known: Simulation) -> DiscriminantDescriptor:
+        """The discriminant descriptor of known silhouettes."""
+        return learn_descriptor(known, SEED, Recipe(), faults=FAULTS[self.faults])
 
 
 def make_index(known: Simulation, descriptor: Descriptor) -> PoseIndex:

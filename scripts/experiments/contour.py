@@ -52,3 +52,18 @@ def disturb_all(silhouettes: NDArray[np.uint8], std_px: float, seed: int) -> NDA
     """Disturb silhouettes ``(B, H, W)``, each with noise of its own."""
     generator = np.random.default_rng(seed)
     return np.stack([disturb(silhouette, std_px, generator) for silhouette in silhouettes])
+
+
+LEARNED_STD_PX = 3.0
+"""Most noise of :func:`contour_faults`."""
+
+
+def contour_faults(
+    silhouettes: NDArray[np.uint8],
+    joints: NDArray[np.floating],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    """Contour noise for a descriptor to learn to overlook; from none to 3 px, in equal shares."""
+    stds = generator.uniform(0.0, LEARNED_STD_PX, len(silhouettes))
+    disturbed = [disturb(s, std, generator) for s, std in zip(silhouettes, stds, strict=True)]
+    return np.stack(disturbed), joints

@@ -18,7 +18,7 @@ def run(options: argparse.Namespace) -> None:
     """Run all four and write ``paper-*.{md,json,png}``."""
     motion = options.shared / "mocap"
     data = paper_data(motion, progress=True)
-    matching = paper_noise.run(data, options.out, COMMAND)
-    paper_order.run(data, options.out, COMMAND)
-    paper_descriptors.run(data, options.out, COMMAND)
-    paper_motion.run(data, motion, matching, options.out, COMMAND)
+    choice = paper_noise.run(data, options.out, COMMAND)
+    paper_order.run(data, choice, options.out, COMMAND)
+    paper_descriptors.run(data, choice, options.out, COMMAND)
+    paper_motion.run(data, motion, choice, options.out, COMMAND)

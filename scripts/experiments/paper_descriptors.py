@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import DiagonalDescriptor
-from index.build.learn import learn_descriptor
 from index.build.simulate import Simulation
 from scripts.experiments import rivals
+from scripts.experiments.answers import SEED, Choice
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.paper_pictures import plot_descriptors
 from scripts.experiments.protocol import (
@@ -29,7 +30,6 @@ from scripts.results import machine
 
 STDS_PX = (0.0, 2.0)
 COUNTS = (1, 7)
-SEED = 2016
 ZERNIKE_DEGREE = 12
 WORDS = 100
 CODEBOOK_EVERY = 3
@@ -60,14 +60,14 @@ class Figures:
     microseconds: float
 
 
-def run(data: PaperData, out: Path, command: str) -> None:
+def run(data: PaperData, choice: Choice, out: Path, command: str) -> None:
     """Measure all descriptors and write ``paper-descriptors.*``."""
     known = data.known.silhouettes(slice(None))
     concentration, trials = choose_hahn(data.known)
     silhouettes = {
         std: disturb_all(data.unseen.silhouettes(slice(None)), std, SEED) for std in STDS_PX
     }
-    contenders = descriptors(data.known, known, concentration)
+    contenders = descriptors(data.known, known, concentration, choice)
     figures = [
         measure(name, describe, data, known, silhouettes)
         for name, describe in tqdm(contenders.items(), desc="descriptors", unit="descriptor")
@@ -85,7 +85,8 @@ def run(data: PaperData, out: Path, command: str) -> None:
         descriptor_table(figures),
         better(figures),
         "![recognition and time](paper-descriptors.png)",
-        f"Times are medians over {TIMED} silhouettes, one at a time, one thread, on {machine()}.",
+        f"Times are medians over {TIMED} silhouettes, one at a time, one thread, on {machine()}, "
+        f"at a load of {os.getloadavg()[0]:.1f}.",
         "## The descriptors",
         "- *Hu*: the seven invariants (OpenCV) on a logarithmic scale, each divided by its "
         "standard deviation over the known silhouettes.\n"
@@ -113,7 +114,7 @@ def run(data: PaperData, out: Path, command: str) -> None:
 
 
 def descriptors(
-    simulation: Simulation, known: NDArray[np.uint8], concentration: float
+    simulation: Simulation, known: NDArray[np.uint8], concentration: float, choice: Choice
 ) -> dict[str, Describe]:
     """All descriptors by name; what is learned is learned on the known silhouettes."""
     spread = rivals.hu_moments(known).std(axis=0)
@@ -126,7 +127,7 @@ def descriptors(
         "HOG": rivals.hog,
         "Pixels": rivals.pixels,
         "Krawtchouk, diagonal": DiagonalDescriptor().describe,
-        "Krawtchouk, discriminant": learn_descriptor(simulation, SEED).describe,
+        "Krawtchouk, discriminant": choice.learn(simulation).describe,
     }
 
 

@@ -11,13 +11,13 @@ from tqdm import tqdm
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.avatars import PAPER_AVATARS, make_avatars
 from index.build.body import Avatar
-from index.build.learn import learn_descriptor, view_joints
+from index.build.learn import view_joints
 from index.build.motion import Segment
 from index.build.poses import Poses, read_poses
 from index.build.simulate import Simulation
 from index.skeleton import JOINT_NAMES, JOINTS
 from index.store import PoseIndex
-from scripts.experiments.answers import Matching, all_candidates, make_index, ranked_modes
+from scripts.experiments.answers import SEED, Choice, all_candidates, make_index, ranked_modes
 from scripts.experiments.paper_pictures import Track, plot_tracks
 from scripts.experiments.protocol import (
     FRAMES,
@@ -33,14 +33,13 @@ from scripts.experiments.report import table, write
 PUBLISHED_PX = {"climb": 1.98, "jump": 1.99}
 """The paper's mean errors."""
 
-SEED = 2016
 SHOWN_AVATAR, SHOWN_CAMERA = 0, 1
 SHOWN_JOINTS = ("left_wrist", "right_wrist", "left_ankle", "right_ankle")
 KNOWN_BODY, OTHER_BODY = "known body", "other body"
 PAPER, PLAIN, OURS = "paper's descriptor", "ours, nearest", "ours"
 
 
-def run(data: PaperData, motion: Path, matching: Matching, out: Path, command: str) -> None:
+def run(data: PaperData, motion: Path, choice: Choice, out: Path, command: str) -> None:
     """Follow both clips and write ``paper-motion.*``."""
     avatars = make_avatars(PAPER_AVATARS, None)
     errors: dict[str, dict[str, dict[str, float]]] = {}
@@ -48,13 +47,13 @@ def run(data: PaperData, motion: Path, matching: Matching, out: Path, command: s
     for action in PUBLISHED_PX:
         filmed = film(every_frame(motion, action), avatars, rig())
         errors[action] = {
-            KNOWN_BODY: _mean(ask(data.known, frames_between(filmed), matching)),
+            KNOWN_BODY: _mean(ask(data.known, frames_between(filmed), choice)),
             OTHER_BODY: _mean(np.concatenate([
-                ask(without(data.known, avatar), only(filmed, avatar), matching)
+                ask(without(data.known, avatar), only(filmed, avatar), choice)
                 for avatar in tqdm(avatars, desc=f"{action}, other bodies", unit="body")
             ], axis=1)),
         }  # fmt: skip
-        tracks[action] = follow(data.known, filmed, avatars[SHOWN_AVATAR], matching)
+        tracks[action] = follow(data.known, filmed, avatars[SHOWN_AVATAR], choice)
     out.mkdir(parents=True, exist_ok=True)
     plot_tracks(tracks, SHOWN_JOINTS, out / "paper-motion.png")
     camera = rig()[SHOWN_CAMERA]
@@ -126,35 +125,37 @@ def without(simulation: Simulation, avatar: Avatar) -> Simulation:
     return simulation.take(np.flatnonzero(subjects != simulation.subjects.index(avatar.name)))
 
 
-def ask(known: Simulation, asked: Simulation, matching: Matching) -> NDArray[np.float64]:
+def ask(known: Simulation, asked: Simulation, choice: Choice) -> NDArray[np.float64]:
     """Joint errors ``(3, Q)`` in px of the first answers: the paper's, ours nearest, and ours."""
-    learned, truth = learn_descriptor(known, SEED), view_joints(asked)[1]
+    learned, truth = choice.learn(known), view_joints(asked)[1]
     joints = view_joints(known)[1]
     answers: list[NDArray[np.floating]] = []
     for descriptor in (DiagonalDescriptor(), learned):
         numbers = nearest(known.describe(descriptor), asked.describe(descriptor), 1)
         answers.append(joints[numbers[:, 0]])
     index = make_index(known, learned)
-    answers.append(first_answers(index, asked, matching))
+    answers.append(first_answers(index, asked, choice))
     return np.stack([np.linalg.norm(a - truth, axis=-1).mean(axis=-1) for a in answers])
 
 
-def first_answers(index: PoseIndex, asked: Simulation, matching: Matching) -> NDArray[np.float64]:
+def first_answers(index: PoseIndex, asked: Simulation, choice: Choice) -> NDArray[np.float64]:
     """Joints ``(Q, 19, 2)`` of the first distinct pose for every silhouette."""
-    found = all_candidates(index, asked.silhouettes(slice(None)), matching.candidates)
-    return np.stack([ranked_modes(c, matching, 1)[0].points_normalised[:JOINTS] for c in found])
+    found = all_candidates(index, asked.silhouettes(slice(None)), choice.matching.candidates)
+    return np.stack(
+        [ranked_modes(c, choice.matching, 1)[0].points_normalised[:JOINTS] for c in found]
+    )
 
 
-def follow(known: Simulation, filmed: Simulation, avatar: Avatar, matching: Matching) -> Track:
+def follow(known: Simulation, filmed: Simulation, avatar: Avatar, choice: Choice) -> Track:
     """One avatar before one camera over all frames, asked of the other avatars."""
     rest, shown = without(known, avatar), only(filmed, avatar)
     azimuth = rig()["azimuth_deg"][SHOWN_CAMERA]
     shown = shown.take(np.flatnonzero(shown.entries["azimuth_deg"] == azimuth))
-    index = make_index(rest, learn_descriptor(rest, SEED))
+    index = make_index(rest, choice.learn(rest))
     return Track(
         shown.skeleton_labels["frame"][shown.entries["skeleton"]].astype(int),
         view_joints(shown)[1],
-        first_answers(index, shown, matching),
+        first_answers(index, shown, choice),
     )
 
 

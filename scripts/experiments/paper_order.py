@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from index.build.learn import Recipe, discriminate, measure_scatter
-from scripts.experiments.answers import nearest_errors
+from scripts.experiments.answers import FAULTS, SEED, Choice, nearest_errors
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.paper_pictures import plot_order
 from scripts.experiments.protocol import PaperData, recognised
@@ -19,15 +19,15 @@ BLOCKS = tuple(range(4, 49, 4))
 """Vertical orders of the discriminant descriptor; half as many horizontal ones."""
 
 STDS_PX = (0.0, 2.0)
-SEED = 2016
 DIAGONAL, DISCRIMINANT = "diagonal", "discriminant"
 
 Curve = dict[int, list[float]]
 
 
-def run(data: PaperData, out: Path, command: str) -> None:
+def run(data: PaperData, choice: Choice, out: Path, command: str) -> None:
     """Measure both curves and write ``paper-order.*``."""
-    scatter = measure_scatter(data.known, SEED, Recipe(max(BLOCKS), max(BLOCKS) // 2))
+    largest = Recipe(max(BLOCKS), max(BLOCKS) // 2)
+    scatter = measure_scatter(data.known, SEED, largest, faults=FAULTS[choice.faults])
     recipe = Recipe()
     silhouettes = {
         std: disturb_all(data.unseen.silhouettes(slice(None)), std, SEED) for std in STDS_PX

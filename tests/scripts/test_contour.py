@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from scripts.experiments.contour import disturb, disturb_all
+from scripts.experiments.contour import contour_faults, disturb, disturb_all
 
 RADIUS = 20
 
@@ -77,3 +77,13 @@ def test_holes_stay_holes(ring: NDArray[np.uint8]) -> None:
     assert noisy[64, 24] == 0
     assert noisy[64, 24 + 3 * RADIUS // 4] == 1
     assert int(noisy.sum()) == pytest.approx(int(ring.sum()), rel=0.15)
+
+
+def test_learned_noise_leaves_joints_where_they_are(disc: NDArray[np.uint8]) -> None:
+    joints = np.ones((8, 19, 2))
+    noisy, same = contour_faults(np.stack([disc] * 8), joints, np.random.default_rng(3))
+    assert noisy.shape == (8, 128, 48)
+    assert_array_equal(same, joints)
+    # From none to much.
+    changed = (noisy != disc).sum(axis=(1, 2))
+    assert changed.min() < 0.5 * changed.max()
