@@ -1,9 +1,9 @@
 """The real experiment: street photographs and videos of ``../shared/real``.
 
-Whatever was fitted to the photographs is cross-validated by photograph; what was tuned by hand
-was tuned on even-numbered photographs, so that the odd ones, always shown beside all, are the
-test of silhouettes and poses. The references of poses are MediaPipe's (street people) and a multi-view triangulation
-(``pose2sim``): something to compare with, not ground truth.
+Whatever was fitted to the photographs is cross-validated by photograph. Settings of silhouettes
+and poses were tuned on even-numbered photographs, so that the odd ones, always shown beside all,
+are their test. The references of poses are MediaPipe's (street people) and a multi-view
+triangulation (``pose2sim``): something to compare with, not ground truth.
 """
 
 from __future__ import annotations
