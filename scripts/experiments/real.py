@@ -1,9 +1,9 @@
 """The real experiment: street photographs and videos of ``../shared/real``.
 
-Whatever was fitted to the photographs is cross-validated by photograph; what was tuned by hand
-was tuned on even-numbered photographs, so that the odd ones, always shown beside all, are the
-test. The references of poses are MediaPipe's (street people) and a multi-view triangulation
-(``pose2sim``): something to compare with, not ground truth.
+Whatever was fitted to the photographs is cross-validated by photograph. Settings of silhouettes
+and poses were tuned on even-numbered photographs, so that the odd ones, always shown beside all,
+are their test. The references of poses are MediaPipe's (street people) and a multi-view
+triangulation (``pose2sim``): something to compare with, not ground truth.
 """
 
 from __future__ import annotations
@@ -241,7 +241,8 @@ def report(results: dict[str, Any]) -> str:
         "# Real photographs and videos\n",
         f"`{COMMAND} [--mediapipe PYTHON]` on {results['machine']}, one thread.\n",
         "Fitted weights are cross-validated by photograph. *Odd*: the odd-numbered photographs, "
-        "on which nothing was tuned by hand.\n",
+        "on which no setting of silhouettes or poses was tuned. Times are of a machine that did "
+        "other work as well.\n",
     ]
     if results["mediapipe"] != "0.10.21":
         lines.append(f"MediaPipe's columns are missing: {results['mediapipe']}.\n")
@@ -270,7 +271,10 @@ def _detection(found: dict[str, Figures]) -> list[str]:
             for name, one in found.items()
         ),
         f"\nThe cascade's candidates reach {100 * found['cascade']['reachable']:.1f} % of the "
-        "people. Without the network's file, `gradients` serves.",
+        "people. Without the network's file, `gradients` serves. How far the search for gradients "
+        "follows the network, and the least score reported (0.3), were chosen among a dozen "
+        "settings by these figures and those of the street video below: expect a point or two "
+        "less elsewhere.",
     ]
 
 
