@@ -21,7 +21,7 @@ _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
-_GIVEN_BACK_FROM_BYTES = 1024**2
+_GIVEN_BACK_FROM_BYTES = 16 * 1024**2
 _HEAPS = 2
 
 # How long a thread that runs Python keeps another one waiting. The thread that answers has to

@@ -94,9 +94,8 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
     if header.lossy:
         person: NDArray[np.bool_] = pixels >= 128
         return person.astype(np.uint16)
-    labels: NDArray[np.uint16] = (pixels // step).astype(np.uint16)
-    values = np.flatnonzero(np.bincount(labels.ravel()))
-    foreground = values[values > 0]
+    labels: NDArray[np.uint16] = (pixels if step == 1 else pixels // step).astype(np.uint16)
+    foreground = labels_in(labels)
     if len(foreground) == 1:
         one: NDArray[np.uint16] = (labels != 0).astype(np.uint16)
         return one
@@ -106,6 +105,13 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
             "a mask with soft edges must be thresholded first"
         )
     return labels
+
+
+def labels_in(labels: NDArray[np.uint16]) -> list[int]:
+    """The labels that a label image ``(H, W)`` holds, ascending, without 0, the background."""
+    # Several times as fast as np.unique or np.bincount.
+    counts = cv2.calcHist([labels], [0], None, [1 << 16], [0, 1 << 16])
+    return (np.flatnonzero(counts[1:]) + 1).tolist()
 
 
 def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.decode import labels_in
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.neighbours import own_part
@@ -166,12 +167,12 @@ def _drawn(view: _View, answer: NDArray[np.float32]) -> Silhouette | None:
     return silhouette_from_mask(inside, left=x0, top=y0, segmenter="network", truncated=False)
 
 
-def silhouettes_from_labels(labels: NDArray[np.integer]) -> list[Silhouette]:
+def silhouettes_from_labels(labels: NDArray[np.uint16]) -> list[Silhouette]:
     """Silhouettes of a caller's mask, ordered left to right by the centre of their boxes.
 
     Parameters
     ----------
-    labels : (H, W) integer array
+    labels : (H, W) uint16 array
         0 background, k = person k, as :func:`app.vision.decode.decode_mask` returns it.
 
     Returns
@@ -187,8 +188,7 @@ def silhouettes_from_labels(labels: NDArray[np.integer]) -> list[Silhouette]:
         raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
     people = [
         silhouette_from_mask(labels == label, segmenter="mask", truncated=False)
-        for label in np.unique(labels)
-        if label > 0
+        for label in labels_in(labels)
     ]
     found = [person for person in people if person is not None]
     flagged = with_truncation(found, [person.box for person in found], labels.shape)
