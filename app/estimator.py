@@ -22,7 +22,7 @@ from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
 from descriptor.silhouette import normalise
 from index.matching import Hypothesis, match
-from index.store import Entry, PoseIndex
+from index.store import Label, PoseIndex
 
 T = TypeVar("T")
 Source = Literal["hog", "mask", "boxes", "background"]
@@ -107,18 +107,18 @@ class Found:
 
 @dataclass(frozen=True)
 class PlacedHypothesis:
-    """A hypothesis, its entry, and its skeleton laid over the photograph.
+    """A hypothesis, the label of its entry, and its skeleton laid over the photograph.
 
     Parameters
     ----------
     hypothesis : Hypothesis
-    entry : Entry
+    label : Label
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
     """
 
     hypothesis: Hypothesis
-    entry: Entry
+    label: Label
     points_2d: NDArray[np.float64]
 
 
@@ -375,7 +375,7 @@ class Estimator:
             hypotheses = [
                 PlacedHypothesis(
                     hypothesis,
-                    self.index.entry(hypothesis.entry, mirrored=hypothesis.mirrored),
+                    self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored),
                     placement.to_image(hypothesis.points_normalised) + origin,
                 )
                 for hypothesis in weighed.hypotheses

@@ -10,7 +10,7 @@ from app.estimator import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
 from app.vision.people import Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
-from index.store import Entry, PoseIndex
+from index.store import Entry, Label, PoseIndex
 
 
 def pose_reply(
@@ -101,7 +101,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 
 def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> schemas.Hypothesis:
-    hypothesis, entry = placed.hypothesis, placed.entry
+    hypothesis, label = placed.hypothesis, placed.label
     return schemas.Hypothesis(
         rank=rank,
         entry=hypothesis.entry,
@@ -110,23 +110,23 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> 
         confidence=round(hypothesis.confidence, 4),
         joints_3d=_points_3d(hypothesis.points_3d, keypoints),
         joints_2d=_points_2d(placed.points_2d, keypoints),
-        action=entry.action,
-        source=_source(entry),
-        camera=_camera(entry),
+        action=label.action,
+        source=_source(label),
+        camera=_camera(label),
     )
 
 
-def _source(entry: Entry) -> schemas.MotionSource:
+def _source(label: Label) -> schemas.MotionSource:
     return schemas.MotionSource(
-        clip=entry.clip, frame=entry.frame, subject=entry.subject, mirrored=entry.mirrored
+        clip=label.clip, frame=label.frame, subject=label.subject, mirrored=label.mirrored
     )
 
 
-def _camera(entry: Entry) -> schemas.Camera:
+def _camera(label: Label) -> schemas.Camera:
     return schemas.Camera(
-        azimuth_deg=round(entry.azimuth_deg, 2) % 360.0,
-        elevation_deg=round(entry.elevation_deg, 2),
-        roll_deg=round(entry.roll_deg, 2),
+        azimuth_deg=round(label.azimuth_deg, 2) % 360.0,
+        elevation_deg=round(label.elevation_deg, 2),
+        roll_deg=round(label.roll_deg, 2),
     )
 
 

@@ -63,8 +63,8 @@ class ArtefactError(ValueError):
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One simulated silhouette: whose it is, what it does and who looks at it.
+class Label:
+    """Of one simulated silhouette: whose it is, what it does and who looks at it.
 
     Parameters
     ----------
@@ -81,10 +81,6 @@ class Entry:
         Camera, as :func:`index.skeleton.camera_rotation` takes them.
     distance_m : float
         From the camera to the pelvis.
-    points_3d : (24, 3) float64 array
-        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
-    points_normalised : (24, 2) float64 array
-        The same in pixels of the normalised silhouette.
     """
 
     number: int
@@ -97,6 +93,20 @@ class Entry:
     elevation_deg: float
     roll_deg: float
     distance_m: float
+
+
+@dataclass(frozen=True)
+class Entry(Label):
+    """A label with its skeleton.
+
+    Parameters
+    ----------
+    points_3d : (24, 3) float64 array
+        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
+    points_normalised : (24, 2) float64 array
+        The same in pixels of the normalised silhouette.
+    """
+
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
 
@@ -218,7 +228,18 @@ class PoseIndex:
         return points_3d, plane * entries["scale"][:, None, None] + offsets[:, None, :]
 
     def entry(self, number: int, *, mirrored: bool = False) -> Entry:
-        """One entry, or its mirror image, with its labels spelt out.
+        """One entry, or its mirror image; raises as :meth:`label` does."""
+        label = self.label(number, mirrored=mirrored)
+        points_3d, points_normalised = (points[0] for points in self.points(np.array([number])))
+        if mirrored:
+            points_3d, points_normalised = (
+                mirror_3d(points_3d),
+                mirror_normalised(points_normalised),
+            )
+        return Entry(**vars(label), points_3d=points_3d, points_normalised=points_normalised)
+
+    def label(self, number: int, *, mirrored: bool = False) -> Label:
+        """Spell out the label of one entry, or of its mirror image.
 
         Raises
         ------
@@ -230,8 +251,7 @@ class PoseIndex:
         row = self.entries[number]
         label = self.skeleton_labels[row["skeleton"]]
         side = -1.0 if mirrored else 1.0
-        points_3d, points_normalised = (points[0] for points in self.points(np.array([number])))
-        return Entry(
+        return Label(
             number=number,
             action=self.actions[label["action"]],
             clip=self.clips[label["clip"]],
@@ -243,10 +263,6 @@ class PoseIndex:
             elevation_deg=float(row["elevation_deg"]),
             roll_deg=side * float(row["roll_deg"]),
             distance_m=float(row["distance"]),
-            points_3d=mirror_3d(points_3d) if mirrored else points_3d,
-            points_normalised=(
-                mirror_normalised(points_normalised) if mirrored else points_normalised
-            ),
         )
 
     def silhouettes(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:

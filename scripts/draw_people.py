@@ -75,7 +75,7 @@ def pictures(
     ) * scale
     draw_skeleton(overlay, points - 0.5, NATIVE, 3)
     confidence = first.hypothesis.confidence
-    action = estimator.index.entry(
+    action = estimator.index.label(
         first.hypothesis.entry, mirrored=first.hypothesis.mirrored
     ).action
     return Pictures(
