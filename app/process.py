@@ -2,7 +2,7 @@
 
 Memory: by default glibc keeps a heap for every thread and raises, with the first large array
 that is freed, the size from which memory is given back. After a few frames the service would
-hold half as much again as it uses (measured: 300 MB instead of 213 MB with two threads).
+hold half as much again as it uses.
 
 Cores: one thread answers requests, others work on frames. The first has little to do, but
 whoever waits for it waits for all of it; so it goes before the others.
@@ -21,6 +21,8 @@ _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
+# Larger than the pixels of a usual frame: pages given back after each frame are fetched anew for
+# the next one, which costs more than decoding it.
 _GIVEN_BACK_FROM_BYTES = 16 * 1024**2
 _HEAPS = 2
 

@@ -75,15 +75,12 @@ def pictures(
     ) * scale
     draw_skeleton(overlay, points - 0.5, NATIVE, 3)
     confidence = first.hypothesis.confidence
-    action = estimator.index.label(
-        first.hypothesis.entry, mirrored=first.hypothesis.mirrored
-    ).action
     return Pictures(
         photograph,
         own,
         _nearest(estimator, person, window, scale),
         overlay,
-        f"{name}\n{action}, confidence {confidence:.2f}",
+        f"{name}\n{first.label.action}, confidence {confidence:.2f}",
         box.height,
     )
 
