@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
@@ -16,22 +18,18 @@ from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
 from app.vision.detect import Detector, make_detector
-from app.vision.facing_evidence import FacingReader, load_facing_reader
+from app.vision.facing_evidence import AzimuthBelief, FacingReader, load_facing_reader
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
 from descriptor.silhouette import normalise
-from index.matching import Hypothesis, match
+from index.matching import Hypothesis, match, match_with_spares
 from index.store import Label, PoseIndex
 
 T = TypeVar("T")
 Source = Literal["hog", "mask", "boxes", "background"]
 Check = Callable[[], None]
 """Called between steps; raises where the work is no longer wanted."""
-
-REACH, MORE = 1.5, 5
-"""Where the photograph tells which way a person faces, so many times (and so many) more poses
-are looked at than asked for: those that face the right way may lie farther down."""
 
 STAGES = ("decode", "detect", "segment", "describe", "search")
 
@@ -213,6 +211,9 @@ class Estimator:
         self._max_pixels = max_pixels
         self._max_persons = max_persons
         self._facing_reader = facing_reader
+        # What one request can do at the same time: the photograph is decoded and looked at while
+        # its mask is decoded and matched. Images and search let go of the interpreter.
+        self._aside = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="photograph")
 
     @classmethod
     def load(cls, settings: Settings) -> Estimator:
@@ -244,7 +245,13 @@ class Estimator:
         if self._facing_reader is not None:
             body = Silhouette(np.ones((160, 60), bool), 120, 40, "mask", False)
             frame[::2] = 0  # A blank head is not looked at.
-            self._facing_reader.read(frame, body)
+            # As many at once as there are threads: each has a network of its own to set up.
+            looks = [
+                self._aside.submit(self._facing_reader.read, frame, body)
+                for _ in range(os.cpu_count() or 1)
+            ]
+            for look in looks:
+                look.result()
 
     def estimate(self, upload: Upload, n: int, check: Check) -> Estimate:
         """Find the ``n`` nearest distinct poses of every person.
@@ -272,12 +279,12 @@ class Estimator:
     def find_people(self, upload: Upload, check: Check, watch: Stopwatch) -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
         check()
-        with watch.stage("decode"):
-            frame = self._decode("frame", upload.frame, decode_image)
-        check()
         if upload.mask is not None:
-            people = self._from_mask(upload.mask, frame, watch)
+            frame, people = self._from_mask(upload.frame, upload.mask, watch)
         else:
+            with watch.stage("decode"):
+                frame = self._decode("frame", upload.frame, decode_image)
+            check()
             scene = self._background(upload.background, frame, watch)
             check()
             if upload.boxes is not None:
@@ -334,14 +341,21 @@ class Estimator:
             for box, silhouette in zip(inside, silhouettes, strict=True)
         ]
 
-    def _from_mask(self, data: bytes, frame: NDArray[np.uint8], watch: Stopwatch) -> list[Found]:
+    def _from_mask(
+        self, frame_data: bytes, mask_data: bytes, watch: Stopwatch
+    ) -> tuple[NDArray[np.uint8], list[Found]]:
         with watch.stage("decode"):
-            labels = self._decode("mask", data, decode_mask)
+            later = self._aside.submit(self._decode, "frame", frame_data, decode_image)
+            try:
+                labels = self._decode("mask", mask_data, decode_mask)
+            finally:
+                # Where both are broken, it is the frame that the caller hears of.
+                frame = later.result()
         _check_size("mask", labels, frame)
         with watch.stage("segment"):
             silhouettes = silhouettes_from_labels(labels)
         self._check_count("mask", len(silhouettes))
-        return [Found(s.box, "mask", None, s) for s in silhouettes]
+        return frame, [Found(s.box, "mask", None, s) for s in silhouettes]
 
     def _background(
         self, data: bytes | None, frame: NDArray[np.uint8], watch: Stopwatch
@@ -363,15 +377,15 @@ class Estimator:
         with watch.stage("describe"):
             normalised, placement = normalise(silhouette.crop)
             origin = np.array([silhouette.left, silhouette.top])
-            reader = self._facing_reader
-            belief = None if reader is None else reader.read(frame, silhouette)
+            look = self._aside.submit(self._read_facing, frame, silhouette)
         with watch.stage("search"):
-            if belief is None:
-                candidates = match(self.index, normalised, n)
-                weighed = weigh(candidates)
-            else:
-                candidates = match(self.index, normalised, max(n + MORE, round(REACH * n)))
-                weighed = weigh_by_image(candidates, belief, n)
+            candidates = match_with_spares(self.index, normalised, n)
+        with watch.stage("describe"):
+            belief = look.result()
+        with watch.stage("search"):
+            weighed = (
+                weigh(candidates, n) if belief is None else weigh_by_image(candidates, belief, n)
+            )
             hypotheses = [
                 PlacedHypothesis(
                     hypothesis,
@@ -381,6 +395,12 @@ class Estimator:
                 for hypothesis in weighed.hypotheses
             ]
         return Person(found, weighed.facing, tuple(hypotheses))
+
+    def _read_facing(
+        self, frame: NDArray[np.uint8], silhouette: Silhouette
+    ) -> AzimuthBelief | None:
+        reader = self._facing_reader
+        return None if reader is None else reader.read(frame, silhouette)
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:

@@ -65,16 +65,18 @@ class Weighed:
     hypotheses: tuple[Hypothesis, ...]
 
 
-def weigh(hypotheses: Sequence[Hypothesis]) -> Weighed:
-    """Leave hypotheses as the silhouette alone gives them.
+def weigh(hypotheses: Sequence[Hypothesis], n: int) -> Weighed:
+    """Leave the best ``n`` hypotheses as the silhouette alone gives them.
 
     Facing is the share of them, weighted by confidence, whose front faces the camera.
 
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
-        At least one.
+        At least one, best first.
+    n : int
     """
+    hypotheses = hypotheses[:n]
     confidences = np.array([one.confidence for one in hypotheses])
     facing = Facing(front_share(_azimuths(hypotheses), confidences), "none")
     return Weighed(facing, tuple(hypotheses))

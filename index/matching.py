@@ -18,9 +18,9 @@ from index.store import PoseIndex
 CANDIDATES = 200
 """Nearest entries that are looked at; of more, few add a mode worth offering."""
 
-SPARE_MODES = 3
-"""Modes looked at beyond those asked for: a thin one may fit best."""
-
+SPARE_MODES = 5
+"""Modes looked at beyond those asked for: a thin one may fit best, or agree best with what else
+is known of the person."""
 
 AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
 AGREEMENT_FALL_OFFS = (0.15, 0.5)
@@ -82,15 +82,20 @@ def match(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypot
     -------
     list of Hypothesis
     """
+    return match_with_spares(index, silhouette, n)[:n]
+
+
+def match_with_spares(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypothesis]:
+    """As :func:`match`, and up to ``SPARE_MODES`` more for a caller who has more to go by."""
     return match_with_features(index, silhouette, n)[0]
 
 
 def match_with_features(
     index: PoseIndex, silhouette: NDArray[np.uint8], n: int
 ) -> tuple[list[Hypothesis], NDArray[np.float64]]:
-    """As :func:`match`, with the features ``(N, F)`` that the confidences were computed from."""
+    """As :func:`match_with_spares`, with the features ``(N, F)`` behind the confidences."""
     candidates, modes = _enough_modes(index, silhouette, n)
-    modes = sorted(modes, key=lambda mode: mode.distance)[:n]
+    modes.sort(key=lambda mode: mode.distance)
     centres = [mode.centre for mode in modes]
     others = index.silhouettes(candidates.numbers[centres])
     mirrored = candidates.mirrored[centres]
@@ -154,9 +159,10 @@ def _agreements(candidates: Candidates, modes: list[Mode]) -> NDArray[np.float64
     Which of several hypotheses is right shows less in how well each fits than in how many of
     the candidates would count as right if it is.
     """
-    ours = np.stack([mode.points_normalised[:JOINTS] for mode in modes])
-    theirs = candidates.points_normalised[:, :JOINTS]
-    errors = np.linalg.norm(ours[:, None] - theirs[None], axis=-1).mean(axis=-1)
+    ours = np.stack([mode.points_normalised[:JOINTS] for mode in modes]).astype(np.float32)
+    theirs = candidates.points_normalised[:, :JOINTS].astype(np.float32)
+    apart = ours[:, None] - theirs
+    errors = np.sqrt(np.einsum("mkjd,mkjd->mkj", apart, apart)).mean(axis=-1)
     weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
     return np.stack([(errors < px) @ w / w.sum() for w in weights for px in AGREEMENT_PX])
 

@@ -27,13 +27,13 @@ DISTINCT_M = 0.11
 Interpolation may bring two of them nearer, but no nearer than half of it.
 """
 
-BANDWIDTH_M = 0.10
+BANDWIDTH_M = 0.08
 """Joint distance at which a candidate still belongs to a mode."""
 
 SUPPRESSION = 1.5
 """A mode takes its surroundings with it, by so much more than its bandwidth."""
 
-FALL_OFF = 0.25
+FALL_OFF = 0.3
 """A candidate farther than the nearest by twice this share of its distance weighs 1/e."""
 
 NEAREST_SHARE = 0.02
@@ -42,7 +42,7 @@ NEAREST_SHARE = 0.02
 An entry that is the query itself would else outweigh all others.
 """
 
-RIDGE = 0.3
+RIDGE = 0.45
 """Regularisation of the regression, as a share of the mean variance of a mode's descriptors."""
 
 
@@ -85,27 +85,38 @@ def find_modes(
     Returns
     -------
     list of Mode
-        Fewer than ``count`` where the candidates hold fewer distinct poses.
+        Fewer than ``count`` where the candidates hold fewer distinct poses, or where
+        interpolation makes two alike.
     """
-    weights = candidate_weights(candidates.distances)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
+    centres, weights = _densest(candidate_weights(candidates.distances), apart, count, bandwidth_m)
+    modes = _interpolate(candidates, centres, weights)
+    between = _joint_distances(np.stack([mode.points_3d[:JOINTS] for mode in modes]))
+    distinct: list[int] = []
+    for position in range(len(modes)):
+        if (between[position, distinct] >= DISTINCT_M / 2).all():
+            distinct.append(position)
+    skeletons = candidates.points_3d[centres[distinct]]
+    grown = with_bones_of(skeletons, np.stack([modes[i].points_3d for i in distinct]))
+    return [replace(modes[i], points_3d=points) for i, points in zip(distinct, grown, strict=True)]
+
+
+def _densest(
+    weights: NDArray[np.float64], apart: NDArray[np.float64], count: int, bandwidth_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Centres ``(M,)`` of up to ``count`` modes, and the shares ``(M, K)`` that gather there."""
     kernel = np.exp(-(apart**2) / (2 * bandwidth_m**2))
-    remaining, free = weights.copy(), np.ones(len(candidates), bool)
-    modes: list[Mode] = []
-    while len(modes) < count and free.any():
-        density = kernel @ remaining
-        centre = int(np.where(free, density, -np.inf).argmax())
-        mode = _interpolate(candidates, remaining * kernel[centre], centre, weights.sum())
-        if not modes or _nearest_m(mode, modes) >= DISTINCT_M / 2:
-            modes.append(mode)
-        wide = np.exp(-(apart[centre] ** 2) / (2 * (SUPPRESSION * bandwidth_m) ** 2))
-        remaining *= 1 - wide
+    suppressed = np.exp(-(apart**2) / (2 * (SUPPRESSION * bandwidth_m) ** 2))
+    remaining, free = weights / weights.sum(), np.ones(len(weights), bool)
+    centres: list[int] = []
+    gathered: list[NDArray[np.float64]] = []
+    while len(centres) < count and free.any():
+        centre = int(np.where(free, kernel @ remaining, -np.inf).argmax())
+        centres.append(centre)
+        gathered.append(remaining * kernel[centre])
+        remaining = remaining * (1 - suppressed[centre])
         free &= apart[centre] >= DISTINCT_M
-    if not modes:
-        return []
-    skeletons = candidates.points_3d[[mode.centre for mode in modes]]
-    grown = with_bones_of(skeletons, np.stack([mode.points_3d for mode in modes]))
-    return [replace(mode, points_3d=points) for mode, points in zip(modes, grown, strict=True)]
+    return np.array(centres), np.stack(gathered)
 
 
 def candidate_weights(
@@ -114,13 +125,6 @@ def candidate_weights(
     """How much each candidate counts: ascending distances ``(K,)`` to weights ``(K,)``, 1 first."""
     nearest = max(distances[0], NEAREST_SHARE * distances[-1])
     return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
-
-
-def _nearest_m(mode: Mode, others: list[Mode]) -> float:
-    """Root mean square joint distance of a mode to the nearest of some others."""
-    joints = np.stack([other.points_3d[:JOINTS] for other in others])
-    squared = ((joints - mode.points_3d[:JOINTS]) ** 2).sum(axis=-1)
-    return float(np.sqrt(squared.mean(axis=-1).min()))
 
 
 def _joint_distances(joints: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -132,33 +136,39 @@ def _joint_distances(joints: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _interpolate(
-    candidates: Candidates, weights: NDArray[np.float64], centre: int, total: float
-) -> Mode:
-    shares = weights / weights.sum()
-    members = np.flatnonzero(shares > 1e-3 * shares.max())
-    shares = shares[members] / shares[members].sum()
-    vectors = candidates.vectors[members].astype(np.float64)
-    mean = shares @ vectors
-    centred = (vectors - mean) * np.sqrt(shares)[:, None]
-    wanted = candidates.query - mean
-    scatter = centred.T @ centred
+    candidates: Candidates, centres: NDArray[np.int64], weights: NDArray[np.float64]
+) -> list[Mode]:
+    """Interpolate to the query what gathers ``(M, K)`` about each centre ``(M,)``."""
+    offsets = candidates.vectors.astype(np.float64) - candidates.query
+    shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, 0.0)
+    shares /= shares.sum(axis=1, keepdims=True)
+    means = shares @ offsets
+    centred = offsets - means[:, None]
+    weighted = centred * shares[..., None]
+    scatter = weighted.swapaxes(1, 2) @ centred
     # Few effective members make a poor estimate of the scatter: it is then held stiffer.
-    ridge = RIDGE * np.trace(scatter) * (shares**2).sum() + 1e-9
-    slope = np.linalg.solve(scatter + ridge * np.eye(len(scatter)), wanted)
-    steps = shares * ((vectors - mean) @ slope)
-    combination = shares + steps - shares * steps.sum()
-    return Mode(
-        centre=centre,
-        votes=float(weights.sum() / total),
-        distance=float(np.linalg.norm(candidates.query - combination @ vectors)),
-        points_3d=_combine(combination, candidates.points_3d[members]),
-        points_normalised=_combine(combination, candidates.points_normalised[members]),
-    )
+    stiffness = RIDGE * np.trace(scatter, axis1=1, axis2=2) * (shares**2).sum(axis=1) + 1e-9
+    scatter += stiffness[:, None, None] * np.eye(offsets.shape[1])
+    slopes = np.linalg.solve(scatter, -means[..., None])
+    steps = (weighted @ slopes)[..., 0]
+    combinations = shares + steps - shares * steps.sum(axis=1, keepdims=True)
+    return [
+        Mode(int(centre), float(votes), float(distance), points_3d, points_normalised)
+        for centre, votes, distance, points_3d, points_normalised in zip(
+            centres,
+            weights.sum(axis=1),
+            np.linalg.norm(combinations @ offsets, axis=1),
+            _combine(combinations, candidates.points_3d),
+            _combine(combinations, candidates.points_normalised),
+            strict=True,
+        )
+    ]
 
 
 def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weighted sums ``(M, P, D)`` of points ``(K, P, D)``."""
     flat = shares @ points.reshape(len(points), -1)
-    return np.asarray(flat.reshape(points.shape[1:]), np.float64)
+    return np.asarray(flat.reshape(len(shares), *points.shape[1:]), np.float64)
 
 
 def with_bones_of(

@@ -109,8 +109,14 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
 
 def labels_in(labels: NDArray[np.uint16]) -> list[int]:
     """The labels that a label image ``(H, W)`` holds, ascending, without 0, the background."""
-    # Several times as fast as np.unique or np.bincount.
-    counts = cv2.calcHist([labels], [0], None, [1 << 16], [0, 1 << 16])
+    used = (labels != 0).view(np.uint8)
+    left, top, width, height = cv2.boundingRect(used)
+    if width == 0:
+        return []
+    # Several times as fast as np.unique or np.bincount, and the more so the less there is to count.
+    part = np.ascontiguousarray(labels[top : top + height, left : left + width])
+    bins = int(part.max()) + 1
+    counts = cv2.calcHist([part], [0], None, [bins], [0, bins])
     return (np.flatnonzero(counts[1:]) + 1).tolist()
 
 

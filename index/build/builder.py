@@ -56,7 +56,7 @@ class Plan:
     """
 
     entries: int = 120_000
-    bodies: int = 2
+    bodies: int = 1
     views: int = 12
     seed: int = 20161
     descriptor: str = "discriminant"

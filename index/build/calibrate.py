@@ -127,6 +127,7 @@ def run_trial(
     error_px, twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(3))
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=not progress):
         hypotheses, shown = match_with_features(index, queries.silhouettes[row], n)
+        hypotheses, shown = hypotheses[:n], shown[:n]
         features[row, : len(hypotheses)] = shown
         for rank, hypothesis in enumerate(hypotheses):
             twin = exchange_sides(hypothesis.points_normalised)

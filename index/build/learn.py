@@ -65,7 +65,7 @@ class Recipe:
     vertical_orders: int = 28
     horizontal_orders: int = 14
     p1: float = 0.5
-    p2: tuple[float, ...] = (0.5,)
+    p2: tuple[float, ...] = (0.25, 0.75)
     dimension: int = 48
     regularisation: float = 1e-2
 

@@ -149,28 +149,17 @@ def _fill(
     # Many triangles are smaller than a sample and lie between samples.
     if first > last or np.ceil(left) > np.floor(right):
         return
+    begin, end = int(np.ceil(left)), int(np.floor(right))
+    turn = np.float32(1.0) if (bx - ax) * (cy - ay) >= (by - ay) * (cx - ax) else np.float32(-1.0)
     for row in range(max(first, 0), min(last, fine.shape[0] - 1) + 1):
-        # Where the scan line enters and leaves the triangle.
-        enter, leave = np.float32(np.inf), np.float32(-np.inf)
-        for edge in range(3):
-            if edge == 0:
-                x0, y0, x1, y1 = ax, ay, bx, by
-            elif edge == 1:
-                x0, y0, x1, y1 = bx, by, cx, cy
-            else:
-                x0, y0, x1, y1 = cx, cy, ax, ay
-            if (y0 <= row <= y1) or (y1 <= row <= y0):
-                if y0 == y1:
-                    enter = x0 if x0 < enter else enter
-                    leave = x0 if x0 > leave else leave
-                    cut = x1
-                else:
-                    cut = x0 + (row - y0) * (x1 - x0) / (y1 - y0)
-                enter = cut if cut < enter else enter
-                leave = cut if cut > leave else leave
-        begin, end = int(np.ceil(enter)), int(np.floor(leave))
         for column in range(max(begin, 0), min(end, fine.shape[1] - 1) + 1):
-            fine[row, column] = 1
+            # Most samples are set already: bodies are covered several times over.
+            if fine[row, column] == 0:
+                ab = (bx - ax) * (row - ay) - (by - ay) * (column - ax)
+                bc = (cx - bx) * (row - by) - (cy - by) * (column - bx)
+                ca = (ax - cx) * (row - cy) - (ay - cy) * (column - cx)
+                if turn * ab >= 0 and turn * bc >= 0 and turn * ca >= 0:
+                    fine[row, column] = 1
 
 
 @njit(nogil=True, cache=True)

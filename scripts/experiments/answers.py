@@ -20,6 +20,7 @@ from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
+from index.matching import SPARE_MODES
 from index.modes import Mode, find_modes
 from index.skeleton import JOINTS
 from index.store import PoseIndex
@@ -103,7 +104,9 @@ def first(candidates: Candidates, count: int) -> Candidates:
 def ranked_modes(candidates: Candidates, matching: Matching, count: int) -> list[Mode]:
     """Distinct poses, best first, as :func:`index.matching.match` ranks them."""
     modes = find_modes(
-        first(candidates, matching.candidates), count + 3, bandwidth_m=matching.bandwidth_m
+        first(candidates, matching.candidates),
+        count + SPARE_MODES,
+        bandwidth_m=matching.bandwidth_m,
     )
     return sorted(modes, key=lambda mode: mode.distance)[:count]
 

@@ -51,16 +51,12 @@ DIMENSIONS = (24, 36, 48, 72, 96)
 REGULARISATIONS = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 REGIONS = ((0.5,), (0.1, 0.95), (0.25, 0.75), (0.1, 0.5, 0.9))
 TOGETHER = {
-    "a": replace(SHIPPED, p2=(0.25, 0.75), regularisation=0.1),
-    "b": replace(SHIPPED, p2=(0.25, 0.75), vertical_orders=38, horizontal_orders=19),
+    "a": replace(SHIPPED, vertical_orders=38, horizontal_orders=19),
+    "b": replace(SHIPPED, vertical_orders=38, horizontal_orders=19, regularisation=0.1),
     "c": replace(
-        SHIPPED, p2=(0.25, 0.75), vertical_orders=38, horizontal_orders=19, regularisation=0.1
+        SHIPPED, vertical_orders=38, horizontal_orders=19, regularisation=0.1, dimension=64
     ),
-    "d": replace(
-        SHIPPED, p2=(0.25, 0.75), vertical_orders=38, horizontal_orders=19, regularisation=0.1,
-        dimension=64,
-    ),
-}  # fmt: skip
+}
 """Several changes at once, each of which promises something by itself."""
 
 DIAGONAL = "diagonal"
