@@ -85,20 +85,32 @@ def find_modes(
     Returns
     -------
     list of Mode
-        Fewer than ``count`` where the candidates hold fewer distinct poses, or where
-        interpolation makes two alike.
+        Fewer than ``count`` where the candidates hold fewer distinct poses.
     """
+    weights = candidate_weights(candidates.distances)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    centres, weights = _densest(candidate_weights(candidates.distances), apart, count, bandwidth_m)
-    modes = _interpolate(candidates, centres, weights)
-    between = _joint_distances(np.stack([mode.points_3d[:JOINTS] for mode in modes]))
-    distinct: list[int] = []
-    for position in range(len(modes)):
-        if (between[position, distinct] >= DISTINCT_M / 2).all():
-            distinct.append(position)
+    # Interpolation makes some modes alike: a few more are looked at than wanted.
+    looked_at = count + count // 3
+    while True:
+        centres, gathered = _densest(weights, apart, looked_at, bandwidth_m)
+        modes = _interpolate(candidates, centres, gathered)
+        distinct = _distinct(np.stack([mode.points_3d[:JOINTS] for mode in modes]))[:count]
+        if len(distinct) == count or len(centres) < looked_at:
+            break
+        looked_at *= 2
     skeletons = candidates.points_3d[centres[distinct]]
     grown = with_bones_of(skeletons, np.stack([modes[i].points_3d for i in distinct]))
     return [replace(modes[i], points_3d=points) for i, points in zip(distinct, grown, strict=True)]
+
+
+def _distinct(joints: NDArray[np.float64]) -> list[int]:
+    """Which interpolated modes ``(M, J, 3)`` no earlier one comes too near to."""
+    apart = _joint_distances(joints)
+    distinct: list[int] = []
+    for position in range(len(joints)):
+        if (apart[position, distinct] >= DISTINCT_M / 2).all():
+            distinct.append(position)
+    return distinct
 
 
 def _densest(

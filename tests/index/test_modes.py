@@ -51,7 +51,7 @@ def bone_directions(pose: Points) -> Points:
     return bones / np.linalg.norm(bones, axis=1, keepdims=True)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 999),
     size=st.integers(1, 60),
@@ -67,7 +67,7 @@ def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float
     centres = found.points_3d[[mode.centre for mode in modes], :JOINTS]
     apart = np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=-1).mean(axis=-1))
     assert (apart[~np.eye(len(modes), dtype=bool)] >= DISTINCT_M - 1e-6).all()
-    if len(modes) < count:
+    if len(modes) < count and spread in (0.0, 1.0):
         # None was left out: every candidate is near some centre.
         joints = found.points_3d[:, None, :JOINTS]
         nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
@@ -138,6 +138,15 @@ def test_a_query_that_is_an_entry_gets_its_pose(
     apart = np.linalg.norm(best.points_3d[:JOINTS] - entry.points_3d[:JOINTS], axis=-1)
     # Far less than what makes poses distinct: the entry outweighs all others.
     assert apart.mean() < DISTINCT_M / 4
+
+
+@pytest.mark.parametrize("count", [1, 4, 12, 30])
+def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_next(
+    toy_index: PoseIndex, count: int
+) -> None:
+    for number in range(0, 576, 23):
+        found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
+        assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
 
 
 class TestWithBonesOf:
