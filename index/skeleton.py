@@ -21,6 +21,12 @@ JOINT_NAMES = (
     "right_hip", "right_knee", "right_ankle", "right_toe",
 )  # fmt: skip
 
+LIMBS = (
+    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+    "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+)  # fmt: skip
+"""The 12 limb joints that references of real people know."""
+
 FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 
 POINT_NAMES = JOINT_NAMES + FACE_NAMES

@@ -87,20 +87,25 @@ class Trial:
         0 where an index has fewer than N poses to offer.
     confidence : (Q, N) float64 array
         As features.
-    error_px : (Q, N) float64 array
-        Mean joint error in the normalised frame; infinite where there is no hypothesis.
+    joint_errors_px : (Q, N, 19) float64 array
+        Error of each joint in the normalised frame; infinite where there is no hypothesis.
     twin_error_px : (Q, N) float64 array
-        The same if left and right are exchanged, as an outline seen from the height of the hips
-        cannot tell them.
+        Mean joint error if left and right are exchanged, as an outline seen from the height of
+        the hips cannot tell them.
     error_m : (Q, N) float64 array
         Mean joint error in camera axes, pelvis on pelvis, metres.
     """
 
     features: NDArray[np.float64]
     confidence: NDArray[np.float64]
-    error_px: NDArray[np.float64]
+    joint_errors_px: NDArray[np.float64]
     twin_error_px: NDArray[np.float64]
     error_m: NDArray[np.float64]
+
+    @property
+    def error_px(self) -> NDArray[np.float64]:
+        """Mean joint errors in the normalised frame ``(Q, N)``."""
+        return np.asarray(self.joint_errors_px.mean(axis=-1))
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -124,7 +129,8 @@ def run_trial(
     """
     features = np.zeros((len(queries), n, len(FEATURES)))
     confidence = np.zeros((len(queries), n))
-    error_px, twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(3))
+    joint_errors_px = np.full((len(queries), n, JOINTS), np.inf)
+    twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=not progress):
         hypotheses, shown = match_with_features(index, queries.silhouettes[row], n)
         hypotheses, shown = hypotheses[:n], shown[:n]
@@ -135,10 +141,10 @@ def run_trial(
             apart_twin = twin[:JOINTS] - queries.joints_2d[row]
             apart_3d = hypothesis.points_3d[:JOINTS] - queries.joints_3d[row]
             confidence[row, rank] = hypothesis.confidence
-            error_px[row, rank] = np.linalg.norm(apart_2d, axis=-1).mean()
+            joint_errors_px[row, rank] = np.linalg.norm(apart_2d, axis=-1)
             twin_error_px[row, rank] = np.linalg.norm(apart_twin, axis=-1).mean()
             error_m[row, rank] = np.linalg.norm(apart_3d, axis=-1).mean()
-    return Trial(features, confidence, error_px, twin_error_px, error_m)
+    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m)
 
 
 def fit_calibration(trial: Trial) -> Calibration:

@@ -14,14 +14,9 @@ from numpy.typing import NDArray
 from app.vision.box_arrays import Boxes
 from app.vision.decode import decode_image, decode_mask
 from app.vision.people import Box
+from index.skeleton import LIMBS
 
 MAX_PIXELS = 50_000_000
-
-LIMBS = (
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
-    "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
-"""The 12 limb joints in which errors are measured, in the order of ``landmarks.json``."""
 
 HIPS = (LIMBS.index("left_hip"), LIMBS.index("right_hip"))
 

@@ -28,7 +28,7 @@ class PeerAnswer:
     mask : (h, w) bool array or None
         None, as are the others, where it finds nobody.
     points_2d : (12, 2) float64 array or None
-        Pixels of the image; rows are :data:`scripts.experiments.real_data.LIMBS`.
+        Pixels of the image; rows are :data:`index.skeleton.LIMBS`.
     points_3d : (12, 3) float64 array or None
         Camera axes, metres, origin between the hips.
     """
