@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ class Plan:
     entries : int
         Wanted entries; poses are chosen so that there are about as many.
     bodies : int
-        Bodies per pose.
+        Bodies per pose, at least; see :meth:`fitted`.
     views : int
         Views per pose and body.
     seed : int
@@ -76,6 +76,10 @@ class Plan:
     def poses(self) -> int:
         """Poses that make so many entries."""
         return self.entries // (self.bodies * self.views)
+
+    def fitted(self, frames: int) -> Plan:
+        """The same with as many more bodies a pose as it takes where there are few frames."""
+        return replace(self, bodies=max(self.bodies, -(-self.entries // (self.views * frames))))
 
 
 def split_by_clip(
@@ -171,6 +175,7 @@ def build(
     segments = read_manifest(motion) if segments is None else segments
     poses, dropped = read_poses(motion, segments)
     say(_report(poses, dropped))
+    plan = plan.fitted(len(poses))
     avatars = make_avatars(INDEX_AVATARS, garments)
     if garments is None:
         say("No garments folder: the bodies are unclothed.")

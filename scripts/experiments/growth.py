@@ -16,7 +16,7 @@ from index.build.calibrate import Queries, run_trial
 from index.build.learn import learn_descriptor
 from index.build.motion import read_manifest
 from index.build.poses import read_poses
-from index.build.simulate import simulate
+from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
 from scripts.experiments.report import table, write
 from scripts.experiments.strict import QUERIES, QUERY_SEED, summary
@@ -46,18 +46,24 @@ def grow(shared: Path) -> list[Figures]:
     """
     motion, garments = shared / "mocap", shared / "garments"
     kept, held = split_by_clip(read_manifest(motion))
-    plan = replace(Plan(), entries=SIZES[-1])
     avatars = make_avatars(INDEX_AVATARS, garments)
-    poses = choose_poses(read_poses(motion, kept)[0], avatars[0], plan.poses)
-    views = -(-SIZES[-1] // (len(poses) * plan.bodies))
-    whole = simulate(poses, avatars, bodies=plan.bodies, views=views, seed=plan.seed, progress=True)
+    frames, _ = read_poses(motion, kept)
+
+    def simulated(entries: int) -> Simulation:
+        plan = replace(Plan(), entries=entries).fitted(len(frames))
+        poses = choose_poses(frames, avatars[0], plan.poses)
+        return simulate(
+            poses, avatars, bodies=plan.bodies, views=plan.views, seed=plan.seed, progress=True
+        )
+
+    shipped = simulated(Plan.entries)
     strangers = make_avatars(HELD_OUT_AVATARS, garments)
     queries = Queries.of(simulate_queries(motion, held, strangers, QUERIES, QUERY_SEED))
     asked = queries.take(np.arange(0, len(queries), EVERY))
-    descriptor = learn_descriptor(whole.take(np.arange(Plan.entries)), plan.seed)
+    descriptor = learn_descriptor(shipped, Plan.seed)
     figures = []
     for size in tqdm(SIZES, desc="sizes", unit="index"):
-        part = whole.take(np.arange(min(size, len(whole))))
+        part = shipped.take(np.arange(size)) if size <= len(shipped) else simulated(size)
         index = assemble(part, descriptor, Calibration.none(), {}, "growth")
         figure = summary(run_trial(index, asked))
         del figure["ece"]  # These have no calibration.
@@ -78,7 +84,8 @@ def report(figures: Sequence[Figures], out: Path) -> None:
     text = [
         "As the index grows",
         f"{int(figures[0]['queries'])} of the strict experiment's queries, whose clips and bodies "
-        "no index holds. Each size holds the first poses of the next, chosen farthest first, and "
+        "no index holds. Each size holds the first poses of the next, chosen farthest first (of "
+        "400,000 entries each pose on two bodies, for lack of more frames), and "
         f"all describe by one descriptor, learned at {Plan.entries:,} entries.",
         table(header, rows),
         "![growth](growth.png)",

@@ -83,8 +83,9 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
     lines = [
         "# Strict: unseen bodies, clips and views\n",
         f"`{COMMAND}`\n",
-        f"Index: {len(index):,} entries of {plan.poses:,} poses, {plan.bodies} bodies a pose, "
-        f"{plan.views} views a body; each stands for its mirror image too. Queries: "
+        f"Index: {len(index):,} entries: {index.parameters['poses']:,} poses, each on "
+        f"{index.parameters['bodies_per_pose']} of the {len(index.subjects)} avatars, "
+        f"{plan.views} views of each; each stands for its mirror image too. Queries: "
         f"{len(queries):,} frames spread evenly over the {len({s.clip for s in held})} held-out "
         "clips, on 4 bodies and in clothes of their own, one random view each (elevation -5 to "
         "60 degrees, 3 to 20 m, 2 degrees of roll). Right: mean joint reprojection error "

@@ -24,6 +24,12 @@ class TestPlan:
         # Each pose comes on each body from each view.
         assert Plan(entries=2400, bodies=2, views=12).poses == 100
 
+    @pytest.mark.parametrize(("frames", "bodies"), [(1000, 1), (100, 1), (99, 2), (50, 2), (30, 4)])
+    def test_spends_on_bodies_what_it_lacks_in_frames(self, frames: int, bodies: int) -> None:
+        plan = Plan(entries=1200, bodies=1, views=12).fitted(frames)
+        assert plan.bodies == bodies
+        assert plan.poses <= frames
+
     def test_refuses_fewer_entries_than_one_pose_makes(self) -> None:
         with pytest.raises(ValueError, match="expected at least 24 entries, got 23"):
             Plan(entries=23, bodies=2, views=12)
