@@ -25,11 +25,12 @@ ROWS = 320
 """Height at which sprites are drawn, in pixels."""
 
 SUPERSAMPLING = 2
-FALLEN_SHARE, FALLEN_DEG = 0.2, 45.0
+FALLEN_SHARE, FALLEN_DEG = 0.15, 45.0
 """How many lean or lie, and the standard deviation of their roll."""
 
-COVERING_SHARE = 0.5
-"""How many poses are of the set that covers all; the others are drawn as they come."""
+WALKING_SHARE, COVERING_SHARE = 0.4, 0.35
+"""How many poses are of walks, and how many of the set that covers all that people do; the others
+are drawn as they come."""
 
 _SKINS = np.array([[150, 178, 224], [120, 150, 205], [95, 125, 185], [60, 85, 140], [40, 58, 95]])
 _HAIRS = np.array([[25, 25, 30], [35, 50, 75], [70, 110, 150], [120, 125, 130], [20, 30, 45]])
@@ -92,15 +93,20 @@ class Casting:
         self.textures = textures
         joints = joints_of(self.poses, self.avatars[0])
         flat = joints.reshape(len(joints), -1)
-        self.covering = farthest_points(flat, 600)
+        self._kinds = (
+            np.flatnonzero(self.poses.action == self.poses.actions.index("walk")),
+            farthest_points(flat, 600),
+            np.arange(len(self.poses)),
+        )
         self._pieces = [pieces_of(a.triangles, len(a.vertices)) for a in self.avatars]
         self._retargetings: dict[tuple[int, int], Retargeting] = {}
 
     def sprite(self, generator: np.random.Generator) -> Sprite:
         """Draw one person: body, clothes, pose, camera, light and colours by chance."""
         which = int(generator.integers(len(self.avatars)))
-        covering = generator.random() < COVERING_SHARE
-        row = int(generator.choice(self.covering if covering else len(self.poses)))
+        rest = 1 - WALKING_SHARE - COVERING_SHARE
+        kind = int(generator.choice(3, p=(WALKING_SHARE, COVERING_SHARE, rest)))
+        row = int(generator.choice(self._kinds[kind]))
         avatar, clip = self.avatars[which], int(self.poses.clip[row])
         if (clip, which) not in self._retargetings:
             self._retargetings[clip, which] = retarget(self.poses.clips[clip], avatar)
@@ -176,11 +182,13 @@ class Casting:
                 colour[part] = self._cloth(rest[part], generator)
             hair = body & (up > generator.uniform(0.94, 1.0)) & (rest[:, 2] < 0.09)
             colour[hair] = _HAIRS[generator.integers(len(_HAIRS))]
+        hair, shoes = _HAIRS[generator.integers(len(_HAIRS))], self._cloth(rest[:1], generator)
         for number in np.unique(piece[~body]):
             part = (piece == number) & ~body
             if up[part].mean() > 0.88:
-                colour[part] = _HAIRS[generator.integers(len(_HAIRS))]
-                colour[part] *= generator.uniform(0.7, 1.2)
+                colour[part] = hair * generator.uniform(0.85, 1.15)
+            elif up[part].mean() < 0.06:
+                colour[part] = shoes
             else:
                 split = (up > 0.55) if generator.random() < 0.5 else np.ones_like(part)
                 for some in (part & split, part & ~split):

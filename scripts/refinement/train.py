@@ -1,0 +1,127 @@
+"""Train the network that refines silhouettes, on simulated people only.
+
+    python -m scripts.refinement.backgrounds /tmp/backgrounds
+    python -m scripts.refinement.train --backgrounds /tmp/backgrounds
+
+writes ``app/vision/refiner.onnx``. It needs the build extra, ``onnx`` and the segmentation
+network (``scripts/fetch_model.py``); no photograph of ``../shared/real`` but the empty street of
+``vtest`` is seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+from tqdm import tqdm
+
+from app.settings import DEFAULT_MODEL
+from app.vision.network import PersonNetwork
+from app.vision.refine import WEIGHTS_PATH
+from scripts.refinement.backgrounds import read_backgrounds
+from scripts.refinement.model import Refiner, export
+from scripts.refinement.samples import make_samples, spoil
+from scripts.refinement.sprites import Casting
+
+ROOT = Path(__file__).resolve().parents[2]
+BATCH = 16
+RATE = 4e-3
+HELPED_SHARE, SPOILT_SHARE = 0.5, 0.6
+"""How often the first network's answer is first completed by the truth, and how often spoilt:
+it fails more often before simulated people than before real ones."""
+
+
+def batch(
+    inputs: NDArray[np.uint8],
+    targets: NDArray[np.uint8],
+    rows: NDArray[np.int64],
+    generator: np.random.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Some samples, varied: ``(N, 6, 192, 128)`` and ``(N, 1, 192, 128)`` in 0..1."""
+    seen = inputs[rows].astype(np.float32) / 255
+    wanted = targets[rows].astype(np.float32) / 255
+    for number in range(len(rows)):
+        probability = inputs[rows[number], 3]
+        if generator.random() < HELPED_SHARE:
+            probability = np.maximum(probability, targets[rows[number]])
+            probability = spoil(probability, generator)
+        elif generator.random() < SPOILT_SHARE:
+            probability = spoil(probability, generator)
+        seen[number, 3] = probability.astype(np.float32) / 255
+        gain = np.exp(generator.normal(0, 0.12, 3) + generator.normal(0, 0.15))
+        seen[number, :3] *= gain.astype(np.float32)[:, None, None]
+        seen[number, :3] += np.float32(generator.normal(0, 0.05))
+        if generator.random() < 0.15:
+            seen[number, :3] = seen[number, :3].mean(axis=0)
+        if generator.random() < 0.5:
+            seen[number], wanted[number] = seen[number, ..., ::-1], wanted[number, ..., ::-1]
+    np.clip(seen[:, :3], 0, 1, out=seen[:, :3])
+    return torch.from_numpy(seen), torch.from_numpy(wanted)[:, None]
+
+
+def loss_of(odds: Tensor, wanted: Tensor) -> Tensor:
+    """Cross entropy, and what the overlap lacks of 1."""
+    found = torch.sigmoid(odds)
+    shared = (found * wanted).sum(dim=(1, 2, 3))
+    union = (found + wanted - found * wanted).sum(dim=(1, 2, 3))
+    return binary_cross_entropy_with_logits(odds, wanted) * 2 + 1 - (shared / union).mean()
+
+
+def train(
+    inputs: NDArray[np.uint8], targets: NDArray[np.uint8], steps: int, seed: int
+) -> Refiner:
+    """Train a refiner for so many batches, with a rate that rises and falls once."""
+    torch.manual_seed(seed)
+    generator = np.random.default_rng(seed)
+    model = Refiner().to(memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(model.parameters(), RATE, weight_decay=1e-2)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, steps, pct_start=0.15)
+    running = 1.0
+    with tqdm(range(steps), desc="training", unit="batch", mininterval=5) as progress:
+        for _ in progress:
+            rows = generator.choice(len(inputs), BATCH, replace=False)
+            seen, wanted = batch(inputs, targets, rows, generator)
+            loss = loss_of(model.odds(seen.to(memory_format=torch.channels_last)), wanted)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            running += 0.01 * (loss.item() - running)
+            progress.set_postfix(loss=f"{running:.3f}", refresh=False)
+    return model
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--backgrounds", type=Path, required=True, help="of .backgrounds")
+    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
+    parser.add_argument("--sprites", type=int, default=3000)
+    parser.add_argument("--samples", type=int, default=24000)
+    parser.add_argument("--steps", type=int, default=6000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=WEIGHTS_PATH)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+    photographs = read_backgrounds(options.backgrounds, options.shared / "real")
+    casting = Casting(options.shared, photographs)
+    generator = np.random.default_rng(options.seed)
+    sprites = [
+        casting.sprite(generator) for _ in tqdm(range(options.sprites), "drawing", unit="sprite")
+    ]
+    network = PersonNetwork(options.model)
+    samples = make_samples(sprites, photographs, network, options.samples, options.seed)
+    export(train(*samples, options.steps, options.seed), options.out)
+
+
+if __name__ == "__main__":
+    main()
