@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import cv2
@@ -16,8 +15,9 @@ from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_compo
 from app.vision.neighbours import own_part
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_mask
-from app.vision.resampling import Window, cut, resize, resize_mask
+from app.vision.resampling import resize, resize_mask
 from app.vision.truncation import with_truncation
+from app.vision.views import View, view_of, with_grey_surroundings
 
 
 class Segmenter(Protocol):
@@ -48,15 +48,6 @@ def make_segmenter(network: PersonNetwork | None) -> Segmenter:
     return GrabCutSegmenter() if network is None else NetworkSegmenter(network)
 
 
-# The network sees a window of the box's height and 0.8 times as wide, stretched to its
-# square: of the windows tried, the one with the best overlap.
-_WINDOW_ASPECT = 0.8
-# Beyond the box by this share of its height the window is greyed: the network likes to join
-# people, and what it does not see it does not join.
-_SURROUNDINGS = 0.1
-_GREY = 127
-# Masks are drawn at no more than this height: finer than the network's own 256 rows.
-_ROWS = 320
 _NEIGHBOUR_ROWS = 96
 # Less than this share of the box, and the network did not see the person.
 _LEAST_FILL = 0.12
@@ -83,8 +74,8 @@ class NetworkSegmenter:
         """Cut out the person in each box; see :class:`Segmenter`."""
         height, width = frame.shape[:2]
         visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
-        views = [_view(frame, box, [b for j, b in visible if j != i]) for i, box in visible]
-        answers = self._network.of_images([_with_grey_surroundings(view) for view in views])
+        views = [view_of(frame, box, [b for j, b in visible if j != i]) for i, box in visible]
+        answers = self._network.of_images([with_grey_surroundings(view) for view in views])
         found: list[Silhouette | None] = [None] * len(boxes)
         for (i, _), view, answer in zip(visible, views, answers, strict=True):
             found[i] = _drawn(view, answer)
@@ -96,50 +87,7 @@ class NetworkSegmenter:
         return with_truncation(found, boxes, frame.shape)
 
 
-@dataclass(frozen=True)
-class _View:
-    """The window around one person, at the resolution at which the mask is drawn.
-
-    ``image`` is (h, w, 3) uint8; ``box`` and ``others`` are in its pixels, ``whole`` (the
-    person's box) and ``window`` in the frame's.
-    """
-
-    image: NDArray[np.uint8]
-    box: Box
-    others: list[Box]
-    whole: Box
-    window: Window
-
-
-def _view(frame: NDArray[np.uint8], box: Box, others: Sequence[Box]) -> _View:
-    left, top, right, bottom = box.pixels()
-    height = max(bottom - top, round((right - left) / 1.6))
-    width = max(round(_WINDOW_ASPECT * height), right - left)
-    window = ((left + right - width) // 2, (top + bottom - height) // 2, width, height)
-    scale = min(1.0, _ROWS / height)
-    image = resize(cut(frame, window), max(1, round(width * scale)), max(1, round(height * scale)))
-
-    def local(one: Box) -> Box:
-        return Box(one.x - window[0], one.y - window[1], one.width, one.height).scaled(scale)
-
-    return _View(image, local(box), [local(other) for other in others], box, window)
-
-
-def _with_grey_surroundings(view: _View) -> NDArray[np.uint8]:
-    """View with everything but the box hidden, softly: a new edge must not look like a body's."""
-    reach = _SURROUNDINGS * view.box.height
-    left, top = view.box.x - reach, view.box.y - reach
-    near = Box(left, top, view.box.width + 2 * reach, view.box.height + 2 * reach)
-    x0, y0, x1, y1 = near.pixels()
-    rows, columns = view.image.shape[:2]
-    shown: NDArray[np.float32] = np.zeros((rows, columns, 1), np.float32)
-    shown[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 1
-    blur = 2 * max(1, round(0.05 * rows)) + 1
-    shown = cv2.blur(shown, (blur, blur)).astype(np.float32)[..., None]
-    return (view.image * shown + _GREY * (1 - shown)).astype(np.uint8)
-
-
-def _own_part(view: _View, soft: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _own_part(view: View, soft: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Pixels of a view that are not a neighbour's."""
     height, width = soft.shape
     scale = min(1.0, _NEIGHBOUR_ROWS / height)
@@ -152,7 +100,7 @@ def _own_part(view: _View, soft: NDArray[np.float32]) -> NDArray[np.bool_]:
     return ~resize_mask(region & ~own, width, height)
 
 
-def _drawn(view: _View, answer: NDArray[np.float32]) -> Silhouette | None:
+def _drawn(view: View, answer: NDArray[np.float32]) -> Silhouette | None:
     """One person's silhouette in the frame; None if next to nothing was seen."""
     rows, columns = view.image.shape[:2]
     soft = guided_filter(view.image, resize(answer, columns, rows), radius=max(2, round(rows / 70)))

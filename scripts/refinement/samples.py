@@ -12,7 +12,7 @@ from tqdm import tqdm
 from app.vision.network import PersonNetwork
 from app.vision.refine import CHANNELS, COLUMNS, ROWS, refiner_input, refiner_window
 from app.vision.resampling import cut, resize
-from app.vision.segment import _view, _with_grey_surroundings
+from app.vision.views import view_of, with_grey_surroundings
 from scripts.refinement.scenes import Scene, make_scene
 from scripts.refinement.sprites import Sprite
 
@@ -24,8 +24,8 @@ def samples_of(
     found = []
     for number, box in enumerate(scene.boxes):
         others = [other for other in scene.boxes if other is not box]
-        view = _view(scene.frame, box, others)
-        answer = network.of_images([_with_grey_surroundings(view)])[0]
+        view = view_of(scene.frame, box, others)
+        answer = network.of_images([with_grey_surroundings(view)])[0]
         window = refiner_window(box)
         seen = refiner_input(scene.frame, window, box, others, answer, view.window)
         target = resize(cut(scene.covers[number], window), COLUMNS, ROWS)

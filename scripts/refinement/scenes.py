@@ -13,10 +13,10 @@ from app.vision.people import Box
 from scripts.experiments.real_data import tight_box
 from scripts.refinement.sprites import Sprite
 
-HEIGHTS_PX = (56.0, 300.0)
+HEIGHTS_PX = (60.0, 360.0)
 """From the smallest person that the service looks for to one who fills the network's window."""
 
-NEIGHBOUR_SHARES = (0.45, 0.3, 0.25)
+NEIGHBOUR_SHARES = (0.4, 0.35, 0.25)
 """How many scenes have no neighbour, one, and two."""
 
 LEAST_VISIBLE = 0.4
@@ -72,9 +72,9 @@ def _try_scene(
     size = (rows + 2 * room, columns + 2 * room)
     layers = [(own, room, room)]
     for _ in range(int(generator.choice(3, p=NEIGHBOUR_SHARES))):
-        relative = height_px * generator.uniform(0.75, 1.25)
+        relative = height_px * generator.uniform(0.8, 1.2)
         other = _varied(sprites[generator.integers(len(sprites))], relative, generator)
-        side = generator.choice([-1, 1]) * generator.uniform(0.12, 0.6) * height_px
+        side = generator.choice([-1, 1]) * generator.uniform(0.08, 0.55) * height_px
         left = room + columns / 2 + side - other.cover.shape[1] / 2
         top = room + rows - other.cover.shape[0] + generator.normal(0, 0.06) * height_px
         layers.append((other, round(top), round(left)))

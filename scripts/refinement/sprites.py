@@ -32,6 +32,12 @@ WALKING_SHARE, COVERING_SHARE = 0.4, 0.35
 """How many poses are of walks, and how many of the set that covers all that people do; the others
 are drawn as they come."""
 
+BARE_SHARE = 0.35
+"""How many of those without garments are drawn with a bare trunk."""
+
+BAG_SHARES = (0.65, 0.2, 0.15)
+"""How many carry nothing, something on the back, and something in a hand."""
+
 _SKINS = np.array([[150, 178, 224], [120, 150, 205], [95, 125, 185], [60, 85, 140], [40, 58, 95]])
 _HAIRS = np.array([[25, 25, 30], [35, 50, 75], [70, 110, 150], [120, 125, 130], [20, 30, 45]])
 
@@ -59,21 +65,59 @@ class Sprite:
             )
 
 
-@dataclass(frozen=True)
-class Dressed:
-    """An avatar and which piece of clothing or body each of its triangles belongs to."""
-
-    avatar: Avatar
-    pieces: NDArray[np.int32]
-    names: NDArray[np.int32]
-
-
 def pieces_of(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
     """Number the connected surfaces of a mesh; one number for each triangle."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     links = coo_array((np.ones(len(edges)), edges.T), shape=(vertices, vertices))
     labels = connected_components(links, directed=False)[1]
     return np.asarray(labels[triangles[:, 0]], np.int32)
+
+
+def _ellipsoid(
+    centre: NDArray[np.float64], axes: NDArray[np.float64], first: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Surface of a body like a cushion; ``axes`` are rows ``(3, 3)``, vertices count from first."""
+    rings, points = 13, 20
+    polar, around = np.meshgrid(
+        np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, points, endpoint=False),
+        indexing="ij",
+    )  # fmt: skip
+    ball = np.stack(
+        [np.sin(polar) * np.cos(around), np.cos(polar), np.sin(polar) * np.sin(around)], axis=-1
+    ).reshape(-1, 3)
+    # Powers below 1 make it squarer.
+    vertices = centre + (np.sign(ball) * np.abs(ball) ** 0.6) @ axes
+    at = np.arange(rings * points).reshape(rings, points)
+    a, b = at[:-1], at[1:]
+    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
+    quads = np.stack([a, b, c, c, b, d], axis=-1).reshape(-1, 3)
+    return vertices.astype(np.float32), (quads + first).astype(np.int32)
+
+
+def with_bags(
+    vertices: NDArray[np.float32],
+    avatar: Avatar,
+    moved: NDArray[np.float64],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Give a posed body something to carry, in some cases: more vertices and triangles."""
+    kind = int(generator.choice(3, p=BAG_SHARES))
+    if kind == 0:
+        return vertices, avatar.triangles
+    bone = avatar.bones.index("Spine1" if kind == 1 else generator.choice(["LeftHand", "RightHand"]))
+    place = moved[bone, :, :3] @ avatar.heads[bone] + moved[bone, :, 3]
+    if kind == 1:
+        turn = moved[bone, :, :3].T
+        size = np.array([0.16, 0.22, 0.11]) * generator.uniform(0.7, 1.2, 3)
+        centre = place + np.array([generator.normal(0, 0.03), 0.02, -0.15]) @ turn
+    else:
+        angle = generator.uniform(0, np.pi)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+        size = np.array([0.17, 0.17, 0.07]) * generator.uniform(0.5, 1.2, 3)
+        centre = place + np.array([0, -0.1 - size[1], 0])
+    more, triangles = _ellipsoid(centre, size[:, None] * turn, len(vertices))
+    return np.concatenate([vertices, more]), np.concatenate([avatar.triangles, triangles])
 
 
 class Casting:
@@ -114,18 +158,20 @@ class Casting:
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, moved[0].astype(np.float32)
         )
+        vertices, triangles = with_bags(vertices, avatar, moved[0], generator)
         camera = sample_views(1, generator)[0]
         roll = float(camera["roll_deg"])
         if generator.random() < FALLEN_SHARE:
             roll += generator.normal(0, FALLEN_DEG)
         elevation = float(camera["elevation_deg"]) * (0.5 if generator.random() < 0.5 else 1.0)
         turned = vertices @ camera_rotation(float(camera["azimuth_deg"]), elevation, roll).T
-        return self._drawn(which, turned, float(camera["distance"]), generator)
+        return self._drawn(which, turned, triangles, float(camera["distance"]), generator)
 
     def _drawn(
         self,
         which: int,
         turned: NDArray[np.float64],
+        triangles: NDArray[np.int32],
         distance: float,
         generator: np.random.Generator,
     ) -> Sprite:
@@ -137,10 +183,12 @@ class Casting:
         places = ((plane - low) * scale + margin).astype(np.float32)
         width, height = (np.ceil((high - low) * scale / 2).astype(int) * 2 + 2 * margin).tolist()
         turned = turned.astype(np.float32)
-        normals = vertex_normals(turned, avatar.triangles)
-        values = np.concatenate([avatar.vertices, normals], axis=1)
+        normals = vertex_normals(turned, triangles)
+        # Bags have no rest pose: they are coloured by where they are.
+        rest = np.concatenate([avatar.vertices, turned[len(avatar.vertices) :]])
+        values = np.concatenate([rest, normals], axis=1)
         shown, buffer = rasterise(
-            places, np.ascontiguousarray(turned[:, 2]), avatar.triangles, values, height, width
+            places, np.ascontiguousarray(turned[:, 2]), triangles, values, height, width
         )
         on = shown >= 0
         colour = np.zeros((height, width, 3), np.float32)
@@ -165,7 +213,8 @@ class Casting:
         """Lit colours ``(P, 3)`` of pixels that show some triangles at rest places ``values``."""
         avatar = self.avatars[which]
         rest, normals = values[:, :3], values[:, 3:]
-        piece = self._pieces[which][triangles]
+        bag = triangles >= len(avatar.triangles)
+        piece = np.where(bag, -1, self._pieces[which][np.where(bag, 0, triangles)])
         body = triangles < avatar.closed
         colour = np.empty((len(rest), 3), np.float32)
         flesh = _SKINS[generator.integers(len(_SKINS))] * generator.uniform(0.8, 1.1)
@@ -178,16 +227,19 @@ class Casting:
             out = np.abs(rest[:, 0])
             shirt = (up > 0.53) & (up < 0.83) & (out < generator.uniform(0.2, 0.75))
             legs = (up <= 0.53) & (up > generator.uniform(0.05, 0.4))
-            for part in (shirt & body, legs & body, (up < 0.05) & body):
+            shod = (up < 0.05) & (generator.random() < 0.6)
+            bare = generator.random() < BARE_SHARE
+            for part in (shirt & body & (not bare), legs & body, shod & body):
                 colour[part] = self._cloth(rest[part], generator)
-            hair = body & (up > generator.uniform(0.94, 1.0)) & (rest[:, 2] < 0.09)
-            colour[hair] = _HAIRS[generator.integers(len(_HAIRS))]
+            head = body & (up > generator.uniform(0.94, 1.0)) & (rest[:, 2] < 0.09)
+            hair = _HAIRS[generator.integers(len(_HAIRS))]
+            colour[head] = self._cloth(rest[:1], generator) if generator.random() < 0.4 else hair
         hair, shoes = _HAIRS[generator.integers(len(_HAIRS))], self._cloth(rest[:1], generator)
         for number in np.unique(piece[~body]):
             part = (piece == number) & ~body
-            if up[part].mean() > 0.88:
+            if number >= 0 and up[part].mean() > 0.88:
                 colour[part] = hair * generator.uniform(0.85, 1.15)
-            elif up[part].mean() < 0.06:
+            elif number >= 0 and up[part].mean() < 0.06:
                 colour[part] = shoes
             else:
                 split = (up > 0.55) if generator.random() < 0.5 else np.ones_like(part)

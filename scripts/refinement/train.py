@@ -37,6 +37,9 @@ HELPED_SHARE, SPOILT_SHARE = 0.5, 0.6
 """How often the first network's answer is first completed by the truth, and how often spoilt:
 it fails more often before simulated people than before real ones."""
 
+UNKNOWN_SHARE = 0.25
+"""How often nobody says where the neighbours are."""
+
 
 def batch(
     inputs: NDArray[np.uint8],
@@ -60,6 +63,8 @@ def batch(
         seen[number, :3] += np.float32(generator.normal(0, 0.05))
         if generator.random() < 0.15:
             seen[number, :3] = seen[number, :3].mean(axis=0)
+        if generator.random() < UNKNOWN_SHARE:
+            seen[number, 5] = 0
         if generator.random() < 0.5:
             seen[number], wanted[number] = seen[number, ..., ::-1], wanted[number, ..., ::-1]
     np.clip(seen[:, :3], 0, 1, out=seen[:, :3])
