@@ -1,4 +1,9 @@
-"""A small network that redraws a silhouette: limbs that the first one lost, edges, neighbours."""
+"""A small network that redraws a silhouette: limbs that the first one lost, edges, neighbours.
+
+It sees the photograph, what the segmentation network made of it, and where the person's box and
+the others' are. It was trained on simulated people before photographs
+(``scripts/refinement/train.py``).
+"""
 
 from __future__ import annotations
 
@@ -85,3 +90,69 @@ def refiner_input(
             y1 = round((one.bottom + 0.5 - top) / down[0])
             planes[plane, max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 255
     return planes
+
+
+class RefinerError(RuntimeError):
+    """The refiner's file is missing or is not the expected network."""
+
+
+class Refiner:
+    """The network that redraws silhouettes, run by OpenCV.
+
+    Safe under several threads, each of which reads a copy of its own, as
+    :class:`app.vision.network.PersonNetwork` does.
+
+    Parameters
+    ----------
+    path : Path
+        ``refiner.onnx``.
+
+    Raises
+    ------
+    RefinerError
+        If the file cannot be read or is another network.
+    """
+
+    def __init__(self, path: Path = WEIGHTS_PATH) -> None:
+        try:
+            self._model = np.frombuffer(path.read_bytes(), np.uint8)
+        except OSError as error:
+            raise RefinerError(f"cannot read the refiner: {error}") from error
+        self._local = threading.local()
+        try:
+            shape = self._forward(np.zeros((CHANNELS, ROWS, COLUMNS), np.uint8)).shape
+        except cv2.error as error:
+            raise RefinerError(f"{path} is not a network OpenCV can run") from error
+        if shape != (1, 1, ROWS, COLUMNS):
+            raise RefinerError(f"expected a network with output (1, 1, 192, 128), got {shape}")
+
+    def probability(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Probability that a pixel shows the person.
+
+        Parameters
+        ----------
+        planes : (6, 192, 128) uint8 array
+            Of :func:`refiner_input`.
+
+        Returns
+        -------
+        (192, 128) float32 array
+            0 to 1.
+        """
+        # The output lies in the network's memory, which the next pass overwrites.
+        return np.array(self._forward(planes)[0, 0], np.float32)
+
+    def _forward(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+        net: cv2.dnn.Net | None = getattr(self._local, "net", None)
+        if net is None:
+            net = self._local.net = cv2.dnn.readNetFromONNX(self._model)
+        net.setInput(planes[None].astype(np.float32) / np.float32(255))
+        return np.asarray(net.forward(), np.float32)
+
+
+def load_refiner(path: Path = WEIGHTS_PATH) -> Refiner | None:
+    """Load the refiner if its file is there and sound; silhouettes are drawn without it, worse."""
+    try:
+        return Refiner(path)
+    except RefinerError:
+        return None

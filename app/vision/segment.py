@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +14,8 @@ from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_compo
 from app.vision.neighbours import own_part
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_mask
-from app.vision.resampling import resize, resize_mask
+from app.vision.refine import Refiner, load_refiner, refiner_input, refiner_window
+from app.vision.resampling import Window, resize, resize_mask
 from app.vision.truncation import with_truncation
 from app.vision.views import View, view_of, with_grey_surroundings
 
@@ -45,9 +45,11 @@ class Segmenter(Protocol):
 
 def make_segmenter(network: PersonNetwork | None) -> Segmenter:
     """The network's segmenter if there is a network, else GrabCut."""
-    return GrabCutSegmenter() if network is None else NetworkSegmenter(network)
+    return GrabCutSegmenter() if network is None else NetworkSegmenter(network, load_refiner())
 
 
+# Masks that the refiner draws are enlarged to no more than this height before they are cleaned.
+_REFINED_ROWS = 384
 _NEIGHBOUR_ROWS = 96
 # Less than this share of the box, and the network did not see the person.
 _LEAST_FILL = 0.12
@@ -56,18 +58,21 @@ _LEAST_FILL = 0.12
 class NetworkSegmenter:
     """Cut people out with the segmentation network.
 
-    The network marks whoever is in its window; the person's own part is told by the box and
-    the photograph's edges. Where it sees nobody (people under some 30 px), GrabCut takes over.
+    The network marks whoever is in its window. The refiner redraws the person's own part; without
+    it, that is told by the box and the photograph's edges. Where nobody is seen (people under some
+    30 px), GrabCut takes over.
 
     Parameters
     ----------
     network : PersonNetwork
+    refiner : Refiner, optional
     """
 
     name: SegmenterName = "network"
 
-    def __init__(self, network: PersonNetwork) -> None:
+    def __init__(self, network: PersonNetwork, refiner: Refiner | None = None) -> None:
         self._network = network
+        self._refiner = refiner
         self._fallback = GrabCutSegmenter()
 
     def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
@@ -78,7 +83,11 @@ class NetworkSegmenter:
         answers = self._network.of_images([with_grey_surroundings(view) for view in views])
         found: list[Silhouette | None] = [None] * len(boxes)
         for (i, _), view, answer in zip(visible, views, answers, strict=True):
-            found[i] = _drawn(view, answer)
+            if self._refiner is None:
+                found[i] = _drawn(view, answer)
+            else:
+                others = [box for j, box in visible if j != i]
+                found[i] = _redrawn(self._refiner, frame, view, others, answer)
         missing = [i for i, _ in visible if found[i] is None]
         if missing:
             drawn = self._fallback.segment(frame, boxes)
@@ -104,15 +113,36 @@ def _drawn(view: View, answer: NDArray[np.float32]) -> Silhouette | None:
     """One person's silhouette in the frame; None if next to nothing was seen."""
     rows, columns = view.image.shape[:2]
     soft = guided_filter(view.image, resize(answer, columns, rows), radius=max(2, round(rows / 70)))
-    mask = keep_components((soft >= 0.5) & _own_part(view, soft), 0.1)
-    mask = fill_small_holes(mask, 0.01)
-    left, top, width, height = view.window
+    return _silhouette((soft >= 0.5) & _own_part(view, soft), view.window, view.whole)
+
+
+def _redrawn(
+    refiner: Refiner,
+    frame: NDArray[np.uint8],
+    view: View,
+    others: Sequence[Box],
+    answer: NDArray[np.float32],
+) -> Silhouette | None:
+    """One person's silhouette as the refiner sees it; None if next to nothing was seen."""
+    window = refiner_window(view.whole)
+    planes = refiner_input(frame, window, view.whole, others, answer, view.window)
+    _, _, width, height = window
+    scale = min(1.0, _REFINED_ROWS / height)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return _silhouette(resize(refiner.probability(planes), *size) >= 0.5, window, view.whole)
+
+
+def _silhouette(mask: NDArray[np.bool_], window: Window, box: Box) -> Silhouette | None:
+    """Clean a mask of a window of the frame and cut it to the box; None if it is next to empty."""
+    left, top, width, height = window
+    mask = fill_small_holes(keep_components(mask, 0.1), 0.01)
     mask = resize_mask(mask, width, height)
-    x0, y0, x1, y1 = view.whole.pixels()
-    inside = mask[y0 - top : y1 - top, x0 - left : x1 - left]
+    x0, y0, x1, y1 = box.pixels()
+    inside = mask[max(0, y0 - top) : y1 - top, max(0, x0 - left) : x1 - left]
     if np.count_nonzero(inside) < _LEAST_FILL * inside.size:
         return None
-    return silhouette_from_mask(inside, left=x0, top=y0, segmenter="network", truncated=False)
+    place = {"left": max(x0, left), "top": max(y0, top)}
+    return silhouette_from_mask(inside, **place, segmenter="network", truncated=False)
 
 
 def silhouettes_from_labels(labels: NDArray[np.uint16]) -> list[Silhouette]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -101,7 +102,7 @@ def read_backgrounds(folder: Path, real: Path | None) -> list[NDArray[np.uint8]]
     return found
 
 
-def _before_a_sky(picture: NDArray[np.generic]) -> NDArray[np.uint8]:
+def _before_a_sky(picture: NDArray[Any]) -> NDArray[np.uint8]:
     """Put a panorama that was cut out at its horizon before a bright, plain sky."""
     if picture.dtype == np.uint16:
         picture = (picture / 257).astype(np.uint8)

@@ -17,7 +17,7 @@ FINE = 10
 """Channels at full resolution."""
 
 
-class Layer(nn.Module):
+class Layer(nn.Module):  # type: ignore[misc]
     """3x3 convolution, normalised, with a ramp."""
 
     def __init__(self, entering: int, leaving: int, stride: int = 1) -> None:
@@ -30,7 +30,7 @@ class Layer(nn.Module):
         return torch.relu(self.norm(self.convolution(x)))
 
 
-class Residual(nn.Module):
+class Residual(nn.Module):  # type: ignore[misc]
     """Two layers whose answer is added to what they saw."""
 
     def __init__(self, width: int) -> None:
@@ -42,7 +42,7 @@ class Residual(nn.Module):
         return x + self.second(self.first(x))
 
 
-class Refiner(nn.Module):
+class Refiner(nn.Module):  # type: ignore[misc]
     """A U-Net: ``(N, 6, 192, 128)`` in 0..1 to probabilities ``(N, 1, 192, 128)``."""
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class Refiner(nn.Module):
         ):
             deep = join(self.up(narrow(deep)) + skipped)
         fine = torch.cat([self.up(self.narrow[3](deep)), x], dim=1)
-        return self.last(self.fine(fine))  # type: ignore[no-any-return]
+        return self.last(self.fine(fine))
 
     def forward(self, x: Tensor) -> Tensor:
         """Probability that a pixel shows the person."""

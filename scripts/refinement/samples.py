@@ -71,11 +71,11 @@ def spoil(probability: NDArray[np.uint8], generator: np.random.Generator) -> NDA
     (h, w) uint8 array
     """
     rows, columns = probability.shape
-    odds = probability.astype(np.float32) * (6 / 127.5) - 6
+    odds: NDArray[np.floating] = probability.astype(np.float32) * (6 / 127.5) - 6
     grain = np.exp(generator.uniform(np.log(4), np.log(30)))
     small = generator.standard_normal((rows // 4, columns // 4), np.float32)
-    field = cv2.GaussianBlur(small, (0, 0), grain / 4)
-    field = cv2.resize(field / (float(field.std()) + 1e-6), (columns, rows))
+    coarse = cv2.GaussianBlur(small, (0, 0), grain / 4).astype(np.float32)
+    field = resize(coarse / np.float32(float(coarse.std()) + 1e-6), columns, rows)
     odds += field * generator.uniform(0, 4) + generator.normal(0, 0.7)
     for _ in range(int(generator.integers(0, 4))):
         blob = np.zeros((rows, columns), np.uint8)
@@ -84,5 +84,5 @@ def spoil(probability: NDArray[np.uint8], generator: np.random.Generator) -> NDA
         cv2.ellipse(blob, middle, axes, generator.uniform(0, 180), 0, 360, 1, -1)
         soft = cv2.GaussianBlur(blob.astype(np.float32), (0, 0), generator.uniform(1, 4))
         odds += soft * generator.choice([-11, 8])
-    odds = cv2.GaussianBlur(odds, (0, 0), generator.uniform(0.3, 2.5))
-    return np.rint(255 / (1 + np.exp(-odds))).astype(np.uint8)
+    smooth = np.asarray(cv2.GaussianBlur(odds, (0, 0), generator.uniform(0.3, 2.5)), np.float32)
+    return np.asarray(np.rint(255 / (1 + np.exp(-smooth))), np.uint8)

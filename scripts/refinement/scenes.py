@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.people import Box
+from app.vision.resampling import resize
 from scripts.experiments.real_data import tight_box
 from scripts.refinement.sprites import Sprite
 
@@ -66,14 +67,14 @@ def _try_scene(
     generator: np.random.Generator,
 ) -> Scene | None:
     height_px = float(np.exp(generator.uniform(*np.log(HEIGHTS_PX))))
-    own = _varied(sprites[generator.integers(len(sprites))], height_px, generator)
+    own = _varied(sprites[int(generator.integers(len(sprites)))], height_px, generator)
     rows, columns = own.cover.shape
     room = round(ROOM * max(rows, columns))
     size = (rows + 2 * room, columns + 2 * room)
     layers = [(own, room, room)]
     for _ in range(int(generator.choice(3, p=NEIGHBOUR_SHARES))):
         relative = height_px * generator.uniform(0.8, 1.2)
-        other = _varied(sprites[generator.integers(len(sprites))], relative, generator)
+        other = _varied(sprites[int(generator.integers(len(sprites)))], relative, generator)
         side = generator.choice([-1, 1]) * generator.uniform(0.08, 0.55) * height_px
         left = room + columns / 2 + side - other.cover.shape[1] / 2
         top = room + rows - other.cover.shape[0] + generator.normal(0, 0.06) * height_px
@@ -82,7 +83,7 @@ def _try_scene(
     frame = _background(size, backgrounds, generator).astype(np.float32)
     if generator.random() < 0.5:
         for index in order:
-            frame *= _shadow(size, *layers[index], generator)[..., None]
+            frame *= _shadow(size, layers[index], generator)[..., None]
     covers = np.zeros((len(layers), *size), np.float32)
     for index in order:
         sprite, top, left = layers[index]
@@ -145,7 +146,7 @@ def _patch(
     generator: np.random.Generator,
 ) -> NDArray[np.uint8]:
     """Cut a piece out of a photograph, stretched to a size."""
-    photograph = backgrounds[generator.integers(len(backgrounds))]
+    photograph = backgrounds[int(generator.integers(len(backgrounds)))]
     rows, columns = photograph.shape[:2]
     share = np.exp(generator.uniform(np.log(0.35), 0))
     height = max(24, round(share * min(rows, columns * size[0] / size[1])))
@@ -154,8 +155,7 @@ def _patch(
     top = int(generator.integers(rows - height + 1))
     left = int(generator.integers(columns - width + 1))
     piece = photograph[top : top + height, left : left + width]
-    kind = cv2.INTER_AREA if height > size[0] else cv2.INTER_LINEAR
-    piece = cv2.resize(piece, size[::-1], interpolation=kind)
+    piece = resize(piece, size[1], size[0])
     return np.asarray(piece[:, ::-1] if generator.random() < 0.5 else piece, np.uint8)
 
 
@@ -171,11 +171,10 @@ def _background(
         horizon = round(rows * generator.uniform(0.45, 0.9))
         ground = _patch((rows - horizon, columns), backgrounds, generator)
         if generator.random() < 0.6:
-            grey = cv2.cvtColor(ground, cv2.COLOR_BGR2GRAY).astype(np.float32)
-            contrast = generator.uniform(0.1, 0.5)
-            level = generator.uniform(60, 200)
-            grey = np.clip((grey - grey.mean()) * contrast + level, 0, 255).astype(np.uint8)
-            ground = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+            asphalt = cv2.cvtColor(ground, cv2.COLOR_BGR2GRAY).astype(np.float32)
+            asphalt = (asphalt - asphalt.mean()) * generator.uniform(0.1, 0.5)
+            asphalt = np.clip(asphalt + generator.uniform(60, 200), 0, 255)
+            ground = np.repeat(asphalt[..., None].astype(np.uint8), 3, axis=2)
         scene[horizon:] = ground
     for _ in range(int(generator.poisson(3))):
         _add_thing(scene, backgrounds, generator)
@@ -241,10 +240,11 @@ def _matched(
 
 
 def _shadow(
-    size: tuple[int, int], sprite: Sprite, top: int, left: int, generator: np.random.Generator
+    size: tuple[int, int], layer: tuple[Sprite, int, int], generator: np.random.Generator
 ) -> NDArray[np.float32]:
     """Factor by which a person's shadow on the ground darkens a scene."""
-    rows, columns = sprite.cover.shape
+    sprite, top, left = layer
+    rows = len(sprite.cover)
     depth, shear = generator.uniform(0.08, 0.5), generator.normal(0, 0.8)
     feet = top + rows * 0.985
     # A point (x, y) of the person lands at (x + shear * up, feet - depth * up), up = feet - y.
@@ -267,31 +267,30 @@ def _with_bars(
     colour = generator.uniform(0, 255, 3).astype(np.float32)
     if generator.random() < 0.6:
         x = int(generator.integers(columns))
-        area = np.s_[:, x : x + max(1, round(generator.uniform(0.01, 0.05) * rows))]
+        width = max(1, round(generator.uniform(0.01, 0.05) * rows))
+        area = slice(0, rows), slice(x, x + width)
     else:
-        area = np.s_[round(rows * generator.uniform(0.55, 0.8)) :, :]
+        area = slice(round(rows * generator.uniform(0.55, 0.8)), rows), slice(0, columns)
     covers[:, *area] = 0
     noise = generator.normal(0, 8, frame[area].shape)
     frame[area] = np.clip(colour + noise, 0, 255)
     return frame
 
 
-def _cropped(
-    cover: NDArray[np.float32], generator: np.random.Generator
-) -> tuple[slice, slice]:
+def _cropped(cover: NDArray[np.float32], generator: np.random.Generator) -> tuple[slice, slice]:
     """Choose what of a scene the frame shows: mostly all, else its edge cuts the person."""
     rows, columns = cover.shape
     if generator.random() > 0.12:
-        return np.s_[:rows, :columns]
+        return slice(0, rows), slice(0, columns)
     on = np.argwhere(cover > 0.5)
     low, high = on.min(axis=0), on.max(axis=0)
     cut = (low + (high - low) * generator.uniform(0.55, 0.95, 2)).astype(int)
     choice = generator.integers(3)
     if choice == 0:
-        return np.s_[: int(cut[0]), :columns]
+        return slice(0, int(cut[0])), slice(0, columns)
     if choice == 1:
-        return np.s_[:rows, : int(cut[1])]
-    return np.s_[:rows, int(high[1] + low[1] - cut[1]) :]
+        return slice(0, rows), slice(0, int(cut[1]))
+    return slice(0, rows), slice(int(high[1] + low[1] - cut[1]), columns)
 
 
 def _jittered(box: Box, shape: tuple[int, ...], generator: np.random.Generator) -> Box:
@@ -302,21 +301,20 @@ def _jittered(box: Box, shape: tuple[int, ...], generator: np.random.Generator) 
     return box if inside is None else inside
 
 
-def _photographed(
-    frame: NDArray[np.float32], generator: np.random.Generator
-) -> NDArray[np.uint8]:
+def _photographed(frame: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.uint8]:
     """What a camera adds: blur, noise, white balance, gamma and the artefacts of JPEG."""
+    light: NDArray[np.floating] = frame
     if generator.random() < 0.7:
-        frame = cv2.GaussianBlur(frame, (0, 0), generator.uniform(0.3, 1.1)).astype(np.float32)
+        light = cv2.GaussianBlur(frame, (0, 0), generator.uniform(0.3, 1.1)).astype(np.float32)
     if generator.random() < 0.08:
         length = int(generator.integers(3, 8))
-        frame = cv2.blur(frame, (length, 1)).astype(np.float32)
-    frame = frame * generator.uniform(0.9, 1.1, 3)
-    frame = 255 * np.clip(frame / 255, 0, 1) ** np.exp(generator.normal(0, 0.2))
-    frame = frame + generator.normal(0, generator.uniform(0, 7), frame.shape)
+        light = cv2.blur(light, (length, 1)).astype(np.float32)
+    light = light * generator.uniform(0.9, 1.1, 3)
+    light = 255 * np.clip(light / 255, 0, 1) ** np.exp(generator.normal(0, 0.2))
+    light = light + generator.normal(0, generator.uniform(0, 7), frame.shape)
     if generator.random() < 0.2:
-        frame = cv2.addWeighted(frame, 1.6, cv2.GaussianBlur(frame, (0, 0), 1.2), -0.6, 0)
-    pixels = np.clip(frame, 0, 255).astype(np.uint8)
+        light = 1.6 * light - 0.6 * cv2.GaussianBlur(light, (0, 0), 1.2)
+    pixels = np.clip(light, 0, 255).astype(np.uint8)
     quality = int(generator.integers(35, 97))
     coded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)

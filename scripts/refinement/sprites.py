@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from app.vision.resampling import resize
 from index.build.avatars import INDEX_AVATARS, make_avatars
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
 from index.build.camera import sample_views
@@ -104,7 +105,9 @@ def with_bags(
     kind = int(generator.choice(3, p=BAG_SHARES))
     if kind == 0:
         return vertices, avatar.triangles
-    bone = avatar.bones.index("Spine1" if kind == 1 else generator.choice(["LeftHand", "RightHand"]))
+    bone = avatar.bones.index(
+        "Spine1" if kind == 1 else generator.choice(["LeftHand", "RightHand"])
+    )
     place = moved[bone, :, :3] @ avatar.heads[bone] + moved[bone, :, 3]
     if kind == 1:
         turn = moved[bone, :, :3].T
@@ -182,20 +185,20 @@ class Casting:
         margin = 4 * SUPERSAMPLING
         places = ((plane - low) * scale + margin).astype(np.float32)
         width, height = (np.ceil((high - low) * scale / 2).astype(int) * 2 + 2 * margin).tolist()
-        turned = turned.astype(np.float32)
-        normals = vertex_normals(turned, triangles)
+        corners: NDArray[np.float32] = turned.astype(np.float32)
+        normals = vertex_normals(corners, triangles)
         # Bags have no rest pose: they are coloured by where they are.
-        rest = np.concatenate([avatar.vertices, turned[len(avatar.vertices) :]])
+        rest = np.concatenate([avatar.vertices, corners[len(avatar.vertices) :]])
         values = np.concatenate([rest, normals], axis=1)
         shown, buffer = rasterise(
-            places, np.ascontiguousarray(turned[:, 2]), triangles, values, height, width
+            places, np.ascontiguousarray(corners[:, 2]), triangles, values, height, width
         )
         on = shown >= 0
         colour = np.zeros((height, width, 3), np.float32)
         colour[on] = self._colours(which, shown[on], buffer[on], generator)
         small = (width // SUPERSAMPLING, height // SUPERSAMPLING)
-        cover = cv2.resize(on.astype(np.float32), small, interpolation=cv2.INTER_AREA)
-        summed = cv2.resize(colour, small, interpolation=cv2.INTER_AREA)
+        cover = resize(on.astype(np.float32), *small)
+        summed = resize(colour, *small)
         # Colours run on past the outline, so that a blurred or enlarged sprite has no dark rim.
         around = [cv2.GaussianBlur(array, (0, 0), 2.0) for array in (summed, cover)]
         inside = summed / np.maximum(cover, 1e-3)[..., None]
@@ -245,7 +248,7 @@ class Casting:
                 split = (up > 0.55) if generator.random() < 0.5 else np.ones_like(part)
                 for some in (part & split, part & ~split):
                     colour[some] = self._cloth(rest[some], generator)
-        light = generator.normal(0, 1, 3) + (0, -1.2, -0.6)
+        light = generator.normal((0, -1.2, -0.6), 1)
         light /= np.linalg.norm(light)
         ambient = generator.uniform(0.35, 0.85)
         lit = ambient + (1.15 - ambient) * np.maximum(0, normals @ light.astype(np.float32))
@@ -265,13 +268,13 @@ class Casting:
         base = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].astype(np.float32)
         kind = generator.random()
         if kind < 0.55 or len(rest) == 0:
-            return np.tile(base, (len(rest), 1))
+            return np.tile(base, (len(rest), 1)).astype(np.float32)
         if kind < 0.75:
             second = base * generator.uniform(0.4, 0.9)
             axes = rest[:, :2] if generator.random() < 0.3 else rest[:, [1]]
             wave = np.sin(axes * generator.uniform(40, 250)).min(axis=1)
-            return np.where((wave > 0)[:, None], base, second).astype(np.float32)
-        photograph = self.textures[generator.integers(len(self.textures))]
+            return np.asarray(np.where((wave > 0)[:, None], base, second), np.float32)
+        photograph = self.textures[int(generator.integers(len(self.textures)))]
         rows, columns = photograph.shape[:2]
         density = generator.uniform(150, 600)
         offset = generator.uniform(0, 1000, 2)

@@ -79,13 +79,12 @@ def loss_of(odds: Tensor, wanted: Tensor) -> Tensor:
     return binary_cross_entropy_with_logits(odds, wanted) * 2 + 1 - (shared / union).mean()
 
 
-def train(
-    inputs: NDArray[np.uint8], targets: NDArray[np.uint8], steps: int, seed: int
-) -> Refiner:
+def train(inputs: NDArray[np.uint8], targets: NDArray[np.uint8], steps: int, seed: int) -> Refiner:
     """Train a refiner for so many batches, with a rate that rises and falls once."""
     torch.manual_seed(seed)
     generator = np.random.default_rng(seed)
-    model = Refiner().to(memory_format=torch.channels_last)
+    model = Refiner()
+    model.to(memory_format=torch.channels_last)
     optimiser = torch.optim.AdamW(model.parameters(), RATE, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, steps, pct_start=0.15)
     running = 1.0
@@ -124,7 +123,7 @@ def main() -> None:
         casting.sprite(generator) for _ in tqdm(range(options.sprites), "drawing", unit="sprite")
     ]
     network = PersonNetwork(options.model)
-    samples = make_samples(sprites, photographs, network, options.samples, options.seed)
+    samples = make_samples(sprites, photographs, network, options.samples, options.seed + 1)
     export(train(*samples, options.steps, options.seed), options.out)
 
 
