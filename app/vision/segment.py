@@ -48,6 +48,10 @@ def make_segmenter(network: PersonNetwork | None) -> Segmenter:
     return GrabCutSegmenter() if network is None else NetworkSegmenter(network, load_refiner())
 
 
+# How much the refiner's answer counts beside the first network's, which knows real people better.
+_REFINED_SHARE = 0.6
+# Window of the guided filter, in the refiner's pixels.
+_REFINED_RADIUS = 3
 # Masks that the refiner draws are enlarged to no more than this height before they are cleaned.
 _REFINED_ROWS = 384
 _NEIGHBOUR_ROWS = 96
@@ -126,10 +130,13 @@ def _redrawn(
     """One person's silhouette as the refiner sees it; None if next to nothing was seen."""
     window = refiner_window(view.whole)
     planes = refiner_input(frame, window, view.whole, others, answer, view.window)
+    first = planes[3] / np.float32(255)
+    soft = first + np.float32(_REFINED_SHARE) * (refiner.probability(planes) - first)
+    soft = guided_filter(planes[:3].transpose(1, 2, 0), soft, _REFINED_RADIUS)
     _, _, width, height = window
     scale = min(1.0, _REFINED_ROWS / height)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return _silhouette(resize(refiner.probability(planes), *size) >= 0.5, window, view.whole)
+    return _silhouette(resize(soft, *size) >= 0.5, window, view.whole)
 
 
 def _silhouette(mask: NDArray[np.bool_], window: Window, box: Box) -> Silhouette | None:

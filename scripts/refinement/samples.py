@@ -55,7 +55,9 @@ def make_samples(
     return inputs, targets
 
 
-def spoil(probability: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
+def spoil(
+    probability: NDArray[np.uint8], generator: np.random.Generator, severity: float = 1.0
+) -> NDArray[np.uint8]:
     """Give the first network's answer the faults that it has before real people.
 
     Parts are lost, background sticks to the body, outlines blur and wander.
@@ -65,6 +67,8 @@ def spoil(probability: NDArray[np.uint8], generator: np.random.Generator) -> NDA
     probability : (h, w) uint8 array
         255 is sure.
     generator : numpy.random.Generator
+    severity : float
+        0 blurs only.
 
     Returns
     -------
@@ -76,8 +80,8 @@ def spoil(probability: NDArray[np.uint8], generator: np.random.Generator) -> NDA
     small = generator.standard_normal((rows // 4, columns // 4), np.float32)
     coarse = cv2.GaussianBlur(small, (0, 0), grain / 4).astype(np.float32)
     field = resize(coarse / np.float32(float(coarse.std()) + 1e-6), columns, rows)
-    odds += field * generator.uniform(0, 4) + generator.normal(0, 0.7)
-    for _ in range(int(generator.integers(0, 4))):
+    odds += severity * (field * generator.uniform(0, 4) + generator.normal(0, 0.7))
+    for _ in range(int(severity * generator.integers(0, 4))):
         blob = np.zeros((rows, columns), np.uint8)
         middle = (int(generator.integers(columns)), int(generator.integers(rows)))
         axes = (int(generator.integers(3, 22)), int(generator.integers(3, 22)))
