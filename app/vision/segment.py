@@ -48,8 +48,9 @@ def make_segmenter(network: PersonNetwork | None) -> Segmenter:
     return GrabCutSegmenter() if network is None else NetworkSegmenter(network, load_refiner())
 
 
-# How much the refiner's answer counts beside the first network's, which knows real people better.
-_REFINED_SHARE = 0.6
+# How much the refiner's answer counts beside the first network's, which knows real people better:
+# less where it takes away than where it adds, for that is how lost limbs come back.
+_TAKEN_SHARE, _ADDED_SHARE = 0.6, 0.8
 # Window of the guided filter, in the refiner's pixels.
 _REFINED_RADIUS = 3
 # Masks that the refiner draws are enlarged to no more than this height before they are cleaned.
@@ -131,7 +132,9 @@ def _redrawn(
     window = refiner_window(view.whole)
     planes = refiner_input(frame, window, view.whole, others, answer, view.window)
     first = planes[3] / np.float32(255)
-    soft = first + np.float32(_REFINED_SHARE) * (refiner.probability(planes) - first)
+    change = refiner.probability(planes) - first
+    soft = first + np.float32(_ADDED_SHARE) * np.maximum(change, 0)
+    soft += np.float32(_TAKEN_SHARE) * np.minimum(change, 0)
     soft = guided_filter(planes[:3].transpose(1, 2, 0), soft, _REFINED_RADIUS)
     _, _, width, height = window
     scale = min(1.0, _REFINED_ROWS / height)
