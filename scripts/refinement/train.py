@@ -3,8 +3,8 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.refinement.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/refiner.onnx`` in about 45 minutes on one core. It needs the build extra,
-``onnx``, ``onnxscript`` and the segmentation network (``scripts/fetch_model.py``). No photograph
+writes ``app/vision/refiner.onnx`` in about 45 minutes on one core. It needs the extras
+build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph
 of ``../shared/real`` is seen but the empty street of ``vtest``.
 """
 
