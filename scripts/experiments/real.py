@@ -29,6 +29,7 @@ from app.vision.facing_evidence import FacingReader, load_facing_reader
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.network import NetworkError, PersonNetwork
 from app.vision.people import silhouette_from_mask
+from app.vision.refine import load_refiner
 from app.vision.segment import NetworkSegmenter
 from index.store import DEFAULT_PATH, PoseIndex
 from scripts.experiments import real_facing
@@ -113,7 +114,10 @@ def run(options: argparse.Namespace) -> None:
     except NetworkError as error:
         raise FileNotFoundError(f"{error}; python scripts/fetch_model.py fetches it") from None
     tools = Tools(
-        network, CascadeDetector(network), NetworkSegmenter(network), PoseIndex.load(options.index)
+        network,
+        CascadeDetector(network),
+        NetworkSegmenter(network, load_refiner()),
+        PoseIndex.load(options.index),
     )
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")

@@ -16,6 +16,7 @@ from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_compo
 from app.vision.neighbours import own_part
 from app.vision.network import NetworkError, PersonNetwork, load_network
 from app.vision.people import Box
+from app.vision.refine import load_refiner
 from app.vision.segment import NetworkSegmenter, make_segmenter, silhouettes_from_labels
 
 
@@ -90,37 +91,47 @@ def test_grabcut_survives_odd_boxes_and_blank_walls(shape: tuple[int, ...]) -> N
     assert len(GrabCutSegmenter().segment(blank, ODD_BOXES)) == len(ODD_BOXES)
 
 
+@pytest.fixture(params=["alone", "refined"])
+def segmenter(request: pytest.FixtureRequest, network: PersonNetwork) -> NetworkSegmenter:
+    """The network's segmenter, without and with the refiner."""
+    if request.param == "alone":
+        return NetworkSegmenter(network)
+    refiner = load_refiner()
+    if refiner is None:
+        pytest.skip("app/vision/refiner.onnx is not there; scripts/refinement/train.py makes it")
+    return NetworkSegmenter(network, refiner)
+
+
 @pytest.mark.parametrize("shape", [(320, 298, 3), (1, 1, 3), (3, 900, 3)])
 def test_the_network_survives_odd_boxes_and_blank_walls(
-    network: PersonNetwork, shape: tuple[int, ...]
+    segmenter: NetworkSegmenter, shape: tuple[int, ...]
 ) -> None:
     blank = np.full(shape, 127, np.uint8)
-    found = NetworkSegmenter(network).segment(blank, ODD_BOXES)
+    found = segmenter.segment(blank, ODD_BOXES)
     assert len(found) == len(ODD_BOXES)
-    assert NetworkSegmenter(network).segment(blank, []) == []
+    assert segmenter.segment(blank, []) == []
 
 
 def test_the_network_cuts_out_walkers(
-    network: PersonNetwork, street: NDArray[np.uint8], walkers: list[Box]
+    segmenter: NetworkSegmenter, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
-    for one, box in zip(NetworkSegmenter(network).segment(street, walkers), walkers, strict=True):
+    for one, box in zip(segmenter.segment(street, walkers), walkers, strict=True):
         assert one is not None and one.segmenter == "network" and not one.truncated
         assert one.box.iou(box) > 0.7
         assert 0.25 < one.area_px / box.area < 0.75
 
 
 def test_a_walker_cut_by_the_frame_is_flagged(
-    network: PersonNetwork, street: NDArray[np.uint8], walkers: list[Box]
+    segmenter: NetworkSegmenter, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
     frame = street[:215]
-    one = NetworkSegmenter(network).segment(frame, [walkers[1]])[0]
+    one = segmenter.segment(frame, [walkers[1]])[0]
     assert one is not None and one.truncated
 
 
 def test_threads_agree(
-    network: PersonNetwork, street: NDArray[np.uint8], walkers: list[Box]
+    segmenter: NetworkSegmenter, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
-    segmenter = NetworkSegmenter(network)
     expected = segmenter.segment(street, walkers)
     with ThreadPoolExecutor(4) as pool:
         for found in pool.map(lambda _: segmenter.segment(street, walkers), range(12)):

@@ -1,0 +1,158 @@
+"""A small network that redraws a silhouette: limbs that the first one lost, edges, neighbours.
+
+It sees the photograph, what the segmentation network made of it, and where the person's box and
+the others' are. It was trained on simulated people before photographs
+(``scripts/refinement/train.py``).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.people import Box
+from app.vision.resampling import Window, cut, resize
+
+ROWS, COLUMNS = 192, 128
+CHANNELS = 6
+WEIGHTS_PATH = Path(__file__).parent / "refiner.onnx"
+
+# The window leaves this much room about the box, in shares of its sizes.
+_ROOM = 1.1
+# People wider than so many times their height are shown smaller rather than squeezed further.
+_WIDEST = 1.3
+
+
+def refiner_window(box: Box) -> Window:
+    """Window about a person's box in whole pixels; stretched to 192x128 by little."""
+    height = round(_ROOM * max(box.height, box.width / _WIDEST))
+    width = round(max(height * COLUMNS / ROWS, _ROOM * box.width))
+    left = round(box.x + 0.5 + (box.width - width) / 2)
+    top = round(box.y + 0.5 + (box.height - height) / 2)
+    return left, top, max(1, width), max(1, height)
+
+
+def refiner_input(
+    frame: NDArray[np.uint8],
+    window: Window,
+    box: Box,
+    others: Sequence[Box],
+    probability: NDArray[np.float32],
+    seen: Window,
+) -> NDArray[np.uint8]:
+    """What the refiner looks at.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR.
+    window : (left, top, width, height)
+        Of :func:`refiner_window`.
+    box : Box
+        The person's, in the frame.
+    others : sequence of Box
+        Other people's.
+    probability : (h, w) float32 array
+        Of a person, 0 to 1, as the first network sees it.
+    seen : (left, top, width, height)
+        The window of the frame that the first network saw.
+
+    Returns
+    -------
+    (6, 192, 128) uint8 array
+        Blue, green, red, probability, inside the box, inside others' boxes.
+    """
+    left, top, width, height = window
+    planes: NDArray[np.uint8] = np.zeros((CHANNELS, ROWS, COLUMNS), np.uint8)
+    planes[:3] = resize(cut(frame, window), COLUMNS, ROWS).transpose(2, 0, 1)
+    # From a pixel of the refiner's window to the same place in the first network's answer.
+    across = (width / COLUMNS, probability.shape[1] / seen[2])
+    down = (height / ROWS, probability.shape[0] / seen[3])
+    matrix = np.array(
+        [
+            [across[0] * across[1], 0, (0.5 * across[0] + left - seen[0]) * across[1] - 0.5],
+            [0, down[0] * down[1], (0.5 * down[0] + top - seen[1]) * down[1] - 0.5],
+        ]
+    )
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpAffine(probability, matrix, (COLUMNS, ROWS), flags=flags)
+    planes[3] = np.rint(255 * np.clip(moved, 0, 1))
+    for plane, boxes in ((4, [box]), (5, others)):
+        for one in boxes:
+            x0 = round((one.x + 0.5 - left) / across[0])
+            x1 = round((one.right + 0.5 - left) / across[0])
+            y0 = round((one.y + 0.5 - top) / down[0])
+            y1 = round((one.bottom + 0.5 - top) / down[0])
+            planes[plane, max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 255
+    return planes
+
+
+class RefinerError(RuntimeError):
+    """The refiner's file is missing or is not the expected network."""
+
+
+class Refiner:
+    """The network that redraws silhouettes, run by OpenCV.
+
+    Safe under several threads, each of which reads a copy of its own, as
+    :class:`app.vision.network.PersonNetwork` does.
+
+    Parameters
+    ----------
+    path : Path
+        ``refiner.onnx``.
+
+    Raises
+    ------
+    RefinerError
+        If the file cannot be read or is another network.
+    """
+
+    def __init__(self, path: Path = WEIGHTS_PATH) -> None:
+        try:
+            self._model = np.frombuffer(path.read_bytes(), np.uint8)
+        except OSError as error:
+            raise RefinerError(f"cannot read the refiner: {error}") from error
+        self._local = threading.local()
+        try:
+            shape = self._forward(np.zeros((CHANNELS, ROWS, COLUMNS), np.uint8)).shape
+        except cv2.error as error:
+            raise RefinerError(f"{path} is not a network OpenCV can run") from error
+        if shape != (1, 1, ROWS, COLUMNS):
+            raise RefinerError(f"expected a network with output (1, 1, 192, 128), got {shape}")
+
+    def probability(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Probability that a pixel shows the person.
+
+        Parameters
+        ----------
+        planes : (6, 192, 128) uint8 array
+            Of :func:`refiner_input`.
+
+        Returns
+        -------
+        (192, 128) float32 array
+            0 to 1.
+        """
+        # The output lies in the network's memory, which the next pass overwrites.
+        return np.array(self._forward(planes)[0, 0], np.float32)
+
+    def _forward(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+        net: cv2.dnn.Net | None = getattr(self._local, "net", None)
+        if net is None:
+            net = self._local.net = cv2.dnn.readNetFromONNX(self._model)
+        net.setInput(planes[None].astype(np.float32) / np.float32(255))
+        return np.asarray(net.forward(), np.float32)
+
+
+def load_refiner(path: Path = WEIGHTS_PATH) -> Refiner | None:
+    """Load the refiner if its file is there and sound; silhouettes are drawn without it, worse."""
+    try:
+        return Refiner(path)
+    except RefinerError:
+        return None

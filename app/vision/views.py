@@ -1,0 +1,67 @@
+"""Windows about people, as the segmentation network is shown them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.people import Box
+from app.vision.resampling import Window, cut, resize
+
+# The network sees a window of the box's height and 0.8 times as wide, stretched to its
+# square: of the windows tried, the one with the best overlap.
+_WINDOW_ASPECT = 0.8
+# Beyond the box by this share of its height the window is greyed: the network likes to join
+# people, and what it does not see it does not join.
+_SURROUNDINGS = 0.1
+_GREY = 127
+# Masks are drawn at no more than this height: finer than the network's own 256 rows.
+_ROWS = 320
+
+
+@dataclass(frozen=True)
+class View:
+    """The window around one person, at the resolution at which the mask is drawn.
+
+    ``image`` is (h, w, 3) uint8; ``box`` and ``others`` are in its pixels, ``whole`` (the
+    person's box) and ``window`` in the frame's.
+    """
+
+    image: NDArray[np.uint8]
+    box: Box
+    others: list[Box]
+    whole: Box
+    window: Window
+
+
+def view_of(frame: NDArray[np.uint8], box: Box, others: Sequence[Box]) -> View:
+    """Cut the window around a person's box out of a frame."""
+    left, top, right, bottom = box.pixels()
+    height = max(bottom - top, round((right - left) / 1.6))
+    width = max(round(_WINDOW_ASPECT * height), right - left)
+    window = ((left + right - width) // 2, (top + bottom - height) // 2, width, height)
+    scale = min(1.0, _ROWS / height)
+    image = resize(cut(frame, window), max(1, round(width * scale)), max(1, round(height * scale)))
+
+    def local(one: Box) -> Box:
+        return Box(one.x - window[0], one.y - window[1], one.width, one.height).scaled(scale)
+
+    return View(image, local(box), [local(other) for other in others], box, window)
+
+
+def with_grey_surroundings(view: View) -> NDArray[np.uint8]:
+    """View with everything but the box hidden, softly: a new edge must not look like a body's."""
+    reach = _SURROUNDINGS * view.box.height
+    left, top = view.box.x - reach, view.box.y - reach
+    near = Box(left, top, view.box.width + 2 * reach, view.box.height + 2 * reach)
+    x0, y0, x1, y1 = near.pixels()
+    rows, columns = view.image.shape[:2]
+    shown: NDArray[np.float32] = np.zeros((rows, columns, 1), np.float32)
+    shown[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 1
+    blur = 2 * max(1, round(0.05 * rows)) + 1
+    shown = cv2.blur(shown, (blur, blur)).astype(np.float32)[..., None]
+    return (view.image * shown + _GREY * (1 - shown)).astype(np.uint8)

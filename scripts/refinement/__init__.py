@@ -1,0 +1,1 @@
+"""How the network that refines silhouettes was trained: simulated people before photographs."""

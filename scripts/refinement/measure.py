@@ -1,0 +1,97 @@
+"""How much the refiner helps: overlap with the street masks, limbs of the balancing person, time.
+
+    python -m scripts.refinement.measure [--odd]
+
+Settings may be looked at on even-numbered photographs; the odd ones are for the final figure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.settings import DEFAULT_MODEL
+from app.vision.network import PersonNetwork
+from app.vision.people import Box
+from app.vision.refine import WEIGHTS_PATH, Refiner
+from app.vision.segment import NetworkSegmenter, Segmenter
+from scripts.experiments.real_data import read_pennfudan, read_pose2sim
+from scripts.experiments.real_silhouettes import in_true_boxes
+
+ROOT = Path(__file__).resolve().parents[2]
+CAMERAS = ("cam01", "cam03")
+LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+SLACK = 0.03
+"""How far beyond the silhouette a joint may lie, in heights of the person's box."""
+
+
+def covered(
+    silhouette: NDArray[np.bool_], joints: NDArray[np.float64], slack_px: float
+) -> NDArray[np.bool_]:
+    """Whether joints ``(J, 2)`` in pixels lie in a silhouette or near it; not beyond the frame."""
+    distance = cv2.distanceTransform((~silhouette).astype(np.uint8), cv2.DIST_L2, 5)
+    height, width = silhouette.shape
+    found = np.zeros(len(joints), bool)
+    for number, (x, y) in enumerate(joints):
+        if np.isfinite((x, y)).all() and -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5:
+            found[number] = distance[round(float(y)), round(float(x))] <= slack_px
+    return found
+
+
+def limbs_covered(folder: Path, segmenter: Segmenter, step: int) -> dict[str, float]:
+    """Share of frames in which each limb joint, nose and head of ``pose2sim`` are covered."""
+    shares: dict[str, list[bool]] = {}
+    for camera in CAMERAS:
+        document = json.loads((folder / f"{camera}.json").read_text())
+        names: Sequence[str] = document["joint_names"]
+        joints = np.array(document["joints_2d"], np.float64)
+        wanted = [n for n in names if n in ("Head", "Nose") or n.endswith(LIMBS)]
+        for frame in read_pose2sim(folder, camera, step):
+            places = joints[int(frame.name.split("/")[1])][[names.index(n) for n in wanted]]
+            mask = _mask(segmenter, frame.frame, frame.box)
+            for name, share in zip(
+                wanted, covered(mask, places, SLACK * frame.box.height), strict=True
+            ):
+                shares.setdefault(name.lstrip("LR") or name, []).append(bool(share))
+    figures = {name.lower(): float(np.mean(found)) for name, found in shares.items()}
+    figures["all"] = float(np.mean([one for found in shares.values() for one in found]))
+    return figures
+
+
+def _mask(segmenter: Segmenter, frame: NDArray[np.uint8], box: Box) -> NDArray[np.bool_]:
+    one = segmenter.segment(frame, [box])[0]
+    return np.zeros(frame.shape[:2], bool) if one is None else one.mask(frame.shape)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
+    parser.add_argument("--refiner", type=Path, default=WEIGHTS_PATH)
+    parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
+    parser.add_argument("--odd", action="store_true", help="all photographs, odd ones beside")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    network = PersonNetwork(options.model)
+    photographs = read_pennfudan(options.shared / "real" / "pennfudan")
+    chosen = [one for one in photographs if options.odd or not one.odd]
+    segmenters = {
+        "without": NetworkSegmenter(network),
+        "with": NetworkSegmenter(network, Refiner(options.refiner)),
+    }
+    for name, segmenter in segmenters.items():
+        found = in_true_boxes(chosen, segmenter)
+        print(f"{name} refiner, street:", {key: round(value, 4) for key, value in found.items()})
+        limbs = limbs_covered(options.shared / "real" / "pose2sim", segmenter, options.step)
+        print(f"{name} refiner, limbs:", {key: round(value, 3) for key, value in limbs.items()})
+
+
+if __name__ == "__main__":
+    main()

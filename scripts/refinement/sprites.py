@@ -1,0 +1,286 @@
+"""Sprites: simulated people in colour, cut out, to be put before photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from app.vision.resampling import resize
+from index.build.avatars import INDEX_AVATARS, make_avatars
+from index.build.body import Avatar, Retargeting, pose_transforms, retarget
+from index.build.camera import sample_views
+from index.build.motion import read_manifest
+from index.build.poses import Poses, farthest_points, joints_of, read_poses
+from index.build.render import skin
+from index.skeleton import camera_rotation, project
+from scripts.refinement.shading import rasterise, vertex_normals
+
+ROWS = 320
+"""Height at which sprites are drawn, in pixels."""
+
+SUPERSAMPLING = 2
+FALLEN_SHARE, FALLEN_DEG = 0.15, 45.0
+"""How many lean or lie, and the standard deviation of their roll."""
+
+WALKING_SHARE, COVERING_SHARE = 0.4, 0.35
+"""How many poses are of walks, and how many of the set that covers all that people do; the others
+are drawn as they come."""
+
+BARE_SHARE = 0.35
+"""How many of those without garments are drawn with a bare trunk."""
+
+BAG_SHARES = (0.65, 0.2, 0.15)
+"""How many carry nothing, something on the back, and something in a hand."""
+
+_SKINS = np.array([[150, 178, 224], [120, 150, 205], [95, 125, 185], [60, 85, 140], [40, 58, 95]])
+_HAIRS = np.array([[25, 25, 30], [35, 50, 75], [70, 110, 150], [120, 125, 130], [20, 30, 45]])
+
+
+@dataclass(frozen=True)
+class Sprite:
+    """One simulated person.
+
+    Parameters
+    ----------
+    colour : (h, w, 3) uint8 array
+        BGR; beyond the person its nearest colours run on.
+    cover : (h, w) float32 array
+        Share of each pixel that the person covers, 0 to 1.
+    """
+
+    colour: NDArray[np.uint8]
+    cover: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if self.colour.shape != (*self.cover.shape, 3):
+            raise ValueError(
+                f"expected colour and cover of equal size, got {self.colour.shape} "
+                f"and {self.cover.shape}"
+            )
+
+
+def pieces_of(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
+    """Number the connected surfaces of a mesh; one number for each triangle."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
+    links = coo_array((np.ones(len(edges)), edges.T), shape=(vertices, vertices))
+    labels = connected_components(links, directed=False)[1]
+    return np.asarray(labels[triangles[:, 0]], np.int32)
+
+
+def _ellipsoid(
+    centre: NDArray[np.float64], axes: NDArray[np.float64], first: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Surface of a body like a cushion; ``axes`` are rows ``(3, 3)``, vertices count from first."""
+    rings, points = 13, 20
+    polar, around = np.meshgrid(
+        np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, points, endpoint=False),
+        indexing="ij",
+    )  # fmt: skip
+    ball = np.stack(
+        [np.sin(polar) * np.cos(around), np.cos(polar), np.sin(polar) * np.sin(around)], axis=-1
+    ).reshape(-1, 3)
+    # Powers below 1 make it squarer.
+    vertices = centre + (np.sign(ball) * np.abs(ball) ** 0.6) @ axes
+    at = np.arange(rings * points).reshape(rings, points)
+    a, b = at[:-1], at[1:]
+    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
+    quads = np.stack([a, b, c, c, b, d], axis=-1).reshape(-1, 3)
+    return vertices.astype(np.float32), (quads + first).astype(np.int32)
+
+
+def with_bags(
+    vertices: NDArray[np.float32],
+    avatar: Avatar,
+    moved: NDArray[np.float64],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Give a posed body something to carry, in some cases: more vertices and triangles."""
+    kind = int(generator.choice(3, p=BAG_SHARES))
+    if kind == 0:
+        return vertices, avatar.triangles
+    bone = avatar.bones.index(
+        "Spine1" if kind == 1 else generator.choice(["LeftHand", "RightHand"])
+    )
+    place = moved[bone, :, :3] @ avatar.heads[bone] + moved[bone, :, 3]
+    if kind == 1:
+        turn = moved[bone, :, :3].T
+        size = np.array([0.16, 0.22, 0.11]) * generator.uniform(0.7, 1.2, 3)
+        centre = place + np.array([generator.normal(0, 0.03), 0.02, -0.15]) @ turn
+    else:
+        angle = generator.uniform(0, np.pi)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+        size = np.array([0.17, 0.17, 0.07]) * generator.uniform(0.5, 1.2, 3)
+        centre = place + np.array([0, -0.1 - size[1], 0])
+    more, triangles = _ellipsoid(centre, size[:, None] * turn, len(vertices))
+    return np.concatenate([vertices, more]), np.concatenate([avatar.triangles, triangles])
+
+
+class Casting:
+    """All avatars and motions, from which sprites are drawn.
+
+    Parameters
+    ----------
+    shared : Path
+        Holds ``mocap`` and ``garments``.
+    textures : sequence of (H, W, 3) uint8 arrays
+        Photographs whose pieces are printed on clothes.
+    """
+
+    def __init__(self, shared: Path, textures: Sequence[NDArray[np.uint8]]) -> None:
+        self.poses: Poses = read_poses(shared / "mocap", read_manifest(shared / "mocap"))[0]
+        self.avatars = make_avatars(INDEX_AVATARS, shared / "garments")
+        self.textures = textures
+        joints = joints_of(self.poses, self.avatars[0])
+        flat = joints.reshape(len(joints), -1)
+        self._kinds = (
+            np.flatnonzero(self.poses.action == self.poses.actions.index("walk")),
+            farthest_points(flat, 600),
+            np.arange(len(self.poses)),
+        )
+        self._pieces = [pieces_of(a.triangles, len(a.vertices)) for a in self.avatars]
+        self._retargetings: dict[tuple[int, int], Retargeting] = {}
+
+    def sprite(self, generator: np.random.Generator) -> Sprite:
+        """Draw one person: body, clothes, pose, camera, light and colours by chance."""
+        which = int(generator.integers(len(self.avatars)))
+        rest = 1 - WALKING_SHARE - COVERING_SHARE
+        kind = int(generator.choice(3, p=(WALKING_SHARE, COVERING_SHARE, rest)))
+        row = int(generator.choice(self._kinds[kind]))
+        avatar, clip = self.avatars[which], int(self.poses.clip[row])
+        if (clip, which) not in self._retargetings:
+            self._retargetings[clip, which] = retarget(self.poses.clips[clip], avatar)
+        moved = pose_transforms(avatar, self._retargetings[clip, which], self.poses.rotations(row))
+        vertices = skin(
+            avatar.vertices, avatar.influences, avatar.weights, moved[0].astype(np.float32)
+        )
+        vertices, triangles = with_bags(vertices, avatar, moved[0], generator)
+        camera = sample_views(1, generator)[0]
+        roll = float(camera["roll_deg"])
+        if generator.random() < FALLEN_SHARE:
+            roll += generator.normal(0, FALLEN_DEG)
+        elevation = float(camera["elevation_deg"]) * (0.5 if generator.random() < 0.5 else 1.0)
+        turned = vertices @ camera_rotation(float(camera["azimuth_deg"]), elevation, roll).T
+        return self._drawn(which, turned, triangles, float(camera["distance"]), generator)
+
+    def _drawn(
+        self,
+        which: int,
+        turned: NDArray[np.float64],
+        triangles: NDArray[np.int32],
+        distance: float,
+        generator: np.random.Generator,
+    ) -> Sprite:
+        avatar = self.avatars[which]
+        plane = project(turned, distance)
+        low, high = plane.min(axis=0), plane.max(axis=0)
+        scale = ROWS * SUPERSAMPLING / max(float(high[1] - low[1]), 0.7 * float(high[0] - low[0]))
+        margin = 4 * SUPERSAMPLING
+        places = ((plane - low) * scale + margin).astype(np.float32)
+        width, height = (np.ceil((high - low) * scale / 2).astype(int) * 2 + 2 * margin).tolist()
+        corners: NDArray[np.float32] = turned.astype(np.float32)
+        normals = vertex_normals(corners, triangles)
+        # Bags have no rest pose: they are coloured by where they are.
+        rest = np.concatenate([avatar.vertices, corners[len(avatar.vertices) :]])
+        values = np.concatenate([rest, normals], axis=1)
+        shown, buffer = rasterise(
+            places, np.ascontiguousarray(corners[:, 2]), triangles, values, height, width
+        )
+        on = shown >= 0
+        colour = np.zeros((height, width, 3), np.float32)
+        colour[on] = self._colours(which, shown[on], buffer[on], generator)
+        small = (width // SUPERSAMPLING, height // SUPERSAMPLING)
+        cover = resize(on.astype(np.float32), *small)
+        summed = resize(colour, *small)
+        # Colours run on past the outline, so that a blurred or enlarged sprite has no dark rim.
+        around = [cv2.GaussianBlur(array, (0, 0), 2.0) for array in (summed, cover)]
+        inside = summed / np.maximum(cover, 1e-3)[..., None]
+        beyond = around[0] / np.maximum(around[1], 1e-3)[..., None]
+        filled = np.where(cover[..., None] > 0.05, inside, beyond)
+        return Sprite(np.clip(filled, 0, 255).astype(np.uint8), cover)
+
+    def _colours(
+        self,
+        which: int,
+        triangles: NDArray[np.int32],
+        values: NDArray[np.float32],
+        generator: np.random.Generator,
+    ) -> NDArray[np.float32]:
+        """Lit colours ``(P, 3)`` of pixels that show some triangles at rest places ``values``."""
+        avatar = self.avatars[which]
+        rest, normals = values[:, :3], values[:, 3:]
+        bag = triangles >= len(avatar.triangles)
+        piece = np.where(bag, -1, self._pieces[which][np.where(bag, 0, triangles)])
+        body = triangles < avatar.closed
+        colour = np.empty((len(rest), 3), np.float32)
+        flesh = _SKINS[generator.integers(len(_SKINS))] * generator.uniform(0.8, 1.1)
+        colour[body] = flesh
+        top = float(avatar.vertices[:, 1].max())
+        bottom = float(avatar.vertices[:, 1].min())
+        up = (rest[:, 1] - bottom) / (top - bottom)
+        if avatar.closed == len(avatar.triangles):
+            # Without garments, tight ones are painted on, long or short.
+            out = np.abs(rest[:, 0])
+            shirt = (up > 0.53) & (up < 0.83) & (out < generator.uniform(0.2, 0.75))
+            legs = (up <= 0.53) & (up > generator.uniform(0.05, 0.4))
+            shod = (up < 0.05) & (generator.random() < 0.6)
+            bare = generator.random() < BARE_SHARE
+            for part in (shirt & body & (not bare), legs & body, shod & body):
+                colour[part] = self._cloth(rest[part], generator)
+            head = body & (up > generator.uniform(0.94, 1.0)) & (rest[:, 2] < 0.09)
+            hair = _HAIRS[generator.integers(len(_HAIRS))]
+            colour[head] = self._cloth(rest[:1], generator) if generator.random() < 0.4 else hair
+        hair, shoes = _HAIRS[generator.integers(len(_HAIRS))], self._cloth(rest[:1], generator)
+        for number in np.unique(piece[~body]):
+            part = (piece == number) & ~body
+            if number >= 0 and up[part].mean() > 0.88:
+                colour[part] = hair * generator.uniform(0.85, 1.15)
+            elif number >= 0 and up[part].mean() < 0.06:
+                colour[part] = shoes
+            else:
+                split = (up > 0.55) if generator.random() < 0.5 else np.ones_like(part)
+                for some in (part & split, part & ~split):
+                    colour[some] = self._cloth(rest[some], generator)
+        light = generator.normal((0, -1.2, -0.6), 1)
+        light /= np.linalg.norm(light)
+        ambient = generator.uniform(0.35, 0.85)
+        lit = ambient + (1.15 - ambient) * np.maximum(0, normals @ light.astype(np.float32))
+        # Folds: waves along the surface that bend the light.
+        waves = generator.normal(0, 25, (3, 4)).astype(np.float32)
+        folds = np.sin(rest @ waves + generator.uniform(0, 6, 4).astype(np.float32)).sum(axis=1)
+        lit *= 1 + generator.uniform(0, 0.08) * folds * ~body
+        return np.asarray(colour * lit[:, None], np.float32)
+
+    def _cloth(
+        self, rest: NDArray[np.float32], generator: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Colours ``(P, 3)`` of a piece of cloth: plain, striped, checked or printed."""
+        hsv = np.array([[[generator.integers(180), 0, 0]]], np.uint8)
+        hsv[..., 1] = int(255 * generator.beta(1, 2.5))
+        hsv[..., 2] = int(20 + 220 * generator.beta(1, 1.3))
+        base = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].astype(np.float32)
+        kind = generator.random()
+        if kind < 0.55 or len(rest) == 0:
+            return np.tile(base, (len(rest), 1)).astype(np.float32)
+        if kind < 0.75:
+            second = base * generator.uniform(0.4, 0.9)
+            axes = rest[:, :2] if generator.random() < 0.3 else rest[:, [1]]
+            wave = np.sin(axes * generator.uniform(40, 250)).min(axis=1)
+            return np.asarray(np.where((wave > 0)[:, None], base, second), np.float32)
+        photograph = self.textures[int(generator.integers(len(self.textures)))]
+        rows, columns = photograph.shape[:2]
+        density = generator.uniform(150, 600)
+        offset = generator.uniform(0, 1000, 2)
+        x = (rest[:, 0] * density + rest[:, 2] * density + offset[0]).astype(int) % columns
+        y = (-rest[:, 1] * density + offset[1]).astype(int) % rows
+        printed = photograph[y, x].astype(np.float32)
+        strength = generator.uniform(0.2, 1.0)
+        middle = printed.mean(axis=0)
+        return np.asarray(np.clip(base + strength * (printed - middle), 0, 255), np.float32)

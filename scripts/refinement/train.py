@@ -1,0 +1,179 @@
+"""Train the network that refines silhouettes, on simulated people only.
+
+    python -m scripts.refinement.backgrounds /tmp/backgrounds
+    python -m scripts.refinement.train --backgrounds /tmp/backgrounds
+
+writes ``app/vision/refiner.onnx`` in about 45 minutes on one core. It needs the extras
+build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph
+of ``../shared/real`` is seen but the empty street of ``vtest``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+from tqdm import tqdm
+
+from app.settings import DEFAULT_MODEL
+from app.vision.network import PersonNetwork
+from app.vision.refine import WEIGHTS_PATH
+from scripts.refinement.backgrounds import read_backgrounds
+from scripts.refinement.model import Refiner, export
+from scripts.refinement.samples import make_samples, spoil
+from scripts.refinement.sprites import Casting
+
+ROOT = Path(__file__).resolve().parents[2]
+BATCH = 16
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A part of the training.
+
+    Parameters
+    ----------
+    steps : int
+        Batches.
+    rate : float
+        Largest learning rate; it rises and falls once.
+    helped, spoilt : float
+        How often the first network's answer is first completed by the truth, and how often it is
+        spoilt otherwise: it fails more often before simulated people than before real ones.
+    severity : (float, float)
+        Least and most severe faults.
+    """
+
+    steps: int
+    rate: float
+    helped: float
+    spoilt: float
+    severity: tuple[float, float]
+
+
+LESSONS = (
+    Lesson(3600, 4e-3, 0.5, 0.6, (1.0, 1.0)),
+    Lesson(1400, 1.5e-3, 0.8, 0.6, (0.1, 0.7)),
+)
+"""First every fault there is; then those that the first network has, which is mostly right."""
+
+UNKNOWN_SHARE = 0.25
+"""How often nobody says where the neighbours are."""
+
+
+def batch(
+    inputs: NDArray[np.uint8],
+    targets: NDArray[np.uint8],
+    rows: NDArray[np.int64],
+    lesson: Lesson,
+    generator: np.random.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Some samples, varied: ``(N, 6, 192, 128)`` and ``(N, 1, 192, 128)`` in 0..1."""
+    seen = inputs[rows].astype(np.float32) / 255
+    wanted = targets[rows].astype(np.float32) / 255
+    for number in range(len(rows)):
+        probability = inputs[rows[number], 3]
+        severity = generator.uniform(*lesson.severity)
+        if generator.random() < lesson.helped:
+            probability = np.maximum(probability, targets[rows[number]])
+            probability = spoil(probability, generator, severity)
+        elif generator.random() < lesson.spoilt:
+            probability = spoil(probability, generator, severity)
+        seen[number, 3] = probability.astype(np.float32) / 255
+        gain = np.exp(generator.normal(0, 0.12, 3) + generator.normal(0, 0.15))
+        seen[number, :3] *= gain.astype(np.float32)[:, None, None]
+        seen[number, :3] += np.float32(generator.normal(0, 0.05))
+        if generator.random() < 0.15:
+            seen[number, :3] = seen[number, :3].mean(axis=0)
+        if generator.random() < UNKNOWN_SHARE:
+            seen[number, 5] = 0
+        if generator.random() < 0.5:
+            seen[number], wanted[number] = seen[number, ..., ::-1], wanted[number, ..., ::-1]
+    np.clip(seen[:, :3], 0, 1, out=seen[:, :3])
+    return torch.from_numpy(seen), torch.from_numpy(wanted)[:, None]
+
+
+def loss_of(odds: Tensor, wanted: Tensor) -> Tensor:
+    """Cross entropy, and what the overlap lacks of 1."""
+    found = torch.sigmoid(odds)
+    shared = (found * wanted).sum(dim=(1, 2, 3))
+    union = (found + wanted - found * wanted).sum(dim=(1, 2, 3))
+    return binary_cross_entropy_with_logits(odds, wanted) * 2 + 1 - (shared / union).mean()
+
+
+def train(
+    model: Refiner,
+    inputs: NDArray[np.uint8],
+    targets: NDArray[np.uint8],
+    lesson: Lesson,
+    generator: np.random.Generator,
+) -> None:
+    """Give a refiner one lesson."""
+    optimiser = torch.optim.AdamW(model.parameters(), lesson.rate, weight_decay=1e-2)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, lesson.rate, lesson.steps, pct_start=0.15
+    )
+    running = 1.0
+    with tqdm(range(lesson.steps), desc="training", unit="batch", mininterval=5) as progress:
+        for _ in progress:
+            rows = generator.choice(len(inputs), BATCH, replace=False)
+            seen, wanted = batch(inputs, targets, rows, lesson, generator)
+            loss = loss_of(model.odds(seen.to(memory_format=torch.channels_last)), wanted)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            running += 0.01 * (loss.item() - running)
+            progress.set_postfix(loss=f"{running:.3f}", refresh=False)
+
+
+def mean_of(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Weights half-way between what two lessons left: as good at limbs, and at outlines."""
+    return {
+        name: (value + second[name]) / 2 if value.is_floating_point() else value
+        for name, value in first.items()
+    }
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--backgrounds", type=Path, required=True, help="of .backgrounds")
+    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
+    parser.add_argument("--sprites", type=int, default=1600)
+    parser.add_argument("--samples", type=int, default=12000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=WEIGHTS_PATH)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+    photographs = read_backgrounds(options.backgrounds, options.shared / "real")
+    casting = Casting(options.shared, photographs)
+    generator = np.random.default_rng(options.seed)
+    sprites = [
+        casting.sprite(generator) for _ in tqdm(range(options.sprites), "drawing", unit="sprite")
+    ]
+    network = PersonNetwork(options.model)
+    samples = make_samples(sprites, photographs, network, options.samples, options.seed + 1)
+    torch.manual_seed(options.seed)
+    model = Refiner()
+    model.to(memory_format=torch.channels_last)
+    learnt = []
+    for lesson in LESSONS:
+        train(model, *samples, lesson, generator)
+        learnt.append({name: value.clone() for name, value in model.state_dict().items()})
+    model.load_state_dict(mean_of(*learnt))
+    export(model, options.out)
+
+
+if __name__ == "__main__":
+    main()
