@@ -77,30 +77,73 @@ class AzimuthBelief:
         return float(density[np.abs(azimuths) < 90].sum() / density.sum())
 
 
+@dataclass(frozen=True)
+class FacingModel:
+    """A linear model of the azimuth, and the heads it knows.
+
+    A head unlike all it was fitted to (blurred, helmeted, bent) must not be read with
+    certainty, so the belief fades as the features leave what is usual.
+
+    Parameters
+    ----------
+    weights : (2, F) float array
+        Of ``front`` and ``left``, over the features of :func:`head_features`.
+    bias : (2,) float array
+    mean, spread : (F,) float array
+        Of the features of the heads it was fitted to.
+    usual : (2,) float array
+        Median and 95th percentile of those heads' :meth:`strangeness`.
+    """
+
+    weights: NDArray[np.floating]
+    bias: NDArray[np.floating]
+    mean: NDArray[np.floating]
+    spread: NDArray[np.floating]
+    usual: NDArray[np.floating]
+
+    def __post_init__(self) -> None:
+        count = self.weights.shape[-1]
+        for name, shape in (
+            ("weights", (2, count)),
+            ("bias", (2,)),
+            ("mean", (count,)),
+            ("spread", (count,)),
+            ("usual", (2,)),
+        ):
+            if getattr(self, name).shape != shape:
+                raise ValueError(
+                    f"expected {name} of shape {shape}, got {getattr(self, name).shape}"
+                )
+
+    def strangeness(self, features: NDArray[np.floating]) -> NDArray[np.float64]:
+        """How far features ``(..., F)`` lie from the usual: root mean square, in spreads."""
+        squares = ((features - self.mean) / self.spread) ** 2
+        return np.asarray(np.sqrt(squares.mean(axis=-1)), np.float64)
+
+    def belief(self, features: NDArray[np.floating]) -> AzimuthBelief:
+        """What features ``(F,)`` tell of the azimuth.
+
+        Full up to the 95th percentile of strangeness, nothing as far beyond it as the median is
+        before it.
+        """
+        median, unusual = self.usual
+        beyond = (self.strangeness(features) - unusual) / (unusual - median)
+        front, left = (self.weights @ features + self.bias) * np.clip(1 - beyond, 0, 1)
+        return AzimuthBelief(float(front), float(left))
+
+
 class FacingReader:
     """Photograph and silhouette to a belief about the azimuth; safe under several threads.
 
     Parameters
     ----------
     network : PersonNetwork
-    weights : (2, F) array
-        Of ``front`` and ``left``, over the features of :func:`head_features`.
-    bias : (2,) array
+    model : FacingModel
     """
 
-    def __init__(
-        self,
-        network: PersonNetwork,
-        weights: NDArray[np.floating],
-        bias: NDArray[np.floating],
-    ) -> None:
+    def __init__(self, network: PersonNetwork, model: FacingModel) -> None:
         self._network = network
-        self._weights, self._bias = np.asarray(weights, np.float64), np.asarray(bias, np.float64)
-        if self._weights.ndim != 2 or len(self._weights) != 2 or self._bias.shape != (2,):
-            raise ValueError(
-                "expected weights of shape (2, F) and a bias of shape (2,), "
-                f"got {self._weights.shape} and {self._bias.shape}"
-            )
+        self._model = model
 
     def read(self, frame: NDArray[np.uint8], silhouette: Silhouette) -> AzimuthBelief | None:
         """Look at a person's head; None where there is too little to see.
@@ -118,19 +161,17 @@ class FacingReader:
             return None
         if resize(cut(frame, window), 16, 16).std(axis=(0, 1)).max() < _LEAST_CONTRAST:
             return None
-        features = head_features(self._network, frame, window)
-        front, left = self._weights @ features + self._bias
-        return AzimuthBelief(float(front), float(left))
+        return self._model.belief(head_features(self._network, frame, window))
 
 
 def load_facing_reader(
     network: PersonNetwork | None, weights_path: Path = WEIGHTS_PATH
 ) -> FacingReader | None:
-    """Load the weights; None without the network."""
+    """Load the model; None without the network."""
     if network is None:
         return None
     with np.load(weights_path, allow_pickle=False) as stored:
-        return FacingReader(network, stored["weights"], stored["bias"])
+        return FacingReader(network, FacingModel(**stored))
 
 
 def head_window(silhouette: Silhouette) -> Window:

@@ -128,7 +128,7 @@ def run(options: argparse.Namespace) -> None:
     samples = real_facing.read_samples(people, tools.segmenter, network)
     if options.fit_facing:
         everyone = samples.group >= 0
-        real_facing.write_weights(real_facing.fit(samples, everyone))
+        real_facing.write_model(real_facing.fit(samples, everyone))
         return
     absent = why_absent(options.mediapipe)
     python = None if absent else options.mediapipe
@@ -184,8 +184,8 @@ def street_people(
     """Trials of the street people, with facing weights that never saw their photograph."""
     names = sorted({person.photograph.name for person in people})
     readers = {
-        names[group]: weights.reader(tools.network)
-        for group, weights in zip(
+        names[group]: FacingReader(tools.network, model)
+        for group, model in zip(
             samples.group.tolist(), real_facing.cross_validated(samples), strict=True
         )
     }

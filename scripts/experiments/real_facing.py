@@ -8,7 +8,7 @@ with the opposite azimuth, a little displaced, and at lower resolutions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,7 @@ from tqdm import tqdm
 
 from app.vision.facing_evidence import (
     WEIGHTS_PATH,
-    AzimuthBelief,
-    FacingReader,
+    FacingModel,
     head_features,
     head_window,
 )
@@ -34,22 +33,6 @@ FOLDS = 6
 RIDGE = 0.02
 SMALL_PX = (48, 96)
 """Heights at which every person is shown besides their own."""
-
-
-@dataclass(frozen=True)
-class Weights:
-    """A linear model of the natural parameters: weights ``(2, F)`` and bias ``(2,)``."""
-
-    weights: NDArray[np.float64]
-    bias: NDArray[np.float64]
-
-    def parameters(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Features ``(N, F)`` to natural parameters ``(N, 2)``."""
-        return features @ self.weights.T + self.bias
-
-    def reader(self, network: PersonNetwork) -> FacingReader:
-        """Wrap the model as the service uses it."""
-        return FacingReader(network, self.weights, self.bias)
 
 
 @dataclass(frozen=True)
@@ -113,7 +96,7 @@ def _variants(
     return np.array([head_features(network, *one) for one in found])
 
 
-def fit(samples: HeadSamples, chosen: NDArray[np.bool_], ridge: float = RIDGE) -> Weights:
+def fit(samples: HeadSamples, chosen: NDArray[np.bool_], ridge: float = RIDGE) -> FacingModel:
     """Fit to the chosen people."""
     variants = samples.plain.shape[1]
     count = int(chosen.sum())
@@ -142,7 +125,10 @@ def fit(samples: HeadSamples, chosen: NDArray[np.bool_], ridge: float = RIDGE) -
     start = np.zeros(2 * design.shape[1] + 1)
     solution = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x
     weights = solution[:-1].reshape(2, -1) / (spread * np.sqrt(features.shape[1]))
-    return Weights(weights, np.array([solution[-1], 0.0]) - weights @ mean)
+    bias = np.array([solution[-1], 0.0]) - weights @ mean
+    unaware = FacingModel(weights, bias, mean, spread, np.array([0.0, 1.0]))
+    usual = np.percentile(unaware.strangeness(features), [50, 95])
+    return replace(unaware, usual=usual)
 
 
 def folds(group: NDArray[np.int64], seed: int = 0) -> NDArray[np.int64]:
@@ -151,7 +137,7 @@ def folds(group: NDArray[np.int64], seed: int = 0) -> NDArray[np.int64]:
     return np.asarray(drawn[group])
 
 
-def cross_validated(samples: HeadSamples, ridge: float = RIDGE) -> list[Weights]:
+def cross_validated(samples: HeadSamples, ridge: float = RIDGE) -> list[FacingModel]:
     """Weights for each person, fitted without their photograph."""
     fold = folds(samples.group)
     by_fold = [fit(samples, fold != held, ridge) for held in range(FOLDS)]
@@ -159,20 +145,17 @@ def cross_validated(samples: HeadSamples, ridge: float = RIDGE) -> list[Weights]
 
 
 def facing_figures(
-    samples: HeadSamples, weights: Sequence[Weights], variant: int
+    samples: HeadSamples, weights: Sequence[FacingModel], variant: int
 ) -> dict[str, float]:
     """How well the photograph alone tells the azimuth, in one of the variants."""
-    found = np.array(
-        [
-            one.parameters(features[None, variant])[0]
-            for one, features in zip(weights, samples.plain, strict=True)
-        ]
-    )
+    beliefs = [
+        one.belief(features[variant]) for one, features in zip(weights, samples.plain, strict=True)
+    ]
+    found = np.array([[belief.front, belief.left] for belief in beliefs])
     front = np.cos(samples.azimuth) > 0
     clear = np.abs(np.cos(samples.azimuth)) > 0.5
     error = np.arctan2(found[:, 1], found[:, 0]) - samples.azimuth
     error = np.abs(np.rad2deg((error + np.pi) % (2 * np.pi) - np.pi))
-    beliefs = [AzimuthBelief(*one) for one in found.tolist()]
     probability = np.array([belief.front_probability() for belief in beliefs])
     density = np.array(
         [
@@ -200,8 +183,7 @@ def auc(scores: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
     return float(((above > below) + 0.5 * (above == below)).mean())
 
 
-def write_weights(weights: Weights, path: Path = WEIGHTS_PATH) -> None:
+def write_model(model: FacingModel, path: Path = WEIGHTS_PATH) -> None:
     """Write the file that the service reads."""
-    np.savez_compressed(
-        path, weights=weights.weights.astype(np.float32), bias=weights.bias.astype(np.float32)
-    )
+    arrays = {f.name: getattr(model, f.name).astype(np.float32) for f in fields(model)}
+    np.savez_compressed(path, **arrays)
