@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.facing import Facing, weigh, weigh_by_image
+from app.process import give_way
 from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
@@ -213,7 +214,9 @@ class Estimator:
         self._facing_reader = facing_reader
         # What one request can do at the same time: the photograph is decoded and looked at while
         # its mask is decoded and matched. Images and search let go of the interpreter.
-        self._aside = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="photograph")
+        self._aside = ThreadPoolExecutor(
+            os.cpu_count(), thread_name_prefix="photograph", initializer=give_way
+        )
 
     @classmethod
     def load(cls, settings: Settings) -> Estimator:

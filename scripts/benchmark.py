@@ -10,10 +10,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import httpx
 import numpy as np
 
 from index.store import DEFAULT_PATH, ArtefactError, PoseIndex
+from scripts.raw_client import Call, RawClient
 from scripts.results import machine
 from scripts.server_process import ServerProcess
 from scripts.street import encode, street
@@ -31,13 +31,16 @@ class Latency:
     requests: int
 
     @classmethod
-    def measure(cls, client: httpx.Client, what: str, files: dict[str, bytes], n: int) -> Latency:
+    def measure(cls, client: RawClient, what: str, files: dict[str, bytes], n: int) -> Latency:
         """Send the same request one after another; the first tenth warms up."""
         times = []
+        call = Call("POST", "/pose", files)
         for _ in range(n + n // 10):
             started = time.perf_counter()
-            client.post("/pose", files=files).raise_for_status()
+            status, body = client.send(call)
             times.append((time.perf_counter() - started) * 1000)
+            if status != 200:
+                raise RuntimeError(f"expected status 200, got {status}: {body.decode()}")
         kept = np.array(times[n // 10 :])
         return cls(what, float(np.median(kept)), float(np.percentile(kept, 99)), n)
 
@@ -49,13 +52,11 @@ def benchmark(index_path: Path, requests: int) -> str:
     frame, mask = encode(".jpg", picture), encode(".png", person)
     with ServerProcess(index_path) as server:
         ready_s = server.wait_until_ready()
-        with httpx.Client(base_url=server.url, timeout=30) as client:
-            with_mask = Latency.measure(
-                client, "with a mask", {"frame": frame, "mask": mask}, requests
-            )
-            without = Latency.measure(
-                client, "frame alone (people searched for)", {"frame": frame}, requests // 5
-            )
+        client = RawClient(server.url)
+        with_mask = Latency.measure(client, "with a mask", {"frame": frame, "mask": mask}, requests)
+        without = Latency.measure(
+            client, "frame alone (people searched for)", {"frame": frame}, requests // 5
+        )
         memory_mb = server.memory_mb()
     rows = [
         f"| /pose 768x576 {row.what} | {row.median:.1f} ms | {row.p99:.1f} ms | {row.requests} |"
