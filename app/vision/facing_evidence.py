@@ -120,15 +120,17 @@ class FacingModel:
         squares = ((features - self.mean) / self.spread) ** 2
         return np.asarray(np.sqrt(squares.mean(axis=-1)), np.float64)
 
-    def belief(self, features: NDArray[np.floating]) -> AzimuthBelief:
-        """What features ``(F,)`` tell of the azimuth.
+    def belief(self, features: NDArray[np.floating]) -> AzimuthBelief | None:
+        """What features ``(F,)`` tell of the azimuth; None where they are too strange.
 
-        Full up to the 95th percentile of strangeness, nothing as far beyond it as the median is
-        before it.
+        Believed in full up to the 95th percentile of strangeness, and not at all as far beyond it
+        as the median is before it.
         """
         median, unusual = self.usual
-        beyond = (self.strangeness(features) - unusual) / (unusual - median)
-        front, left = (self.weights @ features + self.bias) * np.clip(1 - beyond, 0, 1)
+        beyond = float((self.strangeness(features) - unusual) / (unusual - median))
+        if beyond >= 1:
+            return None
+        front, left = (self.weights @ features + self.bias) * min(1.0, 1 - beyond)
         return AzimuthBelief(float(front), float(left))
 
 
@@ -146,7 +148,7 @@ class FacingReader:
         self._model = model
 
     def read(self, frame: NDArray[np.uint8], silhouette: Silhouette) -> AzimuthBelief | None:
-        """Look at a person's head; None where there is too little to see.
+        """Look at a person's head; None where it tells nothing.
 
         Parameters
         ----------

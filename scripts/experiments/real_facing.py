@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from app.vision.facing_evidence import (
     WEIGHTS_PATH,
+    AzimuthBelief,
     FacingModel,
     head_features,
     head_window,
@@ -149,7 +150,8 @@ def facing_figures(
 ) -> dict[str, float]:
     """How well the photograph alone tells the azimuth, in one of the variants."""
     beliefs = [
-        one.belief(features[variant]) for one, features in zip(weights, samples.plain, strict=True)
+        one.belief(features[variant]) or AzimuthBelief(0.0, 0.0)
+        for one, features in zip(weights, samples.plain, strict=True)
     ]
     found = np.array([[belief.front, belief.left] for belief in beliefs])
     front = np.cos(samples.azimuth) > 0
