@@ -61,7 +61,7 @@ $(DEV)/.stamp: pyproject.toml
 $(BUILD)/.stamp: pyproject.toml
 	$(PYTHON) -m venv $(BUILD)
 	$(BUILD)/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
-	$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,contract,evaluate,test]'
+	$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,contract,evaluate,test,train]'
 	touch $@
 
 clean:
