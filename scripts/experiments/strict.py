@@ -26,7 +26,7 @@ from index.build.builder import (
 from index.build.calibrate import Queries, Trial, expected_calibration_error, run_trial
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
-from index.confidence import RIGHT_BELOW_PX
+from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.skeleton import JOINT_NAMES, LIMBS
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.strict_pictures import draw_hard_queries, plot_reliability
@@ -181,13 +181,19 @@ def limits(trial: Trial) -> list[str]:
     near = wrong & (first < 8.0)
     twin = wrong & ~near & (best < RIGHT_BELOW_PX)
     share = 100 / len(first)
+    outlines = trial.features[..., FEATURES.index("reprojection_error_px")]
+    wrong_px = outlines[twin, 0]
+    right_px = outlines[twin, trial.error_px[twin].argmin(axis=1)]
     return [
         f"- {share * wrong.sum():.1f} % of the first hypotheses are wrong.",
         f"- {share * near.sum():.1f} % are near: 5 to 8 px off.",
         f"- {share * (either < RIGHT_BELOW_PX).sum():.1f} % would be right at rank 1 if left and "
         "right did not count, which an outline seen from the height of the hips cannot tell.",
         f"- {share * twin.sum():.1f} % are farther off while a later hypothesis is right: a twin "
-        "(front and back, left and right, or a leg before or behind) with the same outline.",
+        "(front and back, left and right, or a leg before or behind) with the same outline: "
+        f"that of the wrong first one's entry lies {wrong_px.mean():.1f} px from the query's, "
+        f"that of the right one's {right_px.mean():.1f} px, and the wrong one is the nearer in "
+        f"{100 * (wrong_px < right_px).mean():.0f} % of these.",
         f"- {share * (wrong & ~near & ~twin).sum():.1f} % are farther off and none of the seven is "
         "right: the pose or the view is not covered.",
     ]
