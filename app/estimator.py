@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -192,6 +191,8 @@ class Estimator:
         is refused.
     facing_reader : FacingReader, optional
         Tells from the photograph which way a person faces; without it, nothing does.
+    concurrency : int
+        Frames that are worked on at once.
     """
 
     def __init__(
@@ -204,6 +205,7 @@ class Estimator:
         max_pixels: int,
         max_persons: int,
         facing_reader: FacingReader | None = None,
+        concurrency: int = 1,
     ) -> None:
         self.index = index
         self.detector = detector
@@ -212,10 +214,11 @@ class Estimator:
         self._max_pixels = max_pixels
         self._max_persons = max_persons
         self._facing_reader = facing_reader
+        self._concurrency = concurrency
         # What one request can do at the same time: the photograph is decoded and looked at while
         # its mask is decoded and matched. Images and search let go of the interpreter.
         self._aside = ThreadPoolExecutor(
-            os.cpu_count(), thread_name_prefix="photograph", initializer=give_way
+            concurrency, thread_name_prefix="photograph", initializer=give_way
         )
 
     @classmethod
@@ -236,6 +239,7 @@ class Estimator:
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
             facing_reader=load_facing_reader(network),
+            concurrency=settings.concurrency,
         )
 
     def warm_up(self) -> None:
@@ -251,7 +255,7 @@ class Estimator:
             # As many at once as there are threads: each has a network of its own to set up.
             looks = [
                 self._aside.submit(self._facing_reader.read, frame, body)
-                for _ in range(os.cpu_count() or 1)
+                for _ in range(self._concurrency)
             ]
             for look in looks:
                 look.result()

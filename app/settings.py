@@ -46,7 +46,9 @@ class Settings(BaseSettings):
         default=64, ge=1, description="Uploads open at once, those still being received included."
     )
     concurrency: int = Field(
-        default_factory=_cores, ge=1, description="Frames worked on at once; one thread each."
+        default_factory=_cores,
+        ge=1,
+        description="Frames worked on at once: a thread each, and one beside it for photographs.",
     )
     queue_length: int = Field(default=16, ge=0, description="Frames that may wait for a thread.")
     request_timeout_s: float = Field(

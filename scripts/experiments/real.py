@@ -183,13 +183,13 @@ def street_people(
 ) -> dict[str, list[Trial]]:
     """Trials of the street people, with facing weights that never saw their photograph."""
     names = sorted({person.photograph.name for person in people})
-    readers = {
-        names[group]: FacingReader(tools.network, model)
+    by_photograph = {
+        names[group]: tools.estimator(FacingReader(tools.network, model))
         for group, model in zip(
             samples.group.tolist(), real_facing.cross_validated(samples), strict=True
         )
     }
-    estimators = [tools.estimator(readers[person.photograph.name]) for person in people]
+    estimators = [by_photograph[person.photograph.name] for person in people]
 
     def true_mask(person: StreetPerson) -> Any:
         mask = person.photograph.labels == person.label

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -12,7 +14,7 @@ from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 from pydantic import ValidationError
 
-from app.estimator import Estimator
+from app.estimator import Estimator, Upload
 from app.logs import JsonFormatter
 from app.main import create_app
 from app.settings import Settings
@@ -164,6 +166,25 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         response = client.post("/pose", files={"frame": frame, "mask": mask})
         assert response.status_code == 422
         assert response.json()["field"] == "mask"
+
+
+@pytest.mark.parametrize("concurrency", [1, 3])
+def test_no_more_threads_beside_the_work_than_frames_worked_on(
+    settings: Settings, photo: Photo, concurrency: int
+) -> None:
+    def beside() -> set[threading.Thread]:
+        return {t for t in threading.enumerate() if t.name.startswith("photograph")}
+
+    before = beside()
+    estimator = Estimator.load(settings.model_copy(update={"concurrency": concurrency}))
+    estimator.warm_up()
+    upload = Upload(frame=photo.frame_png, mask=photo.mask_png)
+    with ThreadPoolExecutor(6) as callers:
+        answers = list(
+            callers.map(lambda _: estimator.estimate(upload, 1, lambda: None), range(12))
+        )
+    assert 1 <= len(beside() - before) <= concurrency
+    assert all(len(answer.persons) == 1 for answer in answers)
 
 
 def test_whatever_goes_wrong_while_loading_is_told_to_probes(
