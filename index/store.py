@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, restore
 from index.folders import clear_left_overs, lock, replace_folder
+from index.nearest import NearestVectors
 from index.silhouettes import Silhouettes
 from index.skeleton import (
     NATIVE,
@@ -149,6 +150,7 @@ class PoseIndex:
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
     _flat: Any = field(init=False, repr=False, compare=False)
+    _nearest: NearestVectors = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         count = len(self.entries)
@@ -172,6 +174,7 @@ class PoseIndex:
         flat = faiss.IndexFlatL2(self.descriptor.dimension)
         flat.add(self.vectors)
         object.__setattr__(self, "_flat", flat)
+        object.__setattr__(self, "_nearest", NearestVectors(flat))
         # The vectors live on inside FAISS; one copy is enough.
         view = faiss.rev_swig_ptr(flat.get_xb(), self.vectors.size).reshape(self.vectors.shape)
         object.__setattr__(self, "vectors", view)
@@ -196,7 +199,7 @@ class PoseIndex:
             Euclidean, ascending.
         numbers : (B, K) int64 array
         """
-        squared, numbers = self._flat.search(
+        squared, numbers = self._nearest.search(
             np.ascontiguousarray(vectors, np.float32), min(k, len(self))
         )
         return np.sqrt(np.maximum(squared, 0)), numbers
