@@ -161,8 +161,10 @@ def _agreements(candidates: Candidates, modes: list[Mode]) -> NDArray[np.float64
     """
     ours = np.stack([mode.points_normalised[:JOINTS] for mode in modes]).astype(np.float32)
     theirs = candidates.points_normalised[:, :JOINTS].astype(np.float32)
-    apart = ours[:, None] - theirs
-    errors = np.sqrt(np.einsum("mkjd,mkjd->mkj", apart, apart)).mean(axis=-1)
+    squares = np.zeros((len(ours), len(theirs), JOINTS), np.float32)
+    for axis in range(2):
+        squares += (ours[:, None, :, axis] - theirs[:, :, axis]) ** 2
+    errors = np.sqrt(squares) @ np.full(JOINTS, 1 / JOINTS, np.float32)
     weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
     return np.stack([(errors < px) @ w / w.sum() for w in weights for px in AGREEMENT_PX])
 

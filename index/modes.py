@@ -117,8 +117,7 @@ def _densest(
     weights: NDArray[np.float64], apart: NDArray[np.float64], count: int, bandwidth_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Centres ``(M,)`` of up to ``count`` modes, and the shares ``(M, K)`` that gather there."""
-    kernel = np.exp(-(apart**2) / (2 * bandwidth_m**2))
-    suppressed = np.exp(-(apart**2) / (2 * (SUPPRESSION * bandwidth_m) ** 2))
+    kernel = np.exp(apart**2 / (-2 * bandwidth_m**2))
     remaining, free = weights / weights.sum(), np.ones(len(weights), bool)
     centres: list[int] = []
     gathered: list[NDArray[np.float64]] = []
@@ -126,7 +125,7 @@ def _densest(
         centre = int(np.where(free, kernel @ remaining, -np.inf).argmax())
         centres.append(centre)
         gathered.append(remaining * kernel[centre])
-        remaining = remaining * (1 - suppressed[centre])
+        remaining = remaining * (1 - kernel[centre] ** (1 / SUPPRESSION**2))
         free &= apart[centre] >= DISTINCT_M
     return np.array(centres), np.stack(gathered)
 
@@ -155,14 +154,15 @@ def _interpolate(
     shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, 0.0)
     shares /= shares.sum(axis=1, keepdims=True)
     means = shares @ offsets
-    centred = offsets - means[:, None]
-    weighted = centred * shares[..., None]
-    scatter = weighted.swapaxes(1, 2) @ centred
+    # Means are taken off last, where there is least to take them off.
+    scatter = (shares[..., None] * offsets).swapaxes(1, 2) @ offsets
+    scatter -= means[:, :, None] * means[:, None]
     # Few effective members make a poor estimate of the scatter: it is then held stiffer.
-    stiffness = RIDGE * np.trace(scatter, axis1=1, axis2=2) * (shares**2).sum(axis=1) + 1e-9
-    scatter += stiffness[:, None, None] * np.eye(offsets.shape[1])
-    slopes = np.linalg.solve(scatter, -means[..., None])
-    steps = (weighted @ slopes)[..., 0]
+    diagonals = np.einsum("mdd->md", scatter)
+    stiffness = RIDGE * diagonals.sum(axis=1) * (shares**2).sum(axis=1) + 1e-9
+    diagonals += stiffness[:, None]
+    slopes = np.linalg.solve(scatter, -means[..., None])[..., 0]
+    steps = shares * (slopes @ offsets.T - (slopes * means).sum(axis=1, keepdims=True))
     combinations = shares + steps - shares * steps.sum(axis=1, keepdims=True)
     return [
         Mode(int(centre), float(votes), float(distance), points_3d, points_normalised)
