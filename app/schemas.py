@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
+from typing_extensions import TypedDict
 
 KeypointSetName = Literal["native", "coco17"]
 PersonSource = Literal["hog", "mask", "boxes", "background"]
@@ -38,23 +39,32 @@ class Problem(Model):
     )
 
 
-class Point2D(Model):
+# Points are dictionaries, checked with the model that holds them: an answer has hundreds, and as
+# models of their own they would take as long to make as all the rest of it.
+@with_config(ConfigDict(extra="forbid"))
+class Point2D(TypedDict):
     """A point in an image."""
 
-    x: FiniteFloat = Field(
-        description="Pixels from the centre of the top-left pixel to the right.", examples=[431.2]
-    )
-    y: FiniteFloat = Field(
-        description="Pixels from the centre of the top-left pixel down.", examples=[190.4]
-    )
+    x: Annotated[
+        FiniteFloat,
+        Field(
+            description="Pixels from the centre of the top-left pixel to the right.",
+            examples=[431.2],
+        ),
+    ]
+    y: Annotated[
+        FiniteFloat,
+        Field(description="Pixels from the centre of the top-left pixel down.", examples=[190.4]),
+    ]
 
 
-class Point3D(Model):
+@with_config(ConfigDict(extra="forbid"))
+class Point3D(TypedDict):
     """A point in camera axes, origin at the pelvis."""
 
-    x: FiniteFloat = Field(description="Metres to the right.", examples=[0.12])
-    y: FiniteFloat = Field(description="Metres down.", examples=[-0.48])
-    z: FiniteFloat = Field(description="Metres away from the camera.", examples=[0.05])
+    x: Annotated[FiniteFloat, Field(description="Metres to the right.", examples=[0.12])]
+    y: Annotated[FiniteFloat, Field(description="Metres down.", examples=[-0.48])]
+    z: Annotated[FiniteFloat, Field(description="Metres away from the camera.", examples=[0.05])]
 
 
 class Box(Model):

@@ -96,6 +96,8 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
         return person.astype(np.uint16)
     labels: NDArray[np.uint16] = (pixels if step == 1 else pixels // step).astype(np.uint16)
     foreground = labels_in(labels)
+    if foreground == [1]:
+        return labels
     if len(foreground) == 1:
         one: NDArray[np.uint16] = (labels != 0).astype(np.uint16)
         return one
