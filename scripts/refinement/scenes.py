@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from app.vision.people import Box
 from app.vision.resampling import resize
+from index.skeleton import exchange_sides
 from scripts.experiments.real_data import tight_box
 from scripts.refinement.sprites import Sprite
 
@@ -42,11 +43,14 @@ class Scene:
         Share of each pixel that shows a person, one layer for each.
     boxes : list of Box
         About what is seen of them, a little off.
+    points : (N, 24, 2) float64 array
+        Where the points of their skeletons are, in pixels; rows are ``POINT_NAMES``.
     """
 
     frame: NDArray[np.uint8]
     covers: NDArray[np.float32]
     boxes: list[Box]
+    points: NDArray[np.float64]
 
 
 def make_scene(
@@ -97,13 +101,15 @@ def _try_scene(
     frame = _with_bars(frame, covers, generator)
     window = _cropped(covers[0], generator)
     frame, covers = frame[window], covers[:, *window]
+    corner = np.array([window[1].start, window[0].start])
+    points = np.stack([s.points + np.array([left, top]) - corner for s, top, left in layers])
     whole = np.array([layer[0].cover.sum() for layer in layers])
     seen = (covers.sum(axis=(1, 2)) > LEAST_VISIBLE * whole) & (covers.max(axis=(1, 2)) > 0.5)
     if not seen.any():
         return None
     covers = covers[seen]
     boxes = [_jittered(tight_box(one > 0.5), frame.shape, generator) for one in covers]
-    return Scene(_photographed(frame, generator), covers, boxes)
+    return Scene(_photographed(frame, generator), covers, boxes, points[seen])
 
 
 def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) -> Sprite:
@@ -113,8 +119,10 @@ def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) ->
         cv2.resize(array, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         for array in (sprite.colour, sprite.cover)
     )
+    points = (sprite.points + 0.5) * scale - 0.5
     if generator.random() < 0.5:
         colour, cover = colour[:, ::-1], cover[:, ::-1]
+        points = exchange_sides(points) * (-1, 1) + (cover.shape[1] - 1, 0)
     hsv = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_BGR2HSV)
     if generator.random() < 0.3:
         hsv[..., 0] = (hsv[..., 0].astype(int) + int(generator.integers(180))) % 180
@@ -124,6 +132,7 @@ def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) ->
     return Sprite(
         np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR), np.uint8),
         np.ascontiguousarray(cover, np.float32),
+        points,
     )
 
 

@@ -14,12 +14,12 @@ from scipy.sparse.csgraph import connected_components
 
 from app.vision.resampling import resize
 from index.build.avatars import INDEX_AVATARS, make_avatars
-from index.build.body import Avatar, Retargeting, pose_transforms, retarget
+from index.build.body import Avatar, Retargeting, pose_transforms, posed_points, retarget
 from index.build.camera import sample_views
 from index.build.motion import read_manifest
 from index.build.poses import Poses, farthest_points, joints_of, read_poses
 from index.build.render import skin
-from index.skeleton import camera_rotation, project
+from index.skeleton import POINTS, camera_rotation, project
 from scripts.refinement.shading import rasterise, vertex_normals
 
 ROWS = 320
@@ -33,11 +33,24 @@ WALKING_SHARE, COVERING_SHARE = 0.4, 0.35
 """How many poses are of walks, and how many of the set that covers all that people do; the others
 are drawn as they come."""
 
+MIXED_SHARE = 0.5
+"""How many poses have a limb or more of another pose: arms and legs do what no clip holds."""
+
 BARE_SHARE = 0.35
 """How many of those without garments are drawn with a bare trunk."""
 
 BAG_SHARES = (0.65, 0.2, 0.15)
 """How many carry nothing, something on the back, and something in a hand."""
+
+LIMB_BONES = tuple(
+    (tuple(f"{side}{bone}" for bone in bones), trunk)
+    for side in ("Left", "Right")
+    for bones, trunk in (
+        (("Arm", "ForeArm", "Hand"), "Spine1"),
+        (("UpLeg", "Leg", "Foot", "ToeBase"), "Hips"),
+    )
+)
+"""The bones of each limb, and the bone of the trunk that carries it."""
 
 _SKINS = np.array([[150, 178, 224], [120, 150, 205], [95, 125, 185], [60, 85, 140], [40, 58, 95]])
 _HAIRS = np.array([[25, 25, 30], [35, 50, 75], [70, 110, 150], [120, 125, 130], [20, 30, 45]])
@@ -53,16 +66,19 @@ class Sprite:
         BGR; beyond the person its nearest colours run on.
     cover : (h, w) float32 array
         Share of each pixel that the person covers, 0 to 1.
+    points : (24, 2) float64 array
+        Where the skeleton's points are, in pixels; rows are ``POINT_NAMES``.
     """
 
     colour: NDArray[np.uint8]
     cover: NDArray[np.float32]
+    points: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if self.colour.shape != (*self.cover.shape, 3):
+        if self.colour.shape != (*self.cover.shape, 3) or self.points.shape != (POINTS, 2):
             raise ValueError(
-                f"expected colour and cover of equal size, got {self.colour.shape} "
-                f"and {self.cover.shape}"
+                f"expected colour and cover of equal size and {POINTS} points, got "
+                f"{self.colour.shape}, {self.cover.shape} and {self.points.shape}"
             )
 
 
@@ -157,7 +173,11 @@ class Casting:
         avatar, clip = self.avatars[which], int(self.poses.clip[row])
         if (clip, which) not in self._retargetings:
             self._retargetings[clip, which] = retarget(self.poses.clips[clip], avatar)
-        moved = pose_transforms(avatar, self._retargetings[clip, which], self.poses.rotations(row))
+        rotations = self.poses.rotations(row)
+        if generator.random() < MIXED_SHARE:
+            rotations = self._with_other_limbs(row, rotations, generator)
+        moved = pose_transforms(avatar, self._retargetings[clip, which], rotations)
+        points = posed_points(avatar, moved)[0]
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, moved[0].astype(np.float32)
         )
@@ -167,13 +187,32 @@ class Casting:
         if generator.random() < FALLEN_SHARE:
             roll += generator.normal(0, FALLEN_DEG)
         elevation = float(camera["elevation_deg"]) * (0.5 if generator.random() < 0.5 else 1.0)
-        turned = vertices @ camera_rotation(float(camera["azimuth_deg"]), elevation, roll).T
-        return self._drawn(which, turned, triangles, float(camera["distance"]), generator)
+        turn = camera_rotation(float(camera["azimuth_deg"]), elevation, roll).T
+        distance = float(camera["distance"])
+        return self._drawn(which, vertices @ turn, points @ turn, triangles, distance, generator)
+
+    def _with_other_limbs(
+        self, row: int, rotations: NDArray[np.float64], generator: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Give a pose's world rotations ``(1, B, 3, 3)`` some arms and legs of other poses."""
+        mixed = rotations.copy()
+        names = self.poses.clips[self.poses.clip[row]].bones
+        for limb, trunk in LIMB_BONES:
+            if generator.random() > 0.5:
+                continue
+            other = int(generator.choice(self._kinds[1]))
+            donor = self.poses.clips[self.poses.clip[other]].bones
+            turns = self.poses.rotations(other)[0]
+            between = rotations[0, names.index(trunk)] @ turns[donor.index(trunk)].T
+            for bone in limb:
+                mixed[0, names.index(bone)] = between @ turns[donor.index(bone)]
+        return mixed
 
     def _drawn(
         self,
         which: int,
         turned: NDArray[np.float64],
+        points: NDArray[np.float64],
         triangles: NDArray[np.int32],
         distance: float,
         generator: np.random.Generator,
@@ -184,6 +223,7 @@ class Casting:
         scale = ROWS * SUPERSAMPLING / max(float(high[1] - low[1]), 0.7 * float(high[0] - low[0]))
         margin = 4 * SUPERSAMPLING
         places = ((plane - low) * scale + margin).astype(np.float32)
+        joints = (project(points, distance) - low) * scale + margin
         width, height = (np.ceil((high - low) * scale / 2).astype(int) * 2 + 2 * margin).tolist()
         corners: NDArray[np.float32] = turned.astype(np.float32)
         normals = vertex_normals(corners, triangles)
@@ -204,7 +244,8 @@ class Casting:
         inside = summed / np.maximum(cover, 1e-3)[..., None]
         beyond = around[0] / np.maximum(around[1], 1e-3)[..., None]
         filled = np.where(cover[..., None] > 0.05, inside, beyond)
-        return Sprite(np.clip(filled, 0, 255).astype(np.uint8), cover)
+        joints = (joints + 0.5) / SUPERSAMPLING - 0.5
+        return Sprite(np.clip(filled, 0, 255).astype(np.uint8), cover, joints)
 
     def _colours(
         self,

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from index.skeleton import POINT_NAMES, POINTS
 from scripts.experiments.real_data import tight_box
 from scripts.refinement.measure import covered
 from scripts.refinement.samples import spoil
 from scripts.refinement.scenes import LEAST_VISIBLE, make_scene
 from scripts.refinement.shading import rasterise, vertex_normals
 from scripts.refinement.sprites import Sprite, pieces_of
+
+LEFT, RIGHT = (POINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right"))
 
 
 def ball(radius: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -61,7 +64,11 @@ def test_separate_surfaces_are_separate_pieces() -> None:
 def sprites() -> list[Sprite]:
     cover = np.zeros((120, 60), np.float32)
     cover[4:-4, 15:45] = 1
-    return [Sprite(np.full((120, 60, 3), level, np.uint8), cover) for level in (40, 200)]
+    # The left shoulder is marked by where it is, and the right one beside it.
+    points = np.full((POINTS, 2), 30.0)
+    points[LEFT], points[RIGHT] = (39.5, 20.0), (19.5, 20.0)
+    colours = [np.full((120, 60, 3), level, np.uint8) for level in (40, 200)]
+    return [Sprite(colour, cover, points) for colour in colours]
 
 
 @pytest.fixture
@@ -88,6 +95,28 @@ def test_everybody_in_a_scene_is_in_a_box(
         for box, cover in zip(scene.boxes, scene.covers, strict=True):
             assert box.iou(tight_box(cover > 0.5)) > 0.6
     assert 0 < LEAST_VISIBLE < 1
+
+
+def test_points_stay_on_the_body_with_left_on_its_side(
+    sprites: list[Sprite], backgrounds: list[NDArray[np.uint8]]
+) -> None:
+    generator = np.random.default_rng(10)
+    mirrored = set()
+    for _ in range(25):
+        scene = make_scene(sprites, backgrounds, generator)
+        for cover, points in zip(scene.covers, scene.points, strict=True):
+            box = tight_box(cover > 0.5)
+            whole = cover.sum() > 0.9 * box.width * box.height and 3.6 < box.height / box.width < 4
+            if not whole:
+                continue
+            height = box.height / 112
+            middle = (box.x + box.right) / 2
+            assert points[LEFT, 1] == pytest.approx(box.y + 16.5 * height, abs=2.5)
+            assert abs(points[LEFT, 0] - middle) == pytest.approx(10 * height, abs=2.5)
+            assert points[LEFT, 0] + points[RIGHT, 0] == pytest.approx(2 * middle, abs=3)
+            mirrored.add(bool(points[LEFT, 0] < points[RIGHT, 0]))
+    # A mirrored body's left is exchanged with its right: the left one stays on the same side.
+    assert mirrored == {False}
 
 
 def test_spoilt_answers_still_know_something_of_the_person() -> None:
