@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,30 +18,43 @@ class Candidates:
 
     Parameters
     ----------
-    query : (D,) float32 array
     numbers : (K,) int64 array
         Entries.
     mirrored : (K,) bool array
         Whether the mirror image of the entry is meant, here and in all that follows.
     distances : (K,) float64 array
         Euclidean distances of the descriptors, ascending.
-    vectors : (K, D) float32 array
+    offsets : (K, D) float32 array
+        From the query's descriptor to each one's.
+    lean_deg : (K,) float64 array
+        How far each is turned clockwise in the picture, which its points are already.
     points_3d : (K, 24, 3) float64 array
         Camera axes, metres, pelvis at the origin.
     points_normalised : (K, 24, 2) float64 array
         Pixels of the normalised frame.
     """
 
-    query: NDArray[np.float32]
     numbers: NDArray[np.int64]
     mirrored: NDArray[np.bool_]
     distances: NDArray[np.float64]
-    vectors: NDArray[np.float32]
+    offsets: NDArray[np.float32]
+    lean_deg: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    def take(self, rows: NDArray[np.integer] | slice) -> Candidates:
+        """Return some of them, in the order asked for."""
+        return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @classmethod
+    def merged(cls, some: Sequence[Candidates]) -> Candidates:
+        """Put the candidates of several queries together, in ascending distance."""
+        names = [field.name for field in fields(cls)]
+        every = cls(*(np.concatenate([getattr(one, name) for one in some]) for name in names))
+        return every.take(np.argsort(every.distances, kind="stable"))
 
 
 def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> Candidates:
@@ -68,11 +82,11 @@ def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> 
     points_3d[mirrored] = mirror_3d(points_3d[mirrored])
     points_normalised[mirrored] = mirror_normalised(points_normalised[mirrored])
     return Candidates(
-        query[0],
         numbers,
         mirrored,
         distances.ravel()[nearest].astype(np.float64),
-        vectors,
+        vectors - query,
+        np.zeros(len(numbers)),
         points_3d,
         points_normalised,
     )

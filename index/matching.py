@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.candidates import Candidates, find_candidates
 from index.confidence import RIGHT_BELOW_PX, Calibration
+from index.joint_maps import JointMaps
+from index.leans import find_leaning_candidates, turned
 from index.modes import Mode, candidate_weights, find_modes
 from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
@@ -21,6 +23,9 @@ CANDIDATES = 200
 SPARE_MODES = 5
 """Modes looked at beyond those asked for: a thin one may fit best, or agree best with what else
 is known of the person."""
+
+LEANS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
+"""How far people are looked for who lean, where more is known than the silhouette."""
 
 AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
 AGREEMENT_FALL_OFFS = (0.15, 0.5)
@@ -49,6 +54,11 @@ class Hypothesis:
         Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     points_normalised : (24, 2) float64 array
         The same in pixels of the normalised frame.
+    lean_deg : float
+        How far the entry is turned clockwise in the picture.
+    log_likelihood, side_odds : float
+        Of what else is known of the joints, given this pose, and how much likelier it is than
+        with left and right exchanged; see :class:`index.joint_maps.Look`. 0 where nothing is.
     """
 
     entry: int
@@ -58,6 +68,9 @@ class Hypothesis:
     confidence: float
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
+    lean_deg: float = 0.0
+    log_likelihood: float = 0.0
+    side_odds: float = 0.0
 
     def __post_init__(self) -> None:
         if self.points_3d.shape != (POINTS, 3) or self.points_normalised.shape != (POINTS, 2):
@@ -85,24 +98,35 @@ def match(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypot
     return match_with_spares(index, silhouette, n)[:n]
 
 
-def match_with_spares(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypothesis]:
-    """As :func:`match`, and up to ``SPARE_MODES`` more for a caller who has more to go by."""
-    return match_with_features(index, silhouette, n)[0]
+def match_with_spares(
+    index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None = None
+) -> list[Hypothesis]:
+    """As :func:`match`, and up to ``SPARE_MODES`` more for a caller who has more to go by.
+
+    Where maps of the joints are given, people who lean are looked for as well, candidates count as
+    the maps agree with them, and poses are interpolated to the maps as well as to the silhouette.
+    """
+    return match_with_features(index, silhouette, n, maps)[0]
 
 
 def match_with_features(
-    index: PoseIndex, silhouette: NDArray[np.uint8], n: int
+    index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None = None
 ) -> tuple[list[Hypothesis], NDArray[np.float64]]:
     """As :func:`match_with_spares`, with the features ``(N, F)`` behind the confidences."""
-    candidates, modes = _enough_modes(index, silhouette, n)
+    candidates, modes = _enough_modes(index, silhouette, n, maps)
     modes.sort(key=lambda mode: mode.distance)
     centres = [mode.centre for mode in modes]
     others = index.silhouettes(candidates.numbers[centres])
     mirrored = candidates.mirrored[centres]
     others[mirrored] = others[mirrored, :, ::-1]
-    errors = outline_distances(silhouette, others)
+    errors = _outline_errors(silhouette, others, candidates.lean_deg[centres])
     features = match_features(candidates, modes, errors)
     confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
+    points_normalised = np.stack([mode.points_normalised for mode in modes])
+    looks = [(0.0, 0.0)] * len(modes)
+    if maps is not None:
+        look = maps.look(points_normalised)
+        looks = list(zip(look.log_likelihood.tolist(), look.side_odds.tolist(), strict=True))
     hypotheses = [
         Hypothesis(
             entry=int(candidates.numbers[mode.centre]),
@@ -112,20 +136,34 @@ def match_with_features(
             confidence=float(confidence),
             points_3d=mode.points_3d,
             points_normalised=mode.points_normalised,
+            log_likelihood=log_likelihood,
+            side_odds=side_odds,
+            lean_deg=float(candidates.lean_deg[mode.centre]),
         )
-        for mode, error, confidence in zip(modes, errors, confidences, strict=True)
+        for mode, error, confidence, (log_likelihood, side_odds) in zip(
+            modes, errors, confidences, looks, strict=True
+        )
     ]
     return hypotheses, features
 
 
 def _enough_modes(
-    index: PoseIndex, silhouette: NDArray[np.uint8], n: int
+    index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None
 ) -> tuple[Candidates, list[Mode]]:
     """Look at more candidates until they hold ``n`` modes or the index has no more."""
     wanted, k = n + SPARE_MODES, max(CANDIDATES, 20 * n)
     while True:
-        candidates = find_candidates(index, silhouette, k)
-        modes = find_modes(candidates, wanted)
+        if maps is None:
+            candidates = find_candidates(index, silhouette, k)
+            modes = find_modes(candidates, wanted)
+        else:
+            candidates = find_leaning_candidates(index, silhouette, k, LEANS_DEG)
+            look = maps.look(candidates.points_normalised)
+            weights = candidate_weights(candidates.distances) * look.weights()
+            # In ascending distance, as they came.
+            best = np.sort(np.argsort(-weights, kind="stable")[:k])
+            candidates = candidates.take(best)
+            modes = find_modes(candidates, wanted, look=look.take(best))
         if len(modes) >= n or len(candidates) < k or k >= 16 * CANDIDATES:
             return candidates, modes
         k *= 2
@@ -167,6 +205,18 @@ def _agreements(candidates: Candidates, modes: list[Mode]) -> NDArray[np.float64
     errors = np.sqrt(squares) @ np.full(JOINTS, 1 / JOINTS, np.float32)
     weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
     return np.stack([(errors < px) @ w / w.sum() for w in weights for px in AGREEMENT_PX])
+
+
+def _outline_errors(
+    silhouette: NDArray[np.uint8], others: NDArray[np.uint8], lean_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances ``(B,)`` of the query's outline, set upright, from entries that lean."""
+    errors = np.empty(len(others))
+    for lean in np.unique(lean_deg):
+        some = lean_deg == lean
+        upright = silhouette if lean == 0 else turned(silhouette, -lean)[0]
+        errors[some] = outline_distances(upright, others[some])
+    return errors
 
 
 def outline_distances(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
+from index.joint_maps import Look
 from index.skeleton import JOINTS, NATIVE
 
 DISTINCT_M = 0.11
@@ -41,6 +42,9 @@ NEAREST_SHARE = 0.02
 
 An entry that is the query itself would else outweigh all others.
 """
+
+PULL = 0.5
+"""Distance of descriptors that a pixel between a point and where it should be is worth."""
 
 RIDGE = 0.45
 """Regularisation of the regression, as a share of the mean variance of a mode's descriptors."""
@@ -71,7 +75,11 @@ class Mode:
 
 
 def find_modes(
-    candidates: Candidates, count: int, *, bandwidth_m: float = BANDWIDTH_M
+    candidates: Candidates,
+    count: int,
+    *,
+    look: Look | None = None,
+    bandwidth_m: float = BANDWIDTH_M,
 ) -> list[Mode]:
     """Up to ``count`` modes, the densest first, no two of their centres alike.
 
@@ -79,6 +87,8 @@ def find_modes(
     ----------
     candidates : Candidates
     count : int
+    look : Look, optional
+        What else is known of each candidate: it weighs them, and modes are pulled to it.
     bandwidth_m : float
         Smaller where an index covers few motions densely, as in the paper's experiments.
 
@@ -87,13 +97,17 @@ def find_modes(
     list of Mode
         Fewer than ``count`` where the candidates hold fewer distinct poses.
     """
-    weights = candidate_weights(candidates.distances)
+    weights, offsets = candidate_weights(candidates.distances), candidates.offsets
+    if look is not None:
+        weights = weights * look.weights()
+        pulls = PULL * look.pulls.reshape(len(candidates), -1)
+        offsets = np.concatenate([offsets, -pulls], axis=1)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     # Interpolation makes some modes alike: a few more are looked at than wanted.
     looked_at = count + count // 3
     while True:
         centres, gathered = _densest(weights, apart, looked_at, bandwidth_m)
-        modes = _interpolate(candidates, centres, gathered)
+        modes = _interpolate(candidates, offsets, centres, gathered)
         distinct = _distinct(np.stack([mode.points_3d[:JOINTS] for mode in modes]))[:count]
         if len(distinct) == count or len(centres) < looked_at:
             break
@@ -147,10 +161,13 @@ def _joint_distances(joints: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _interpolate(
-    candidates: Candidates, centres: NDArray[np.int64], weights: NDArray[np.float64]
+    candidates: Candidates,
+    offsets: NDArray[np.floating],
+    centres: NDArray[np.int64],
+    weights: NDArray[np.float64],
 ) -> list[Mode]:
-    """Interpolate to the query what gathers ``(M, K)`` about each centre ``(M,)``."""
-    offsets = candidates.vectors.astype(np.float64) - candidates.query
+    """Interpolate to where offsets ``(K, E)`` vanish what gathers ``(M, K)`` about each centre."""
+    offsets = offsets.astype(np.float64)
     shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, 0.0)
     shares /= shares.sum(axis=1, keepdims=True)
     means = shares @ offsets
@@ -169,7 +186,7 @@ def _interpolate(
         for centre, votes, distance, points_3d, points_normalised in zip(
             centres,
             weights.sum(axis=1),
-            np.linalg.norm(combinations @ offsets, axis=1),
+            np.linalg.norm(combinations @ candidates.offsets, axis=1),
             _combine(combinations, candidates.points_3d),
             _combine(combinations, candidates.points_normalised),
             strict=True,

@@ -8,7 +8,7 @@ poses, each interpolated to the query.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,17 +94,10 @@ def all_candidates(
     return [find_candidates(index, silhouette, count) for silhouette in silhouettes]
 
 
-def first(candidates: Candidates, count: int) -> Candidates:
-    """The nearest of some candidates."""
-    values = {f.name: getattr(candidates, f.name) for f in fields(candidates)}
-    query = values.pop("query")
-    return Candidates(query, **{name: value[:count] for name, value in values.items()})
-
-
 def ranked_modes(candidates: Candidates, matching: Matching, count: int) -> list[Mode]:
     """Distinct poses, best first, as :func:`index.matching.match` ranks them."""
     modes = find_modes(
-        first(candidates, matching.candidates),
+        candidates.take(slice(matching.candidates)),
         count + SPARE_MODES,
         bandwidth_m=matching.bandwidth_m,
     )

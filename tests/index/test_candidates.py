@@ -65,10 +65,10 @@ class TestCandidates:
 
     def test_equal_brute_force(self, toy_index: PoseIndex, number: int) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number), 30)
-        apart = np.linalg.norm(found.query.astype(np.float64) - found.vectors, axis=-1)
-        assert_allclose(found.distances, apart, atol=ATOL)
+        assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
         both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
-        all_apart = np.linalg.norm(found.query.astype(np.float64) - both, axis=-1)
+        query = toy_index.descriptor.describe(toy_index.silhouette(number)[None])
+        all_apart = np.linalg.norm(query.astype(np.float64) - both, axis=-1)
         assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)
 
 

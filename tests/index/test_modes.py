@@ -25,11 +25,11 @@ def candidates_of(
     distances = np.linalg.norm(vectors - query, axis=1)
     order = np.argsort(distances, kind="stable")
     return Candidates(
-        query.astype(np.float32),
         order,
         np.zeros(len(order), bool),
         distances[order],
-        vectors[order].astype(np.float32),
+        (vectors[order] - query).astype(np.float32),
+        np.zeros(len(order)),
         poses[order],
         100 * poses[order, :, :2],
     )

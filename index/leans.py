@@ -1,0 +1,86 @@
+"""People who lean, or whom an askew camera sees: candidates of the silhouette turned upright."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptor.silhouette import HEIGHT, WIDTH, normalise
+from index.candidates import Candidates, find_candidates
+from index.store import PoseIndex
+
+_FINER = 2
+# A canvas on which a silhouette can be turned any way.
+_SIDE = _FINER * (HEIGHT + WIDTH)
+
+
+def find_leaning_candidates(
+    index: PoseIndex, silhouette: NDArray[np.uint8], k: int, leans_deg: Sequence[float]
+) -> Candidates:
+    """Find the ``k`` nearest to a silhouette turned by each of some angles, all together.
+
+    An index holds hardly a camera that hangs askew; turning the query instead finds the same.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    silhouette : (128, 48) uint8 array
+    k : int
+        For each angle.
+    leans_deg : sequence of float
+        How far the person leans, clockwise in the picture; 0 must be named if wanted.
+
+    Returns
+    -------
+    Candidates
+        In ascending distance; points lie on the silhouette as it came, and skeletons lean.
+    """
+    found = []
+    for lean in leans_deg:
+        if lean == 0:
+            found.append(find_candidates(index, silhouette, k))
+        else:
+            upright, back = turned(silhouette, -lean)
+            found.append(_turned_back(find_candidates(index, upright, k), back, lean))
+    return Candidates.merged(found)
+
+
+def turned(
+    silhouette: NDArray[np.uint8], angle_deg: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Turn a silhouette clockwise and normalise it again.
+
+    Returns
+    -------
+    turned : (128, 48) uint8 array
+    back : (2, 3) float64 array
+        From its pixels to those of the silhouette as it came.
+    """
+    # Pixel p of the silhouette lies at _FINER * p + corner on the canvas.
+    corner = (_SIDE - 1 - _FINER * np.array([WIDTH - 1, HEIGHT - 1])) / 2
+    # OpenCV turns counterclockwise.
+    turn = cv2.getRotationMatrix2D(((_SIDE - 1) / 2, (_SIDE - 1) / 2), -angle_deg, 1.0)
+    drawn = np.column_stack([_FINER * turn[:, :2], turn[:, :2] @ corner + turn[:, 2]])
+    canvas = cv2.warpAffine(silhouette.astype(np.float32), drawn, (_SIDE, _SIDE))
+    # A thin silhouette must not vanish: what covers most stays.
+    upright, placement = normalise(canvas >= min(0.5, float(canvas.max())))
+    offset = np.array([placement.offset_x, placement.offset_y])
+    inverse = cv2.invertAffineTransform(drawn)
+    linear = inverse[:, :2] / placement.scale
+    return upright, np.column_stack([linear, inverse[:, 2] - linear @ offset])
+
+
+def _turned_back(candidates: Candidates, back: NDArray[np.float64], lean_deg: float) -> Candidates:
+    angle = np.deg2rad(lean_deg)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    clockwise = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    return replace(
+        candidates,
+        lean_deg=np.full(len(candidates), float(lean_deg)),
+        points_3d=candidates.points_3d @ clockwise.T,
+        points_normalised=candidates.points_normalised @ back[:, :2].T + back[:, 2],
+    )

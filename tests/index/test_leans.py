@@ -1,0 +1,81 @@
+"""People who lean: silhouettes turned upright and back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from descriptor.silhouette import HEIGHT, WIDTH
+from index.candidates import find_candidates
+from index.leans import find_leaning_candidates, turned
+from index.skeleton import JOINTS
+from index.store import PoseIndex
+
+ANGLES = (-30.0, -15.0, 10.0, 25.0)
+
+
+def pixels(silhouette: np.ndarray) -> np.ndarray:
+    return np.argwhere(silhouette)[:, ::-1].astype(float)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+class TestTurned:
+    def test_the_way_back_leads_to_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
+        silhouette = toy_index.silhouette(40)
+        upright, back = turned(silhouette, angle)
+        assert upright.shape == (HEIGHT, WIDTH)
+        places = np.rint(pixels(upright) @ back[:, :2].T + back[:, 2]).astype(int)
+        inside = np.clip(places, 0, (WIDTH - 1, HEIGHT - 1))
+        assert silhouette[inside[:, 1], inside[:, 0]].mean() > 0.95
+        assert_allclose(places.mean(axis=0), pixels(silhouette).mean(axis=0), atol=1.0)
+
+    def test_turns_clockwise(self, toy_index: PoseIndex, angle: float) -> None:
+        _, back = turned(toy_index.silhouette(40), angle)
+        # Back is counterclockwise: what points right on the turned picture pointed up before.
+        assert np.rad2deg(np.arctan2(-back[1, 0], back[0, 0])) == pytest.approx(angle, abs=1e-6)
+
+    def test_turning_back_gives_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
+        silhouette = toy_index.silhouette(40)
+        again = turned(turned(silhouette, angle)[0], -angle)[0]
+        both, either = (again & silhouette).sum(), (again | silhouette).sum()
+        # Turned by 30 degrees it is drawn at two thirds of the size.
+        assert both / either > 0.8
+
+
+def test_a_leaning_person_is_found(toy_index: PoseIndex) -> None:
+    number, lean = 40, 15.0
+    leaning, back = turned(toy_index.silhouette(number), lean)
+    found = find_leaning_candidates(toy_index, leaning, 20, (-15.0, 0.0, 15.0))
+    assert (found.numbers[0], found.lean_deg[0]) == (number, lean)
+    entry = toy_index.entry(number)
+    expected = (entry.points_normalised[:JOINTS] - back[:, 2]) @ np.linalg.inv(back[:, :2]).T
+    assert_allclose(found.points_normalised[0, :JOINTS], expected, atol=2.0)
+    # The head is up; leaning clockwise brings it to the right.
+    upright = entry.points_3d[4]
+    angle = np.rad2deg(np.arctan2(upright[0], -upright[1]))
+    x, y, z = found.points_3d[0, 4]
+    assert np.rad2deg(np.arctan2(x, -y)) == pytest.approx(angle + lean)
+    assert z == pytest.approx(upright[2])
+
+
+def test_without_a_lean_the_candidates_are_the_same(toy_index: PoseIndex) -> None:
+    silhouette = toy_index.silhouette(100)
+    ours = find_leaning_candidates(toy_index, silhouette, 30, (0.0,))
+    theirs = find_candidates(toy_index, silhouette, 30)
+    assert_array_equal(ours.numbers, theirs.numbers)
+    assert_array_equal(ours.points_3d, theirs.points_3d)
+    assert (ours.lean_deg == 0).all()
+
+
+def test_all_leans_come_together_in_ascending_distance(toy_index: PoseIndex) -> None:
+    found = find_leaning_candidates(toy_index, toy_index.silhouette(7), 10, (-20.0, 0.0, 20.0))
+    assert len(found) == 30
+    assert (np.diff(found.distances) >= 0).all()
+    assert set(found.lean_deg) == {-20.0, 0.0, 20.0}
+
+
+def test_a_single_pixel_can_be_turned() -> None:
+    dot = np.zeros((HEIGHT, WIDTH), np.uint8)
+    dot[60, 20] = 1
+    assert turned(dot, 33.0)[0].any()
