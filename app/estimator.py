@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -19,10 +19,12 @@ from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
 from app.vision.detect import Detector, make_detector
 from app.vision.facing_evidence import AzimuthBelief, FacingReader, load_facing_reader
+from app.vision.joints import JointReader, load_joint_reader
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
-from descriptor.silhouette import normalise
+from descriptor.silhouette import Placement, normalise
+from index.joint_maps import JointMaps
 from index.matching import Hypothesis, match, match_with_spares
 from index.store import Label, PoseIndex
 
@@ -191,6 +193,9 @@ class Estimator:
         is refused.
     facing_reader : FacingReader, optional
         Tells from the photograph which way a person faces; without it, nothing does.
+    joint_reader : JointReader, optional
+        Tells from the photograph where the joints of a person are whom the service cut out itself.
+        A caller's mask is taken at its word, and answered sooner.
     concurrency : int
         Frames that are worked on at once.
     """
@@ -205,6 +210,7 @@ class Estimator:
         max_pixels: int,
         max_persons: int,
         facing_reader: FacingReader | None = None,
+        joint_reader: JointReader | None = None,
         concurrency: int = 1,
     ) -> None:
         self.index = index
@@ -214,6 +220,7 @@ class Estimator:
         self._max_pixels = max_pixels
         self._max_persons = max_persons
         self._facing_reader = facing_reader
+        self._joint_reader = joint_reader
         self._concurrency = concurrency
         # What one request can do at the same time: the photograph is decoded and looked at while
         # its mask is decoded and matched. Images and search let go of the interpreter.
@@ -239,6 +246,7 @@ class Estimator:
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
             facing_reader=load_facing_reader(network),
+            joint_reader=load_joint_reader(),
             concurrency=settings.concurrency,
         )
 
@@ -385,23 +393,37 @@ class Estimator:
             normalised, placement = normalise(silhouette.crop)
             origin = np.array([silhouette.left, silhouette.top])
             look = self._aside.submit(self._read_facing, frame, silhouette)
+            maps = self._read_joints(frame, found, placement)
         with watch.stage("search"):
-            candidates = match_with_spares(self.index, normalised, n)
+            candidates = match_with_spares(self.index, normalised, n, maps)
         with watch.stage("describe"):
             belief = look.result()
         with watch.stage("search"):
-            weighed = (
-                weigh(candidates, n) if belief is None else weigh_by_image(candidates, belief, n)
-            )
+            if belief is None and maps is None:
+                weighed = weigh(candidates, n)
+            else:
+                weighed = weigh_by_image(candidates, belief, n)
             hypotheses = [
                 PlacedHypothesis(
                     hypothesis,
-                    self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored),
+                    self._label(hypothesis),
                     placement.to_image(hypothesis.points_normalised) + origin,
                 )
                 for hypothesis in weighed.hypotheses
             ]
         return Person(found, weighed.facing, tuple(hypotheses))
+
+    def _label(self, hypothesis: Hypothesis) -> Label:
+        label = self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
+        return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
+
+    def _read_joints(
+        self, frame: NDArray[np.uint8], found: Found, placement: Placement
+    ) -> JointMaps | None:
+        reader, silhouette = self._joint_reader, found.silhouette
+        if reader is None or silhouette is None or found.source == "mask":
+            return None
+        return reader.read(frame, silhouette, placement)
 
     def _read_facing(
         self, frame: NDArray[np.uint8], silhouette: Silhouette

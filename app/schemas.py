@@ -129,8 +129,9 @@ class Facing(Model):
         examples=[0.91],
     )
     evidence: Literal["image", "motion", "none"] = Field(
-        description="What it rests on: the pixels of the photograph, the direction of walking, "
-        "or nothing but the hypotheses (the share of their confidence that faces the camera).",
+        description="What it rests on: the pixels of the photograph (the head, and the joints of "
+        "people whom the service cut out itself), the direction of walking, or nothing but the "
+        "hypotheses. In each case it is the share of their confidence that faces the camera.",
         examples=["none"],
     )
 

@@ -29,6 +29,7 @@ from app.estimator import Estimator, Person
 from app.settings import Settings
 from app.vision.people import Box, Silhouette
 from descriptor.silhouette import normalise
+from index.leans import turned
 from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
 from scripts.experiments.real_data import read_pennfudan, read_pose2sim, read_vtest
@@ -106,16 +107,17 @@ def _cut(
 
 
 def _nearest(estimator: Estimator, person: Person, window: Box, scale: float) -> NDArray[np.uint8]:
-    """Silhouette of the first hypothesis's entry, placed on the person's."""
+    """Silhouette of the first hypothesis's entry, leaning as it does, placed on the person's."""
     first, found = person.hypotheses[0].hypothesis, person.found.silhouette
     assert found is not None
     entry = estimator.index.silhouette(first.entry)
     entry = np.ascontiguousarray(entry[:, ::-1]) if first.mirrored else entry
-    placement = normalise(found.crop)[1]
+    normalised, placement = normalise(found.crop)
+    back = turned(normalised, -first.lean_deg)[1] if first.lean_deg else np.eye(2, 3)
     shift = np.array([found.left - window.x, found.top - window.y])
     corner = placement.to_image(np.zeros(2)) + shift
     factor = scale / placement.scale
-    matrix = np.array([[factor, 0, corner[0] * scale], [0, factor, corner[1] * scale]])
+    matrix = factor * back + np.array([[0, 0, corner[0] * scale], [0, 0, corner[1] * scale]])
     size = round(window.width * scale), round(window.height * scale)
     covered = cv2.warpAffine(entry.astype(np.float32), matrix, size, flags=cv2.INTER_LINEAR)
     return np.where(covered[..., None] >= 0.5, 30, 245).astype(np.uint8).repeat(3, axis=2)

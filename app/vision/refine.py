@@ -7,7 +7,6 @@ the others' are. It was trained on simulated people before photographs
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.onnx import OnnxError, OnnxNetwork
 from app.vision.people import Box
 from app.vision.resampling import Window, cut, resize
 
@@ -92,15 +92,8 @@ def refiner_input(
     return planes
 
 
-class RefinerError(RuntimeError):
-    """The refiner's file is missing or is not the expected network."""
-
-
 class Refiner:
-    """The network that redraws silhouettes, run by OpenCV.
-
-    Safe under several threads, each of which reads a copy of its own, as
-    :class:`app.vision.network.PersonNetwork` does.
+    """The network that redraws silhouettes; safe under several threads.
 
     Parameters
     ----------
@@ -109,22 +102,12 @@ class Refiner:
 
     Raises
     ------
-    RefinerError
+    OnnxError
         If the file cannot be read or is another network.
     """
 
     def __init__(self, path: Path = WEIGHTS_PATH) -> None:
-        try:
-            self._model = np.frombuffer(path.read_bytes(), np.uint8)
-        except OSError as error:
-            raise RefinerError(f"cannot read the refiner: {error}") from error
-        self._local = threading.local()
-        try:
-            shape = self._forward(np.zeros((CHANNELS, ROWS, COLUMNS), np.uint8)).shape
-        except cv2.error as error:
-            raise RefinerError(f"{path} is not a network OpenCV can run") from error
-        if shape != (1, 1, ROWS, COLUMNS):
-            raise RefinerError(f"expected a network with output (1, 1, 192, 128), got {shape}")
+        self._network = OnnxNetwork(path, (CHANNELS, ROWS, COLUMNS), (1, ROWS, COLUMNS))
 
     def probability(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Probability that a pixel shows the person.
@@ -139,20 +122,13 @@ class Refiner:
         (192, 128) float32 array
             0 to 1.
         """
-        # The output lies in the network's memory, which the next pass overwrites.
-        return np.array(self._forward(planes)[0, 0], np.float32)
-
-    def _forward(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
-        net: cv2.dnn.Net | None = getattr(self._local, "net", None)
-        if net is None:
-            net = self._local.net = cv2.dnn.readNetFromONNX(self._model)
-        net.setInput(planes[None].astype(np.float32) / np.float32(255))
-        return np.asarray(net.forward(), np.float32)
+        probability: NDArray[np.float32] = self._network.run(planes)[0]
+        return probability
 
 
 def load_refiner(path: Path = WEIGHTS_PATH) -> Refiner | None:
     """Load the refiner if its file is there and sound; silhouettes are drawn without it, worse."""
     try:
         return Refiner(path)
-    except RefinerError:
+    except OnnxError:
         return None

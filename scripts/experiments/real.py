@@ -27,12 +27,19 @@ from app.settings import DEFAULT_MODEL
 from app.vision.detect import CascadeDetector
 from app.vision.facing_evidence import FacingReader, load_facing_reader
 from app.vision.grabcut import GrabCutSegmenter
+from app.vision.joints import JointReader, load_joint_reader
 from app.vision.network import NetworkError, PersonNetwork
 from app.vision.people import silhouette_from_mask
 from app.vision.refine import load_refiner
 from app.vision.segment import NetworkSegmenter
 from index.store import DEFAULT_PATH, PoseIndex
 from scripts.experiments import real_facing
+from scripts.experiments.real_confidence import (
+    calibration_error,
+    fit_confidence,
+    reliability,
+    without_definitions,
+)
 from scripts.experiments.real_data import (
     Photograph,
     StreetPerson,
@@ -46,14 +53,11 @@ from scripts.experiments.real_peer import why_absent
 from scripts.experiments.real_poses import (
     LIMBS_RIGHT_BELOW_PX,
     Trial,
-    calibration_error,
     figures,
     peer_on_video,
-    reliability,
     segmented,
     street_trials,
     video_trials,
-    without_definitions,
 )
 from scripts.experiments.real_silhouettes import end_to_end, in_true_boxes, peer_in_true_boxes
 from scripts.experiments.real_vtest import FOUND_FROM, MARKS, measure_vtest, read_marks
@@ -82,6 +86,9 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument(
         "--fit-facing", action="store_true", help="write the facing weights instead"
     )
+    parser.add_argument(
+        "--fit-confidence", action="store_true", help="print what app/facing.py is to hold instead"
+    )
 
 
 @dataclass(frozen=True)
@@ -92,9 +99,10 @@ class Tools:
     detector: CascadeDetector
     segmenter: NetworkSegmenter
     index: PoseIndex
+    joint_reader: JointReader | None
 
-    def estimator(self, reader: FacingReader | None) -> Estimator:
-        """Wrap them as the service does."""
+    def estimator(self, reader: FacingReader | None, *, joints: bool = True) -> Estimator:
+        """Wrap them as the service does, with or without a look at the joints."""
         return Estimator(
             self.index,
             self.detector,
@@ -103,6 +111,7 @@ class Tools:
             max_pixels=50_000_000,
             max_persons=50,
             facing_reader=reader,
+            joint_reader=self.joint_reader if joints else None,
         )
 
 
@@ -118,6 +127,7 @@ def run(options: argparse.Namespace) -> None:
         CascadeDetector(network),
         NetworkSegmenter(network, load_refiner()),
         PoseIndex.load(options.index),
+        load_joint_reader(),
     )
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
@@ -129,6 +139,11 @@ def run(options: argparse.Namespace) -> None:
     if options.fit_facing:
         everyone = samples.group >= 0
         real_facing.write_model(real_facing.fit(samples, everyone))
+        return
+    if options.fit_confidence:
+        estimators = [tools.estimator(reader) for reader in _readers(people, tools, samples)]
+        trials = street_trials(people, estimators, segmented(estimators[0]))
+        print(fit_confidence([trial for trial in trials if not trial.odd]))
         return
     absent = why_absent(options.mediapipe)
     python = None if absent else options.mediapipe
@@ -145,6 +160,7 @@ def run(options: argparse.Namespace) -> None:
     own = street["own silhouettes"]
     grouped = {
         "street people": own,
+        "street people, odd": [trial for trial in own if trial.odd],
         "street people, definitions aside": without_definitions(own),
         "pose2sim": videos,
     }
@@ -182,26 +198,37 @@ def street_people(
     people: Sequence[StreetPerson], tools: Tools, samples: real_facing.HeadSamples
 ) -> dict[str, list[Trial]]:
     """Trials of the street people, with facing weights that never saw their photograph."""
-    names = sorted({person.photograph.name for person in people})
-    by_photograph = {
-        names[group]: tools.estimator(FacingReader(tools.network, model))
-        for group, model in zip(
-            samples.group.tolist(), real_facing.cross_validated(samples), strict=True
-        )
-    }
-    estimators = [by_photograph[person.photograph.name] for person in people]
+    readers = _readers(people, tools, samples)
+    whole, heads = (
+        [tools.estimator(reader, joints=joints) for reader in readers] for joints in (True, False)
+    )
 
     def true_mask(person: StreetPerson) -> Any:
         mask = person.photograph.labels == person.label
         return silhouette_from_mask(mask, segmenter="mask", truncated=False)
 
-    blind = [tools.estimator(None)] * len(people)
-    own = segmented(estimators[0])
+    blind = [tools.estimator(None, joints=False)] * len(people)
+    own = segmented(whole[0])
     return {
-        "own silhouettes": street_trials(people, estimators, own),
-        "true silhouettes": street_trials(people, estimators, true_mask),
+        "own silhouettes": street_trials(people, whole, own),
+        "own silhouettes, joints not read": street_trials(people, heads, own),
         "own silhouettes, photograph not asked": street_trials(people, blind, own),
+        "true silhouettes, as a caller's mask": street_trials(people, heads, true_mask),
     }
+
+
+def _readers(
+    people: Sequence[StreetPerson], tools: Tools, samples: real_facing.HeadSamples
+) -> list[FacingReader]:
+    """A reader for each person that never saw their photograph."""
+    names = sorted({person.photograph.name for person in people})
+    by_photograph = {
+        names[group]: FacingReader(tools.network, model)
+        for group, model in zip(
+            samples.group.tolist(), real_facing.cross_validated(samples), strict=True
+        )
+    }
+    return [by_photograph[person.photograph.name] for person in people]
 
 
 def street_figures(street: dict[str, list[Trial]]) -> dict[str, dict[str, Figures]]:

@@ -78,13 +78,18 @@ class Refiner(nn.Module):  # type: ignore[misc]
         return torch.sigmoid(self.odds(x))
 
 
-def export(model: Refiner, path: Path) -> None:
-    """Write a trained model as ONNX, its normalisations folded into the convolutions."""
+def fold(model: nn.Module) -> None:
+    """Make a trained model ready for use: normalisations go into the convolutions."""
     model.eval()
     for module in model.modules():
         if isinstance(module, Layer):
             module.convolution = fuse_conv_bn_eval(module.convolution, module.norm)
             module.norm = nn.Identity()
+
+
+def export(model: Refiner, path: Path) -> None:
+    """Write a trained model as ONNX, its normalisations folded into the convolutions."""
+    fold(model)
     example = torch.zeros((1, CHANNELS, ROWS, COLUMNS))
     torch.onnx.export(
         model, (example,), str(path), input_names=["seen"], output_names=["probability"],

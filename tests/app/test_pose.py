@@ -113,14 +113,15 @@ def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) ->
     assert np.array_equal(picture, np.array([0, 3, 1, 2], np.uint8)[mask])
 
 
-def test_a_silhouette_sent_back_as_mask_gives_the_same(client: TestClient, photo: Photo) -> None:
+def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient, photo: Photo) -> None:
+    """Its pose may be another: the joints of a caller's mask are not read."""
     boxes = {"boxes": json.dumps([[145, 35, 60, 140]])}
     frame = {"frame": photo.frame_png}
     found = client.post("/pose", files=frame, data=boxes).json()["persons"][0]
     labels = client.post("/silhouette", files=frame, data=boxes).content
     again = client.post("/pose", files={**frame, "mask": labels}).json()["persons"][0]
     assert found["source"] == "boxes"
-    assert again["hypotheses"] == found["hypotheses"]
+    assert again["source"] == "mask"
     assert again["silhouette"]["area_px"] == found["silhouette"]["area_px"]
 
 

@@ -1,0 +1,57 @@
+"""A network of our own, stored as ONNX beside the code and run by OpenCV."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+class OnnxError(RuntimeError):
+    """A network's file is missing or is not the expected network."""
+
+
+class OnnxNetwork:
+    """Planes of bytes in, planes of numbers out.
+
+    Safe under several threads, each of which reads a copy of its own, as
+    :class:`app.vision.network.PersonNetwork` does.
+
+    Parameters
+    ----------
+    path : Path
+    entering, leaving : (int, int, int)
+        Shapes of input and output: planes, rows, columns.
+
+    Raises
+    ------
+    OnnxError
+        If the file cannot be read or is another network.
+    """
+
+    def __init__(
+        self, path: Path, entering: tuple[int, int, int], leaving: tuple[int, int, int]
+    ) -> None:
+        try:
+            self._model = np.frombuffer(path.read_bytes(), np.uint8)
+        except OSError as error:
+            raise OnnxError(f"cannot read a network: {error}") from error
+        self._local = threading.local()
+        try:
+            shape = self.run(np.zeros(entering, np.uint8)).shape
+        except cv2.error as error:
+            raise OnnxError(f"{path} is not a network OpenCV can run") from error
+        if shape != leaving:
+            raise OnnxError(f"expected {path} to answer with shape {leaving}, got {shape}")
+
+    def run(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Show it planes ``(C, H, W)``, of which 255 is 1."""
+        net: cv2.dnn.Net | None = getattr(self._local, "net", None)
+        if net is None:
+            net = self._local.net = cv2.dnn.readNetFromONNX(self._model)
+        net.setInput(planes[None].astype(np.float32) / np.float32(255))
+        # The output lies in the network's memory, which the next pass overwrites.
+        return np.array(net.forward()[0], np.float32)

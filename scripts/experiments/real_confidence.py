@@ -1,0 +1,68 @@
+"""Whether confidences of the poses of real people mean what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from sklearn.linear_model import LogisticRegression
+
+from app.facing import BIAS, SLOPE
+from scripts.experiments.real_poses import LIMBS_RIGHT_BELOW_PX, Trial
+
+
+def fit_confidence(trials: Sequence[Trial]) -> str:
+    """Fit what :mod:`app.facing` makes of the agreement, to trials whose joints were read."""
+    confidence = np.clip(np.concatenate([t.confidence for t in trials]), 1e-9, 1 - 1e-9)
+    agreement = (np.log(confidence / (1 - confidence)) - BIAS) / SLOPE
+    model = LogisticRegression(C=1e3).fit(
+        agreement[:, None], np.concatenate([t.right for t in trials])
+    )
+    return f"SLOPE, BIAS = {model.coef_[0, 0]:.3f}, {model.intercept_[0]:.3f}"
+
+
+def reliability(trials: Sequence[Trial], bins: int = 5) -> list[dict[str, float]]:
+    """Confidences stated and met, of all hypotheses, in bins of equal width."""
+    confidence = np.concatenate([t.confidence for t in trials])
+    right = np.concatenate([t.right for t in trials])
+    bin_of = np.minimum((confidence * bins).astype(int), bins - 1)
+    return [
+        {
+            "from": b / bins,
+            "to": (b + 1) / bins,
+            "hypotheses": int((bin_of == b).sum()),
+            "stated": float(confidence[bin_of == b].mean()),
+            "right": float(right[bin_of == b].mean()),
+        }
+        for b in range(bins)
+        if (bin_of == b).any()
+    ]
+
+
+def without_definitions(trials: Sequence[Trial]) -> list[Trial]:
+    """The same trials less what their joints are defined differently from the reference's.
+
+    That is the mean offset of each joint over the people whose first hypothesis is roughly right;
+    those in odd photographs lend theirs to the others, and the reverse.
+    """
+    offset = {
+        odd: np.mean(
+            [
+                t.apart_px[0]
+                for t in trials
+                if t.odd != odd and t.error_px[0] < 2 * LIMBS_RIGHT_BELOW_PX
+            ],
+            axis=0,
+        )
+        for odd in (False, True)
+    }
+    return [replace(t, apart_px=t.apart_px - offset[t.odd]) for t in trials]
+
+
+def calibration_error(trials: Sequence[Trial]) -> float:
+    """Expected calibration error of all hypotheses over ten bins, 0 to 1."""
+    table = reliability(trials, bins=10)
+    total = sum(row["hypotheses"] for row in table)
+    gaps = (row["hypotheses"] * abs(row["stated"] - row["right"]) for row in table)
+    return float(sum(gaps) / total)

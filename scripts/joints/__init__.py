@@ -1,0 +1,1 @@
+"""How the network that reads joints is made, and what it is worth."""

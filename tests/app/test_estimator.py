@@ -1,0 +1,66 @@
+"""What an estimator asks of the photograph, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from app.estimator import Estimator, Person, Upload
+from app.vision.joints import WEIGHTS_PATH, load_joint_reader
+from app.vision.people import Box
+from tests.conftest import Photo
+
+BOXES = (Box(145, 35, 60, 140),)
+
+
+@pytest.fixture(scope="module")
+def pair(estimator: Estimator) -> tuple[Estimator, Estimator]:
+    """One that reads joints, and one that does not."""
+    reader = load_joint_reader()
+    if reader is None:
+        pytest.skip(f"{WEIGHTS_PATH} is not there; scripts/joints/train.py makes it")
+    return tuple(
+        Estimator(
+            estimator.index, estimator.detector, estimator.segmenter,
+            min_person_px=50, max_pixels=10**6, max_persons=5, joint_reader=one,
+        )
+        for one in (reader, None)
+    )  # type: ignore[return-value] # fmt: skip
+
+
+def persons(estimator: Estimator, upload: Upload) -> Sequence[Person]:
+    return estimator.estimate(upload, 5, lambda: None).persons
+
+
+def test_joints_are_read_of_people_whom_the_service_cuts_out(
+    pair: tuple[Estimator, Estimator], photo: Photo
+) -> None:
+    reading, plain = (persons(one, Upload(photo.frame_png, boxes=BOXES))[0] for one in pair)
+    assert reading.facing is not None and plain.facing is not None
+    assert reading.facing.evidence == "image"
+    assert plain.facing.evidence == "none"
+    assert any(one.hypothesis.log_likelihood < 0 for one in reading.hypotheses)
+    assert all(one.hypothesis.log_likelihood == 0 for one in plain.hypotheses)
+    confidences = [one.hypothesis.confidence for one in reading.hypotheses]
+    assert confidences == sorted(confidences, reverse=True)
+
+
+def test_a_callers_mask_is_taken_at_its_word(
+    pair: tuple[Estimator, Estimator], photo: Photo
+) -> None:
+    upload = Upload(photo.frame_png, mask=photo.mask_png)
+    reading, plain = (persons(one, upload)[0] for one in pair)
+    assert [one.hypothesis.entry for one in reading.hypotheses] == [
+        one.hypothesis.entry for one in plain.hypotheses
+    ]
+    assert all(one.hypothesis.lean_deg == 0 for one in reading.hypotheses)
+
+
+def test_the_camera_of_somebody_who_leans_is_turned(
+    pair: tuple[Estimator, Estimator], photo: Photo
+) -> None:
+    for placed in persons(pair[0], Upload(photo.frame_png, boxes=BOXES))[0].hypotheses:
+        one = placed.hypothesis
+        label = pair[0].index.label(one.entry, mirrored=one.mirrored)
+        assert placed.label.roll_deg == pytest.approx(label.roll_deg + one.lean_deg)
