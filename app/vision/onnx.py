@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+from collections import deque
 from pathlib import Path
 
 import cv2
@@ -17,14 +17,16 @@ class OnnxError(RuntimeError):
 class OnnxNetwork:
     """Planes of bytes in, planes of numbers out.
 
-    Safe under several threads, each of which reads a copy of its own, as
-    :class:`app.vision.network.PersonNetwork` does.
+    Safe under several threads. OpenCV's networks keep their layers' outputs inside, so each serves
+    one call at a time; another is set up only where a call comes while all are busy.
 
     Parameters
     ----------
     path : Path
     entering, leaving : (int, int, int)
         Shapes of input and output: planes, rows, columns.
+    winograd : bool
+        Whether convolutions take a third less time, and their weights five times the memory.
 
     Raises
     ------
@@ -33,13 +35,19 @@ class OnnxNetwork:
     """
 
     def __init__(
-        self, path: Path, entering: tuple[int, int, int], leaving: tuple[int, int, int]
+        self,
+        path: Path,
+        entering: tuple[int, int, int],
+        leaving: tuple[int, int, int],
+        *,
+        winograd: bool = True,
     ) -> None:
         try:
             self._model = np.frombuffer(path.read_bytes(), np.uint8)
         except OSError as error:
             raise OnnxError(f"cannot read a network: {error}") from error
-        self._local = threading.local()
+        self._winograd = winograd
+        self._idle: deque[cv2.dnn.Net] = deque()
         try:
             shape = self.run(np.zeros(entering, np.uint8)).shape
         except cv2.error as error:
@@ -49,9 +57,13 @@ class OnnxNetwork:
 
     def run(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Show it planes ``(C, H, W)``, of which 255 is 1."""
-        net: cv2.dnn.Net | None = getattr(self._local, "net", None)
-        if net is None:
-            net = self._local.net = cv2.dnn.readNetFromONNX(self._model)
+        try:
+            net = self._idle.pop()
+        except IndexError:
+            net = cv2.dnn.readNetFromONNX(self._model)
+            net.enableWinograd(self._winograd)
         net.setInput(planes[None].astype(np.float32) / np.float32(255))
         # The output lies in the network's memory, which the next pass overwrites.
-        return np.array(net.forward()[0], np.float32)
+        answer = np.array(net.forward()[0], np.float32)
+        self._idle.append(net)
+        return answer
