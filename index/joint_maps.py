@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -15,7 +15,6 @@ SPREAD_CELLS = 1.5
 
 DOUBT = 0.05
 """Share of the probability that a map misleads: one bad map must not rule a pose out."""
-
 
 TEMPER = 0.5
 """Points go wrong together (left for right), so together they count less than one by one."""
@@ -73,6 +72,7 @@ class JointMaps:
     maps: NDArray[np.float32]
     scale: float
     offset: NDArray[np.float64]
+    _moments: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.maps.ndim != 3 or len(self.maps) != len(self.rows):
@@ -125,14 +125,13 @@ class JointMaps:
 
     def _sampled(self, cells: NDArray[np.float64]) -> NDArray[np.float64]:
         """Smoothed mass and moments at cells ``(K, P, 2)``, bilinearly: ``(3, K, P)``."""
-        moments: NDArray[np.float32] = self._moments  # type: ignore[attr-defined]
-        _, count, height, width = moments.shape
+        _, count, height, width = self._moments.shape
         x = np.clip(cells[..., 0], 0, width - 1.001)
         y = np.clip(cells[..., 1], 0, height - 1.001)
         left, top = x.astype(int), y.astype(int)
         across, down = x - left, y - top
         corner = (np.arange(count) * height + top) * width + left
-        flat = moments.reshape(3, -1)
+        flat = self._moments.reshape(3, -1)
         upper = flat[:, corner] * (1 - across) + flat[:, corner + 1] * across
         lower = flat[:, corner + width] * (1 - across) + flat[:, corner + width + 1] * across
         return np.asarray(upper * (1 - down) + lower * down, np.float64)
