@@ -30,7 +30,7 @@ Chosen on the street people of even-numbered photographs."""
 LEAN_DEG = 30.0
 """Few people lean: so much of it makes a hypothesis 1/e as likely."""
 
-SLOPE, BIAS = 0.451, 4.169
+SLOPE, BIAS = 0.462, 4.209
 """From all that to the log odds that a hypothesis is right; ``scripts.evaluate real
 --fit-confidence`` prints them."""
 

@@ -188,10 +188,14 @@ def silhouettes(
     return found
 
 
-def facing_alone(samples: real_facing.HeadSamples) -> Figures:
+def facing_alone(samples: real_facing.HeadSamples) -> dict[str, Figures]:
     """What the photograph alone tells of the azimuth, cross-validated by photograph."""
     weights = real_facing.cross_validated(samples)
-    return real_facing.facing_figures(samples, weights, samples.plain.shape[1] - 1)
+    variants = {"as they are": samples.plain.shape[1] - 1, "faces pixelated": 0}
+    return {
+        name: real_facing.facing_figures(samples, weights, variant)
+        for name, variant in variants.items()
+    }
 
 
 def street_people(
@@ -325,7 +329,7 @@ def _silhouettes(found: dict[str, Figures]) -> list[str]:
 
 
 def _street(results: dict[str, Any]) -> list[str]:
-    facing = results["facing"]
+    facing, pixelated = (results["facing"][name] for name in ("as they are", "faces pixelated"))
     rows = [
         f"| {name} | {part} | {int(one['people'])} | {one['pck']:.1f} % | {one['facing']:.1f} % "
         f"| {one['within_90']:.1f} % | {one['facing_any']:.1f} % "
@@ -346,7 +350,9 @@ def _street(results: dict[str, Any]) -> list[str]:
         f"\nThe photograph alone tells front from back of {100 * facing['right']:.0f} % "
         f"({100 * facing['right_clear']:.0f} % of those not seen from the side), AUC "
         f"{facing['auc']:.2f}; median error of the azimuth {facing['median_error_deg']:.0f} "
-        "degrees.",
+        "degrees. With the face pixelated to three squares by three: "
+        f"{100 * pixelated['right']:.0f} % ({100 * pixelated['right_clear']:.0f} %), AUC "
+        f"{pixelated['auc']:.2f}; {pixelated['median_error_deg']:.0f} degrees.",
     ]
 
 

@@ -2,7 +2,8 @@
 
 The loss is the von Mises likelihood of the reference azimuths with a ridge; the folds are by
 photograph, so that nobody is in training and test at once. Each person is shown mirrored too,
-with the opposite azimuth, a little displaced, and at lower resolutions.
+with the opposite azimuth, a little displaced, at lower resolutions, and with the face pixelated as
+in anonymised videos.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -35,6 +37,12 @@ RIDGE = 0.02
 SMALL_PX = (48, 96)
 """Heights at which every person is shown besides their own."""
 
+FACE_CELLS = (3, 4, 5)
+"""Into how many squares each way faces are pixelated."""
+
+# Where the face is, in shares of the silhouette's height: below the crown, and as wide.
+_FACE_ROWS, _FACE_WIDTH = (0.035, 0.145), 0.11
+
 
 @dataclass(frozen=True)
 class HeadSamples:
@@ -43,7 +51,8 @@ class HeadSamples:
     Parameters
     ----------
     plain, mirrored : (N, V, F) float64 array
-        V variants of each of N people: at :data:`SMALL_PX`, displaced, and last as they are.
+        V variants of each of N people: with :data:`FACE_CELLS`, at :data:`SMALL_PX`, displaced, and
+        last as they are.
     azimuth : (N,) float64 array
         Radians.
     group : (N,) int64 array
@@ -79,7 +88,7 @@ def _variants(
 ) -> NDArray[np.float64]:
     left, top, side, _ = head_window(one)
     step = round(0.06 * side)
-    found = []
+    found = [(pixelated(frame, one, cells), (left, top, side, side)) for cells in FACE_CELLS]
     for height in SMALL_PX:
         scale = min(1.0, height / len(one.crop))
         size = round(frame.shape[1] * scale), round(frame.shape[0] * scale)
@@ -95,6 +104,21 @@ def _variants(
             for f, (x, y, w, h) in found
         ]
     return np.array([head_features(network, *one) for one in found])
+
+
+def pixelated(frame: NDArray[np.uint8], one: Silhouette, cells: int) -> NDArray[np.uint8]:
+    """Make a face unrecognisable: ``cells`` plain squares each way are left of it."""
+    left, _, side, _ = head_window(one)
+    rows = len(one.crop)
+    middle, half = left + side / 2, _FACE_WIDTH * rows / 2
+    y0, y1 = (round(one.top + share * rows) for share in _FACE_ROWS)
+    x0, x1 = round(middle - half), round(middle + half)
+    changed = frame.copy()
+    face = changed[max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)]
+    if face.size:
+        small = cv2.resize(face, (cells, cells), interpolation=cv2.INTER_AREA)
+        face[:] = cv2.resize(small, face.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    return changed
 
 
 def fit(samples: HeadSamples, chosen: NDArray[np.bool_], ridge: float = RIDGE) -> FacingModel:
