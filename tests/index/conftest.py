@@ -269,7 +269,8 @@ def toy_index(simulation: Simulation) -> PoseIndex:
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The project's shared data; tests that need it skip where it is not."""
-    folder = Path(os.environ.get("SHARED", ROOT.parent / "shared"))
+    # Tests link to it from elsewhere, so a relative path will not do.
+    folder = Path(os.environ.get("SHARED", ROOT.parent / "shared")).resolve()
     if not (folder / "mocap" / "manifest.csv").is_file():
         pytest.skip(f"no shared data at {folder}; set SHARED to its path")
     return folder
