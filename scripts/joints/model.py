@@ -1,14 +1,12 @@
-"""The joint reader as torch trains it, and its export to what OpenCV runs."""
+"""The joint reader as torch trains it."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from app.vision.joints import CHANNELS, COLUMNS, READ, ROWS
-from scripts.refinement.model import Layer, Residual, fold
+from app.vision.joints import CHANNELS, READ
+from scripts.refinement.model import Layer, Residual
 
 WIDTHS = (24, 40, 72, 112)
 """Channels at a half, a quarter, an eighth and a sixteenth of the resolution."""
@@ -43,13 +41,3 @@ class JointReader(nn.Module):  # type: ignore[misc]
         """Probability that a point lies in a cell of the window."""
         odds = self.odds(x)
         return torch.softmax(odds.flatten(2), dim=2).reshape(odds.shape)
-
-
-def export(model: JointReader, path: Path) -> None:
-    """Write a trained model as ONNX, its normalisations folded into the convolutions."""
-    fold(model)
-    example = torch.zeros((1, CHANNELS, ROWS, COLUMNS))
-    torch.onnx.export(
-        model, (example,), str(path), input_names=["seen"], output_names=["maps"],
-        opset_version=17, dynamo=False,
-    )  # fmt: skip

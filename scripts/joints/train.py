@@ -22,13 +22,14 @@ from torch import Tensor
 from tqdm import tqdm
 
 from app.settings import DEFAULT_MODEL
-from app.vision.joints import CELL, COLUMNS, READ, READ_ROWS, ROWS, WEIGHTS_PATH
+from app.vision.joints import CELL, CHANNELS, COLUMNS, READ, READ_ROWS, ROWS, WEIGHTS_PATH
 from app.vision.network import PersonNetwork
 from app.vision.segment import make_segmenter
 from index.skeleton import POINT_NAMES, POINTS, exchange_sides
-from scripts.joints.model import JointReader, export
+from scripts.joints.model import JointReader
 from scripts.joints.samples import Samples, make_samples
 from scripts.refinement.backgrounds import read_backgrounds
+from scripts.refinement.model import export
 from scripts.refinement.samples import spoil
 from scripts.refinement.sprites import Casting
 
@@ -149,7 +150,7 @@ def main() -> None:
     model.to(memory_format=torch.channels_last)
     for steps, rate in LESSONS:
         train(model, samples, steps, rate, generator)
-    export(model, options.out)
+    export(model, options.out, (CHANNELS, ROWS, COLUMNS), "maps")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from app.vision.refine import CHANNELS, COLUMNS, ROWS
+from app.vision.refine import CHANNELS
 
 WIDTHS = (20, 32, 48, 64)
 """Channels at a half, a quarter, an eighth and a sixteenth of the resolution."""
@@ -78,20 +78,25 @@ class Refiner(nn.Module):  # type: ignore[misc]
         return torch.sigmoid(self.odds(x))
 
 
-def fold(model: nn.Module) -> None:
-    """Make a trained model ready for use: normalisations go into the convolutions."""
+def export(model: nn.Module, path: Path, entering: tuple[int, int, int], answer: str) -> None:
+    """Write a trained model as ONNX, its normalisations folded into the convolutions.
+
+    Parameters
+    ----------
+    model : torch.nn.Module
+        Made of :class:`Layer` and what has no state of its own.
+    path : Path
+    entering : (int, int, int)
+        Planes, rows and columns of what it sees.
+    answer : str
+        Name of its output.
+    """
     model.eval()
     for module in model.modules():
         if isinstance(module, Layer):
             module.convolution = fuse_conv_bn_eval(module.convolution, module.norm)
             module.norm = nn.Identity()
-
-
-def export(model: Refiner, path: Path) -> None:
-    """Write a trained model as ONNX, its normalisations folded into the convolutions."""
-    fold(model)
-    example = torch.zeros((1, CHANNELS, ROWS, COLUMNS))
     torch.onnx.export(
-        model, (example,), str(path), input_names=["seen"], output_names=["probability"],
-        opset_version=17, dynamo=False,
+        model, (torch.zeros((1, *entering)),), str(path), input_names=["seen"],
+        output_names=[answer], opset_version=17, dynamo=False,
     )  # fmt: skip

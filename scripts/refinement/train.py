@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from app.settings import DEFAULT_MODEL
 from app.vision.network import PersonNetwork
-from app.vision.refine import WEIGHTS_PATH
+from app.vision.refine import CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH
 from scripts.refinement.backgrounds import read_backgrounds
 from scripts.refinement.model import Refiner, export
 from scripts.refinement.samples import make_samples, spoil
@@ -172,7 +172,7 @@ def main() -> None:
         train(model, *samples, lesson, generator)
         learnt.append({name: value.clone() for name, value in model.state_dict().items()})
     model.load_state_dict(mean_of(*learnt))
-    export(model, options.out)
+    export(model, options.out, (CHANNELS, ROWS, COLUMNS), "probability")
 
 
 if __name__ == "__main__":
