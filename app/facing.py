@@ -1,4 +1,7 @@
-"""Does a person face the camera? A silhouette cannot tell; this weighs what evidence there is."""
+"""Weighing hypotheses by what the photograph shows: facing, and joints.
+
+A silhouette cannot tell front from back, nor what lies within it.
+"""
 
 from __future__ import annotations
 

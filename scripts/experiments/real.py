@@ -142,7 +142,7 @@ def run(options: argparse.Namespace) -> None:
         return
     if options.fit_confidence:
         estimators = [tools.estimator(reader) for reader in _readers(people, tools, samples)]
-        trials = street_trials(people, estimators, segmented(estimators[0]))
+        trials = street_trials(people, estimators, segmented(tools.segmenter))
         print(fit_confidence([trial for trial in trials if not trial.odd]))
         return
     absent = why_absent(options.mediapipe)
@@ -212,7 +212,7 @@ def street_people(
         return silhouette_from_mask(mask, segmenter="mask", truncated=False)
 
     blind = [tools.estimator(None, joints=False)] * len(people)
-    own = segmented(whole[0])
+    own = segmented(tools.segmenter)
     return {
         "own silhouettes": street_trials(people, whole, own),
         "own silhouettes, joints not read": street_trials(people, heads, own),

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from app.estimator import Estimator, Found, Person, Stopwatch
 from app.vision.people import Box, Silhouette
+from app.vision.segment import Segmenter
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.real_data import (
@@ -160,14 +161,14 @@ def street_trials(
     return trials
 
 
-def segmented(estimator: Estimator) -> Callable[[StreetPerson], Silhouette | None]:
+def segmented(segmenter: Segmenter) -> Callable[[StreetPerson], Silhouette | None]:
     """The service's own silhouettes, in the true boxes of the photograph."""
     known: dict[str, list[Silhouette | None]] = {}
 
     def silhouette(person: StreetPerson) -> Silhouette | None:
         photograph: Photograph = person.photograph
         if photograph.name not in known:
-            known[photograph.name] = estimator.segmenter.segment(photograph.frame, photograph.boxes)
+            known[photograph.name] = segmenter.segment(photograph.frame, photograph.boxes)
         return known[photograph.name][person.label - 1]
 
     return silhouette

@@ -29,7 +29,7 @@ from scripts.experiments.real_data import (
     read_pose2sim,
     read_street_people,
 )
-from scripts.experiments.real_poses import NEAR
+from scripts.experiments.real_poses import NEAR, segmented
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = ("cam01", "cam03")
@@ -66,10 +66,11 @@ def people(
 ) -> Iterator[tuple[str, NDArray[np.uint8], Silhouette, Reference, float]]:
     """Yield group, frame, silhouette, reference and height of real people."""
     photographs = read_pennfudan(shared / "pennfudan")
+    silhouette_of = segmented(segmenter)
     for person in read_street_people(shared / "pennfudan", photographs):
         one = person.photograph
-        silhouette = segmenter.segment(one.frame, one.boxes)[person.label - 1]
-        if silhouette is not None and one.odd == odd:
+        silhouette = silhouette_of(person) if one.odd == odd else None
+        if silhouette is not None:
             height = one.boxes[person.label - 1].height
             group = "street, odd" if odd else "street, even"
             yield group, one.frame, silhouette, person.reference, height

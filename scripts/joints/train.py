@@ -10,18 +10,12 @@ train, and the segmentation network (``scripts/fetch_model.py``). No photograph 
 
 from __future__ import annotations
 
-import argparse
-import os
-from pathlib import Path
-
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from tqdm import tqdm
 
-from app.settings import DEFAULT_MODEL
 from app.vision.joints import CELL, CHANNELS, COLUMNS, READ, READ_ROWS, ROWS, WEIGHTS_PATH
 from app.vision.network import PersonNetwork
 from app.vision.segment import make_segmenter
@@ -29,12 +23,11 @@ from index.skeleton import POINT_NAMES, POINTS, exchange_sides
 from scripts.joints.model import JointReader
 from scripts.joints.samples import Samples, make_samples
 from scripts.refinement.backgrounds import read_backgrounds
+from scripts.refinement.lessons import BATCH, descend, draw_sprites, read_options
 from scripts.refinement.model import export
 from scripts.refinement.samples import spoil
 from scripts.refinement.sprites import Casting
 
-ROOT = Path(__file__).resolve().parents[2]
-BATCH = 16
 LESSONS = ((7500, 3e-3), (8000, 2e-3))
 """Batches, and the largest learning rate, which rises and falls once in each."""
 
@@ -105,44 +98,24 @@ def train(
     model: JointReader, samples: Samples, steps: int, rate: float, generator: np.random.Generator
 ) -> None:
     """Give a joint reader one lesson."""
-    optimiser = torch.optim.AdamW(model.parameters(), rate, weight_decay=2e-2)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, steps, pct_start=0.1)
-    running = 5.0
-    with tqdm(range(steps), desc="training", unit="batch", mininterval=5) as progress:
-        for _ in progress:
-            rows = generator.choice(len(samples.points), BATCH, replace=False)
-            varied = [vary(samples, row, generator) for row in rows]
-            seen = torch.from_numpy(np.stack([one[0] for one in varied]))
-            wanted, inside = maps_of(np.stack([one[1] for one in varied]))
-            odds = model.odds(seen.to(memory_format=torch.channels_last))
-            loss = loss_of(odds, torch.from_numpy(wanted), torch.from_numpy(inside))
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            running += 0.01 * (loss.item() - running)
-            progress.set_postfix(loss=f"{running:.3f}", refresh=False)
+
+    def loss() -> Tensor:
+        rows = generator.choice(len(samples.points), BATCH, replace=False)
+        varied = [vary(samples, row, generator) for row in rows]
+        seen = torch.from_numpy(np.stack([one[0] for one in varied]))
+        wanted, inside = maps_of(np.stack([one[1] for one in varied]))
+        odds = model.odds(seen.to(memory_format=torch.channels_last))
+        return loss_of(odds, torch.from_numpy(wanted), torch.from_numpy(inside))
+
+    descend(model, loss, steps=steps, rate=rate, weight_decay=2e-2, warm_up=0.1)
 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--backgrounds", type=Path, required=True, help="of .backgrounds")
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--sprites", type=int, default=4500)
-    parser.add_argument("--samples", type=int, default=30000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=WEIGHTS_PATH)
-    options = parser.parse_args()
-    cv2.setNumThreads(1)
-    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+    options = read_options(__doc__, sprites=4500, samples=30000, out=WEIGHTS_PATH)
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
-    casting = Casting(options.shared, photographs)
     generator = np.random.default_rng(options.seed)
-    sprites = [
-        casting.sprite(generator) for _ in tqdm(range(options.sprites), "drawing", unit="sprite")
-    ]
+    sprites = draw_sprites(Casting(options.shared, photographs), options.sprites, generator)
     segmenter = make_segmenter(PersonNetwork(options.model))
     samples = make_samples(sprites, photographs, segmenter, options.samples, options.seed + 1)
     torch.manual_seed(options.seed)

@@ -10,29 +10,21 @@ of ``../shared/real`` is seen but the empty street of ``vtest``.
 
 from __future__ import annotations
 
-import argparse
-import os
 from dataclasses import dataclass
-from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
-from tqdm import tqdm
 
-from app.settings import DEFAULT_MODEL
 from app.vision.network import PersonNetwork
 from app.vision.refine import CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH
 from scripts.refinement.backgrounds import read_backgrounds
+from scripts.refinement.lessons import BATCH, descend, draw_sprites, read_options
 from scripts.refinement.model import Refiner, export
 from scripts.refinement.samples import make_samples, spoil
 from scripts.refinement.sprites import Casting
-
-ROOT = Path(__file__).resolve().parents[2]
-BATCH = 16
 
 
 @dataclass(frozen=True)
@@ -117,22 +109,13 @@ def train(
     generator: np.random.Generator,
 ) -> None:
     """Give a refiner one lesson."""
-    optimiser = torch.optim.AdamW(model.parameters(), lesson.rate, weight_decay=1e-2)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, lesson.rate, lesson.steps, pct_start=0.15
-    )
-    running = 1.0
-    with tqdm(range(lesson.steps), desc="training", unit="batch", mininterval=5) as progress:
-        for _ in progress:
-            rows = generator.choice(len(inputs), BATCH, replace=False)
-            seen, wanted = batch(inputs, targets, rows, lesson, generator)
-            loss = loss_of(model.odds(seen.to(memory_format=torch.channels_last)), wanted)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            running += 0.01 * (loss.item() - running)
-            progress.set_postfix(loss=f"{running:.3f}", refresh=False)
+
+    def loss() -> Tensor:
+        rows = generator.choice(len(inputs), BATCH, replace=False)
+        seen, wanted = batch(inputs, targets, rows, lesson, generator)
+        return loss_of(model.odds(seen.to(memory_format=torch.channels_last)), wanted)
+
+    descend(model, loss, steps=lesson.steps, rate=lesson.rate, weight_decay=1e-2, warm_up=0.15)
 
 
 def mean_of(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -145,23 +128,10 @@ def mean_of(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Te
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--backgrounds", type=Path, required=True, help="of .backgrounds")
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--sprites", type=int, default=1600)
-    parser.add_argument("--samples", type=int, default=12000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=WEIGHTS_PATH)
-    options = parser.parse_args()
-    cv2.setNumThreads(1)
-    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+    options = read_options(__doc__, sprites=1600, samples=12000, out=WEIGHTS_PATH)
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
-    casting = Casting(options.shared, photographs)
     generator = np.random.default_rng(options.seed)
-    sprites = [
-        casting.sprite(generator) for _ in tqdm(range(options.sprites), "drawing", unit="sprite")
-    ]
+    sprites = draw_sprites(Casting(options.shared, photographs), options.sprites, generator)
     network = PersonNetwork(options.model)
     samples = make_samples(sprites, photographs, network, options.samples, options.seed + 1)
     torch.manual_seed(options.seed)
