@@ -233,30 +233,31 @@ def outline_distances(
     -------
     (B,) float64 array
     """
-    outline = _outline(silhouette)
-    field = _distance_field(outline)
-    distances = np.empty(len(others))
-    for position, other in enumerate(others):
-        outline_other = _outline(other)
-        there = field[outline_other].mean()
-        back = _distance_field(outline_other)[outline].mean()
-        distances[position] = (there + back) / 2
-    return distances
+    outlines = _outlines(np.concatenate([silhouette[None], others]))
+    fields = np.stack([_distance_field(outline) for outline in outlines]).reshape(len(outlines), -1)
+    on = outlines.reshape(len(outlines), -1).astype(np.float64)
+    lengths = np.maximum(on.sum(axis=1), 1)
+    there = on[1:] @ fields[0] / lengths[1:]
+    back = fields[1:] @ on[0] / lengths[0]
+    return np.asarray((there + back) / 2)
 
 
-def _outline(silhouette: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Outermost pixels of silhouettes ``(B, 128, 48)``, all eroded at once."""
+    count = len(silhouettes)
+    # Background about each keeps them apart.
+    apart = np.zeros((count, HEIGHT + 1, WIDTH), np.uint8)
+    apart[:, :HEIGHT] = silhouettes != 0
     eroded = cv2.erode(
-        np.ascontiguousarray(silhouette),
+        apart.reshape(-1, WIDTH),
         np.ones((3, 3), np.uint8),
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
-    )
-    return np.asarray((silhouette != 0) & (eroded == 0))
+    ).reshape(apart.shape)
+    return np.asarray((apart != eroded)[:, :HEIGHT])
 
 
-def _distance_field(outline: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _distance_field(outline: NDArray[np.bool_]) -> NDArray[np.float64]:
     if not outline.any():
-        return np.full((HEIGHT, WIDTH), np.hypot(HEIGHT, WIDTH), np.float32)
-    return np.asarray(
-        cv2.distanceTransform((~outline).astype(np.uint8), cv2.DIST_L2, 3), np.float32
-    )
+        return np.full((HEIGHT, WIDTH), np.hypot(HEIGHT, WIDTH))
+    return np.asarray(cv2.distanceTransform((~outline).view(np.uint8), cv2.DIST_L2, 3), np.float64)

@@ -128,13 +128,14 @@ def _distinct(joints: NDArray[np.float64]) -> list[int]:
 
 
 def _densest(
-    weights: NDArray[np.float64], apart: NDArray[np.float64], count: int, bandwidth_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    weights: NDArray[np.float64], apart: NDArray[np.float32], count: int, bandwidth_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Centres ``(M,)`` of up to ``count`` modes, and the shares ``(M, K)`` that gather there."""
-    kernel = np.exp(apart**2 / (-2 * bandwidth_m**2))
-    remaining, free = weights / weights.sum(), np.ones(len(weights), bool)
+    kernel = np.exp(apart**2 / np.float32(-2 * bandwidth_m**2))
+    remaining = (weights / weights.sum()).astype(np.float32)
+    free = np.ones(len(weights), bool)
     centres: list[int] = []
-    gathered: list[NDArray[np.float64]] = []
+    gathered: list[NDArray[np.float32]] = []
     while len(centres) < count and free.any():
         centre = int(np.where(free, kernel @ remaining, -np.inf).argmax())
         centres.append(centre)
@@ -152,23 +153,24 @@ def candidate_weights(
     return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
 
 
-def _joint_distances(joints: NDArray[np.float64]) -> NDArray[np.float64]:
+def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float32]:
     """Root mean square joint distance of each pair of skeletons: ``(K, J, 3)`` to ``(K, K)``."""
-    flat = joints.reshape(len(joints), -1)
+    flat = joints.reshape(len(joints), -1).astype(np.float32)
     squares = (flat**2).sum(axis=1)
     squared = squares[:, None] + squares[None] - 2 * flat @ flat.T
-    return np.asarray(np.sqrt(np.maximum(squared, 0) / joints.shape[1]))
+    return np.asarray(np.sqrt(np.maximum(squared, 0) / np.float32(joints.shape[1])))
 
 
 def _interpolate(
     candidates: Candidates,
     offsets: NDArray[np.floating],
     centres: NDArray[np.int64],
-    weights: NDArray[np.float64],
+    weights: NDArray[np.float32],
 ) -> list[Mode]:
     """Interpolate to where offsets ``(K, E)`` vanish what gathers ``(M, K)`` about each centre."""
-    offsets = offsets.astype(np.float64)
-    shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, 0.0)
+    # The ridge keeps all this far from where single precision would matter.
+    offsets = offsets.astype(np.float32)
+    shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, np.float32(0))
     shares /= shares.sum(axis=1, keepdims=True)
     means = shares @ offsets
     # Means are taken off last, where there is least to take them off.
@@ -194,9 +196,9 @@ def _interpolate(
     ]
 
 
-def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _combine(shares: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weighted sums ``(M, P, D)`` of points ``(K, P, D)``."""
-    flat = shares @ points.reshape(len(points), -1)
+    flat = shares @ points.reshape(len(points), -1).astype(np.float32)
     return np.asarray(flat.reshape(len(shares), *points.shape[1:]), np.float64)
 
 

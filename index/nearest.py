@@ -83,12 +83,10 @@ class NearestVectors:
             return cast(Found, self._flat.search(queries, k))
         rough, numbers = self._coarse.search(queries, listed)
         exact = self._exact(queries, numbers)
-        # Of equals the flat index names the first first.
-        order = np.lexsort((numbers, exact))[:, :k]
-        nearest = np.take_along_axis(exact, order, axis=1)
+        nearest, kept = _nearest_of(exact, numbers, k)
         if not _nothing_missed(rough, exact, nearest[:, -1:]):
             return cast(Found, self._flat.search(queries, k))
-        return nearest, np.take_along_axis(numbers, order, axis=1)
+        return nearest, kept
 
     def _exact(
         self, queries: NDArray[np.float32], numbers: NDArray[np.int64]
@@ -103,6 +101,17 @@ class NearestVectors:
             faiss.swig_ptr(numbers),
         )
         return exact
+
+
+def _nearest_of(distances: NDArray[np.float32], numbers: NDArray[np.int64], k: int) -> Found:
+    """Leave the ``k`` nearest of each list ``(B, L)``, ascending."""
+    near, named = np.empty((len(distances), k), np.float32), np.empty((len(numbers), k), np.int64)
+    for row, (some, names) in enumerate(zip(distances, numbers, strict=True)):
+        within = np.flatnonzero(some <= np.partition(some, k - 1)[k - 1])
+        # Of equals the flat index names the first first.
+        order = within[np.lexsort((names[within], some[within]))[:k]]
+        near[row], named[row] = some[order], names[order]
+    return near, named
 
 
 def _nothing_missed(

@@ -73,7 +73,7 @@ def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float
         nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
         assert (nearest < DISTINCT_M + 1e-6).all()
     for mode in modes:
-        assert 0 < mode.votes <= 1 + 1e-9
+        assert 0 < mode.votes <= 1 + 1e-6
         assert 0 <= mode.distance < np.inf
         assert mode.points_3d.shape == (POINTS, 3)
         assert np.isfinite(mode.points_3d).all()
@@ -89,10 +89,10 @@ def test_candidates_alike_are_one_mode_with_all_votes() -> None:
         rng.normal(size=6), rng.normal(size=(9, 6)), np.tile(some_pose(), (9, 1, 1))
     )
     (mode,) = find_modes(found, 5)
-    # An average of equal weights summing to one up to rounding.
+    # An average of equal weights summing to one up to rounding, in single precision.
     assert mode.votes == pytest.approx(1)
-    assert_allclose(mode.points_3d, some_pose(), atol=1e-9)
-    assert_allclose(mode.points_normalised, 100 * some_pose()[:, :2], atol=1e-9)
+    assert_allclose(mode.points_3d, some_pose(), atol=1e-6)
+    assert_allclose(mode.points_normalised, 100 * some_pose()[:, :2], atol=1e-4)
 
 
 def test_the_denser_of_two_modes_comes_first() -> None:
