@@ -45,12 +45,15 @@ class Scene:
         About what is seen of them, a little off.
     points : (N, 24, 2) float64 array
         Where the points of their skeletons are, in pixels; rows are ``POINT_NAMES``.
+    azimuth_deg : (N,) float64 array
+        From where the camera sees each.
     """
 
     frame: NDArray[np.uint8]
     covers: NDArray[np.float32]
     boxes: list[Box]
     points: NDArray[np.float64]
+    azimuth_deg: NDArray[np.float64]
 
 
 def make_scene(
@@ -109,7 +112,8 @@ def _try_scene(
         return None
     covers = covers[seen]
     boxes = [_jittered(tight_box(one > 0.5), frame.shape, generator) for one in covers]
-    return Scene(_photographed(frame, generator), covers, boxes, points[seen])
+    azimuths = np.array([layer[0].azimuth_deg for layer in layers])[seen]
+    return Scene(_photographed(frame, generator), covers, boxes, points[seen], azimuths)
 
 
 def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) -> Sprite:
@@ -119,10 +123,11 @@ def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) ->
         cv2.resize(array, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         for array in (sprite.colour, sprite.cover)
     )
-    points = (sprite.points + 0.5) * scale - 0.5
+    points, azimuth = (sprite.points + 0.5) * scale - 0.5, sprite.azimuth_deg
     if generator.random() < 0.5:
         colour, cover = colour[:, ::-1], cover[:, ::-1]
         points = exchange_sides(points) * (-1, 1) + (cover.shape[1] - 1, 0)
+        azimuth = -azimuth
     hsv = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_BGR2HSV)
     if generator.random() < 0.3:
         hsv[..., 0] = (hsv[..., 0].astype(int) + int(generator.integers(180))) % 180
@@ -133,6 +138,7 @@ def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) ->
         np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR), np.uint8),
         np.ascontiguousarray(cover, np.float32),
         points,
+        azimuth,
     )
 
 
@@ -149,7 +155,7 @@ def _pasted(
     return result
 
 
-def _patch(
+def patch(
     size: tuple[int, int],
     backgrounds: Sequence[NDArray[np.uint8]],
     generator: np.random.Generator,
@@ -174,11 +180,11 @@ def _background(
     generator: np.random.Generator,
 ) -> NDArray[np.uint8]:
     """Piece of a photograph, mostly with a ground and things of other photographs in it."""
-    scene = _patch(size, backgrounds, generator)
+    scene = patch(size, backgrounds, generator)
     rows, columns = size
     if generator.random() < 0.5:
         horizon = round(rows * generator.uniform(0.45, 0.9))
-        ground = _patch((rows - horizon, columns), backgrounds, generator)
+        ground = patch((rows - horizon, columns), backgrounds, generator)
         if generator.random() < 0.6:
             asphalt = cv2.cvtColor(ground, cv2.COLOR_BGR2GRAY).astype(np.float32)
             asphalt = (asphalt - asphalt.mean()) * generator.uniform(0.1, 0.5)
@@ -227,7 +233,7 @@ def _add_thing(
         colour = generator.uniform(0, 255, 3) * 0.4 + generator.uniform(0, 150)
         fill = np.full_like(scene, np.clip(colour, 0, 255).astype(np.uint8))
     else:
-        fill = _patch((rows, columns), backgrounds, generator)
+        fill = patch((rows, columns), backgrounds, generator)
     share = cv2.GaussianBlur(mask, (0, 0), generator.uniform(0.4, 2)).astype(np.float32) / 255
     scene[:] = (scene * (1 - share[..., None]) + fill * share[..., None]).astype(np.uint8)
 

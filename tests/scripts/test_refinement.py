@@ -68,7 +68,7 @@ def sprites() -> list[Sprite]:
     points = np.full((POINTS, 2), 30.0)
     points[LEFT], points[RIGHT] = (39.5, 20.0), (19.5, 20.0)
     colours = [np.full((120, 60, 3), level, np.uint8) for level in (40, 200)]
-    return [Sprite(colour, cover, points) for colour in colours]
+    return [Sprite(colour, cover, points, 30.0) for colour in colours]
 
 
 @pytest.fixture
@@ -117,6 +117,15 @@ def test_points_stay_on_the_body_with_left_on_its_side(
             mirrored.add(bool(points[LEFT, 0] < points[RIGHT, 0]))
     # A mirrored body's left is exchanged with its right: the left one stays on the same side.
     assert mirrored == {False}
+
+
+def test_mirrored_people_are_seen_from_the_other_side(
+    sprites: list[Sprite], backgrounds: list[NDArray[np.uint8]]
+) -> None:
+    generator = np.random.default_rng(11)
+    scenes = [make_scene(sprites, backgrounds, generator) for _ in range(10)]
+    assert {a for scene in scenes for a in scene.azimuth_deg} == {-30.0, 30.0}
+    assert all(len(scene.azimuth_deg) == len(scene.covers) for scene in scenes)
 
 
 def test_spoilt_answers_still_know_something_of_the_person() -> None:
