@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from index.skeleton import POINTS, exchange_sides
 
 SPREAD_CELLS = 1.5
-"""A point agrees with what a map shows so far about it: poses are never quite alike."""
+"""Poses are never quite alike: a point agrees with what a map shows so far about it."""
 
 DOUBT = 0.05
 """Share of the probability that a map misleads: one bad map must not rule a pose out."""
@@ -66,12 +66,15 @@ class JointMaps:
         Cells per pixel.
     offset : (2,) float64 array
         Cells, x before y.
+    spread_cells : float
+        A point agrees with what a map shows so far about it.
     """
 
     rows: tuple[int, ...]
     maps: NDArray[np.float32]
     scale: float
     offset: NDArray[np.float64]
+    spread_cells: float = SPREAD_CELLS
     _moments: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -90,10 +93,11 @@ class JointMaps:
         """Probability about each cell, and its first moments: ``(3, P, H, W)``."""
         _, height, width = self.maps.shape
         y, x = np.mgrid[:height, :width].astype(np.float32)
-        peak = 2 * np.pi * SPREAD_CELLS**2
+        spread = self.spread_cells
+        peak = 2 * np.pi * spread**2
         planes = np.stack([self.maps, self.maps * x, self.maps * y]).reshape(-1, height, width)
         smooth = [
-            cv2.GaussianBlur(plane, (0, 0), SPREAD_CELLS, borderType=cv2.BORDER_CONSTANT) * peak
+            cv2.GaussianBlur(plane, (0, 0), spread, borderType=cv2.BORDER_CONSTANT) * peak
             for plane in planes
         ]
         return np.stack(smooth).reshape(3, -1, height, width).astype(np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
+from index.bending import bend
 from index.candidates import Candidates, find_candidates
 from index.confidence import RIGHT_BELOW_PX, Calibration
 from index.joint_maps import JointMaps
@@ -104,7 +105,8 @@ def match_with_spares(
     """As :func:`match`, and up to ``SPARE_MODES`` more for a caller who has more to go by.
 
     Where maps of the joints are given, people who lean are looked for as well, candidates count as
-    the maps agree with them, and poses are interpolated to the maps as well as to the silhouette.
+    the maps agree with them, and poses are interpolated to the maps as well as to the silhouette,
+    and bent to the maps at last.
     """
     return match_with_features(index, silhouette, n, maps)[0]
 
@@ -122,11 +124,14 @@ def match_with_features(
     errors = _outline_errors(silhouette, others, candidates.lean_deg[centres])
     features = match_features(candidates, modes, errors)
     confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
+    points_3d = np.stack([mode.points_3d for mode in modes])
     points_normalised = np.stack([mode.points_normalised for mode in modes])
     looks = [(0.0, 0.0)] * len(modes)
     if maps is not None:
+        # Poses that had to be bent far are less likely: they are judged as they were found.
         look = maps.look(points_normalised)
         looks = list(zip(look.log_likelihood.tolist(), look.side_odds.tolist(), strict=True))
+        points_3d, points_normalised = bend(maps, points_3d, points_normalised)
     hypotheses = [
         Hypothesis(
             entry=int(candidates.numbers[mode.centre]),
@@ -134,14 +139,14 @@ def match_with_features(
             distance=mode.distance,
             reprojection_error_px=float(error),
             confidence=float(confidence),
-            points_3d=mode.points_3d,
-            points_normalised=mode.points_normalised,
+            points_3d=points_3d[row],
+            points_normalised=points_normalised[row],
             log_likelihood=log_likelihood,
             side_odds=side_odds,
             lean_deg=float(candidates.lean_deg[mode.centre]),
         )
-        for mode, error, confidence, (log_likelihood, side_odds) in zip(
-            modes, errors, confidences, looks, strict=True
+        for row, (mode, error, confidence, (log_likelihood, side_odds)) in enumerate(
+            zip(modes, errors, confidences, looks, strict=True)
         )
     ]
     return hypotheses, features
