@@ -6,11 +6,11 @@ import hmac
 from collections.abc import Iterable
 from typing import Annotated
 
-from fastapi import Depends, Security
+from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyHeader, HTTPAuthorizationCredentials, HTTPBearer
 
 from app.errors import ProblemError
-from app.runtime import RuntimeDep
+from app.runtime import runtime_of
 from app.settings import Settings
 
 _header = APIKeyHeader(
@@ -42,11 +42,11 @@ def check_key(settings: Settings, given: Iterable[str | None]) -> None:
 
 
 async def _require_key(
-    runtime: RuntimeDep,
+    request: Request,
     header: Annotated[str | None, Security(_header)],
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
 ) -> None:
-    check_key(runtime.settings, (header, bearer.credentials if bearer else None))
+    check_key(runtime_of(request).settings, (header, bearer.credentials if bearer else None))
 
 
 RequireKey = Depends(_require_key)

@@ -12,7 +12,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from app.facing import Facing, weigh, weigh_by_image
+from app.facing import Facing
 from app.process import give_way
 from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
@@ -23,6 +23,8 @@ from app.vision.joints import JointReader, load_joint_reader
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
+from app.vision.workers import Workers
+from app.weighing import weigh, weigh_by_image
 from descriptor.silhouette import Placement, normalise
 from index.joint_maps import JointMaps
 from index.matching import Hypothesis, match, match_with_spares
@@ -154,17 +156,28 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Scene:
-    """A decoded frame and the people in it, ordered left to right.
+    """A frame and the people in it, ordered left to right.
 
     Parameters
     ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
+    decoded : callable
+        Gives the frame, (H, W, 3) uint8, BGR; it may have to wait for it.
     people : tuple of Found
     """
 
-    frame: NDArray[np.uint8]
+    decoded: Callable[[], NDArray[np.uint8]]
     people: tuple[Found, ...]
+
+    @property
+    def frame(self) -> NDArray[np.uint8]:
+        """The decoded frame.
+
+        Raises
+        ------
+        UploadError
+            If people were found without it, and it cannot be used.
+        """
+        return self.decoded()
 
 
 @dataclass(frozen=True)
@@ -237,15 +250,16 @@ class Estimator:
         ArtefactError
             If the index cannot be used.
         """
-        network = load_network(settings.segmentation_model)
+        workers = Workers(settings.concurrency)
+        network = load_network(settings.segmentation_model, workers)
         return cls(
             PoseIndex.load(settings.index),
             make_detector(network, min_person_px=settings.min_person_px),
-            make_segmenter(network),
+            make_segmenter(network, workers),
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            facing_reader=load_facing_reader(network),
+            facing_reader=load_facing_reader(),
             joint_reader=load_joint_reader(),
             concurrency=settings.concurrency,
         )
@@ -288,27 +302,28 @@ class Estimator:
         persons = []
         for found in scene.people:
             check()
-            persons.append(self.with_hypotheses(scene.frame, found, n, watch))
-        return Estimate(scene.frame, tuple(persons), {**watch.milliseconds, "total": watch.total()})
+            persons.append(self.with_hypotheses(scene, found, n, watch))
+        with watch.stage("decode"):
+            frame = scene.frame
+        return Estimate(frame, tuple(persons), {**watch.milliseconds, "total": watch.total()})
 
     def find_people(self, upload: Upload, check: Check, watch: Stopwatch) -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
         check()
         if upload.mask is not None:
-            frame, people = self._from_mask(upload.frame, upload.mask, watch)
+            return self._from_mask(upload.frame, upload.mask, watch)
+        with watch.stage("decode"):
+            frame = self._decode("frame", upload.frame, decode_image)
+        check()
+        scene = self._background(upload.background, frame, watch)
+        check()
+        if upload.boxes is not None:
+            people = self._in_boxes(upload.boxes, frame, scene or self.segmenter, watch)
+        elif scene is not None:
+            people = self._detected(frame, "background", scene, scene, check, watch)
         else:
-            with watch.stage("decode"):
-                frame = self._decode("frame", upload.frame, decode_image)
-            check()
-            scene = self._background(upload.background, frame, watch)
-            check()
-            if upload.boxes is not None:
-                people = self._in_boxes(upload.boxes, frame, scene or self.segmenter, watch)
-            elif scene is not None:
-                people = self._detected(frame, "background", scene, scene, check, watch)
-            else:
-                people = self._detected(frame, "hog", self.detector, self.segmenter, check, watch)
-        return Scene(frame, tuple(sorted(people, key=lambda found: found.box.x)))
+            people = self._detected(frame, "hog", self.detector, self.segmenter, check, watch)
+        return Scene(lambda: frame, _left_to_right(people))
 
     def detect(self, frame: bytes, check: Check) -> tuple[Found, ...]:
         """Find the people of a frame by their boxes alone, the surest first."""
@@ -356,21 +371,26 @@ class Estimator:
             for box, silhouette in zip(inside, silhouettes, strict=True)
         ]
 
-    def _from_mask(
-        self, frame_data: bytes, mask_data: bytes, watch: Stopwatch
-    ) -> tuple[NDArray[np.uint8], list[Found]]:
-        with watch.stage("decode"):
-            later = self._aside.submit(self._decode, "frame", frame_data, decode_image)
-            try:
+    def _from_mask(self, frame_data: bytes, mask_data: bytes, watch: Stopwatch) -> Scene:
+        """Find people without waiting for the frame, which is decoded meanwhile."""
+        later = self._aside.submit(self._decode, "frame", frame_data, decode_image)
+        try:
+            with watch.stage("decode"):
                 labels = self._decode("mask", mask_data, decode_mask)
-            finally:
-                # Where both are broken, it is the frame that the caller hears of.
-                frame = later.result()
-        _check_size("mask", labels, frame)
-        with watch.stage("segment"):
-            silhouettes = silhouettes_from_labels(labels)
-        self._check_count("mask", len(silhouettes))
-        return frame, [Found(s.box, "mask", None, s) for s in silhouettes]
+            with watch.stage("segment"):
+                silhouettes = silhouettes_from_labels(labels)
+            self._check_count("mask", len(silhouettes))
+        except UploadError:
+            # Where both are broken, it is the frame that the caller hears of.
+            later.result()
+            raise
+
+        def decoded() -> NDArray[np.uint8]:
+            frame = later.result()
+            _check_size("mask", labels, frame)
+            return frame
+
+        return Scene(decoded, _left_to_right([Found(s.box, "mask", None, s) for s in silhouettes]))
 
     def _background(
         self, data: bytes | None, frame: NDArray[np.uint8], watch: Stopwatch
@@ -382,9 +402,7 @@ class Estimator:
         _check_size("background", background, frame)
         return BackgroundSegmenter(background, min_person_px=self._min_person_px)
 
-    def with_hypotheses(
-        self, frame: NDArray[np.uint8], found: Found, n: int, watch: Stopwatch
-    ) -> Person:
+    def with_hypotheses(self, scene: Scene, found: Found, n: int, watch: Stopwatch) -> Person:
         """Find the poses that fit a person's silhouette, ordered by what the photograph shows."""
         silhouette = found.silhouette
         if silhouette is None:
@@ -392,8 +410,8 @@ class Estimator:
         with watch.stage("describe"):
             normalised, placement = normalise(silhouette.crop)
             origin = np.array([silhouette.left, silhouette.top])
-            look = self._aside.submit(self._read_facing, frame, silhouette)
-            maps = self._read_joints(frame, found, placement)
+            look = self._aside.submit(self._read_facing, scene, silhouette)
+            maps = self._read_joints(scene, found, placement)
         with watch.stage("search"):
             candidates = match_with_spares(self.index, normalised, n, maps)
         with watch.stage("describe"):
@@ -417,19 +435,15 @@ class Estimator:
         label = self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
         return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
 
-    def _read_joints(
-        self, frame: NDArray[np.uint8], found: Found, placement: Placement
-    ) -> JointMaps | None:
+    def _read_joints(self, scene: Scene, found: Found, placement: Placement) -> JointMaps | None:
         reader, silhouette = self._joint_reader, found.silhouette
         if reader is None or silhouette is None or found.source == "mask":
             return None
-        return reader.read(frame, silhouette, placement)
+        return reader.read(scene.frame, silhouette, placement)
 
-    def _read_facing(
-        self, frame: NDArray[np.uint8], silhouette: Silhouette
-    ) -> AzimuthBelief | None:
+    def _read_facing(self, scene: Scene, silhouette: Silhouette) -> AzimuthBelief | None:
         reader = self._facing_reader
-        return None if reader is None else reader.read(frame, silhouette)
+        return None if reader is None else reader.read(scene.frame, silhouette)
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:
@@ -444,6 +458,10 @@ class Estimator:
             raise UploadError(
                 name, "misfit", f"expected at most {self._max_persons} persons, got {count}"
             )
+
+
+def _left_to_right(people: Sequence[Found]) -> tuple[Found, ...]:
+    return tuple(sorted(people, key=lambda found: found.box.x))
 
 
 def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8]) -> None:

@@ -1,19 +1,13 @@
-"""Weighing hypotheses by what the photograph shows: facing, and joints.
-
-A silhouette cannot tell front from back, nor what lies within it.
-"""
+"""Which way a person faces: of skeletons, and of weighed hypotheses."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.facing_evidence import AzimuthBelief
-from index.matching import Hypothesis
 from index.skeleton import POINT_NAMES
 
 Evidence = Literal["image", "motion", "none"]
@@ -22,20 +16,6 @@ _SIDES = tuple(
     np.array([POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")])
     for side in ("left", "right")
 )
-# Where a hypothesis is wrong, how likely none of the others is right either.
-_UNTHOUGHT = 0.5
-
-SILHOUETTE, HEAD, JOINTS, SIDES = 0.5, 1.5, 1.0, 0.03
-"""What the log odds of the silhouette's confidence count, and the logarithms of the likelihoods of
-head, joints and sides: the joints mostly decide, but whose left they are the head knows better.
-Chosen on the street people of even-numbered photographs."""
-
-LEAN_DEG = 30.0
-"""Few people lean: so much of it makes a hypothesis 1/e as likely."""
-
-SLOPE, BIAS = 0.462, 4.209
-"""From all that to the log odds that a hypothesis is right; ``scripts.evaluate real
---fit-confidence`` prints them."""
 
 
 @dataclass(frozen=True)
@@ -72,145 +52,12 @@ def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], across[..., 0])))
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """Hypotheses, best first, with the confidence that all evidence gives, and the facing."""
-
-    facing: Facing
-    hypotheses: tuple[Hypothesis, ...]
-
-
-def weigh(hypotheses: Sequence[Hypothesis], n: int) -> Weighed:
-    """Leave the best ``n`` hypotheses as the silhouette alone gives them.
-
-    Facing is the share of them, weighted by confidence, whose front faces the camera.
-
-    Parameters
-    ----------
-    hypotheses : sequence of Hypothesis
-        At least one, best first.
-    n : int
-    """
-    hypotheses = hypotheses[:n]
-    confidences = np.array([one.confidence for one in hypotheses])
-    facing = Facing(front_share(_azimuths(hypotheses), confidences), "none")
-    return Weighed(facing, tuple(hypotheses))
-
-
-def weigh_by_image(
-    hypotheses: Sequence[Hypothesis], belief: AzimuthBelief | None, n: int
-) -> Weighed:
-    """Reorder hypotheses by what the photograph shows, and keep the best ``n``.
-
-    Parameters
-    ----------
-    hypotheses : sequence of Hypothesis
-        At least one; more than ``n`` leave more to choose from.
-    belief : AzimuthBelief or None
-        What the head tells of the azimuth, if anything.
-    n : int
-    """
-    azimuths = _azimuths(hypotheses)
-    confidences = np.array([one.confidence for one in hypotheses])
-    likelihoods = np.ones(len(hypotheses)) if belief is None else belief.likelihood(azimuths)
-    if any(one.log_likelihood for one in hypotheses):
-        confidences = with_joints(hypotheses, likelihoods)
-    else:
-        confidences = posterior(confidences, likelihoods)
-    chosen = best_with_twins(azimuths, confidences, n)
-    kept = [replace(hypotheses[i], confidence=float(confidences[i])) for i in chosen]
-    return Weighed(Facing(front_share(azimuths, confidences), "image"), tuple(kept))
-
-
-def with_joints(
-    hypotheses: Sequence[Hypothesis], likelihoods: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Confidences ``(N,)`` where joints were read, of a logistic model.
-
-    Parameters
-    ----------
-    hypotheses : sequence of Hypothesis
-    likelihoods : (N,) float64 array
-        Of the head that is seen, given each one's azimuth; 1 where it tells nothing.
-    """
-    return np.asarray(1 / (1 + np.exp(-SLOPE * agreement(hypotheses, likelihoods) - BIAS)))
-
-
-def agreement(
-    hypotheses: Sequence[Hypothesis], likelihoods: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How well each hypothesis ``(N,)`` agrees with silhouette, head and joints together."""
-    confidence = np.clip([one.confidence for one in hypotheses], 1e-6, 1 - 1e-6)
-    lean = np.abs([one.lean_deg for one in hypotheses])
-    return np.asarray(
-        SILHOUETTE * np.log(confidence / (1 - confidence))
-        + HEAD * np.log(likelihoods)
-        + JOINTS * np.array([one.log_likelihood for one in hypotheses])
-        + SIDES * np.array([one.side_odds for one in hypotheses])
-        - lean / LEAN_DEG
-    )
+def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the camera sees the front, of each azimuth."""
+    return np.asarray(np.cos(np.deg2rad(azimuths_deg)) > 0)
 
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
     """Share of the confidence ``(N,)`` that is in hypotheses whose front faces the camera."""
     weights = confidences + 1e-9  # Equal where all are hopeless.
-    return float(np.clip(weights @ _front(azimuths_deg) / weights.sum(), 0, 1))
-
-
-def posterior(
-    confidences: NDArray[np.float64], likelihoods: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Confidences after a look at the photograph, by Bayes' rule.
-
-    Where a hypothesis is wrong, the truth is one of the others, or a pose unthought of, of any
-    azimuth.
-
-    Parameters
-    ----------
-    confidences : (N,) float64 array
-        Probabilities that each hypothesis is right; several may be.
-    likelihoods : (N,) float64 array
-        Of what is seen, given each one; 1 where it tells nothing.
-
-    Returns
-    -------
-    (N,) float64 array
-        0 to 1.
-    """
-    before = np.clip(confidences, 1e-6, 1 - 1e-6)
-    others = before.sum() - before
-    elsewhere = (before @ likelihoods - before * likelihoods + 1e-9) / (others + 1e-9)
-    right = before * likelihoods
-    wrong = (1 - before) * ((1 - _UNTHOUGHT) * elsewhere + _UNTHOUGHT)
-    return np.asarray(right / (right + wrong))
-
-
-def best_with_twins(
-    azimuths_deg: NDArray[np.float64], scores: NDArray[np.float64], n: int
-) -> list[int]:
-    """Choose ``n`` hypotheses by score, best first, a third of which face the other way.
-
-    The photograph may mislead: the best of those that do not face as the first one does take
-    the last places where fewer would be among them.
-
-    Parameters
-    ----------
-    azimuths_deg, scores : (N,) float64 array
-    n : int
-    """
-    order: list[int] = np.argsort(-scores, kind="stable").tolist()
-    front = _front(azimuths_deg)
-    twins = [i for i in order if front[i] != front[order[0]]]
-    if n == 1 or not twins:
-        return order[:n]
-    kept = set(twins[: max(1, n // 3)])
-    alike = [i for i in order if i not in kept][: n - len(kept)]
-    return [i for i in order if i in kept.union(alike)]
-
-
-def _azimuths(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
-    return azimuth_deg(np.array([one.points_3d for one in hypotheses]))
-
-
-def _front(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return np.asarray(np.cos(np.deg2rad(azimuths_deg)) > 0)
+    return float(np.clip(weights @ faces_camera(azimuths_deg) / weights.sum(), 0, 1))

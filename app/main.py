@@ -19,7 +19,12 @@ from app.metrics import Metrics
 from app.observation import Observation
 from app.openapi import add_openapi
 from app.pool import WorkPool
-from app.process import give_back_freed_memory, leave_alone_what_stays, switch_threads_often
+from app.process import (
+    give_back_freed_memory,
+    leave_alone_what_stays,
+    leave_threads_to_the_service,
+    switch_threads_often,
+)
 from app.routes import deepstack, health, index, pose
 from app.routes.docs import add_docs
 from app.routes.page import add_page
@@ -60,6 +65,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     settings = settings or Settings()
     give_back_freed_memory()
     switch_threads_often()
+    leave_threads_to_the_service()
     runtime = Runtime(
         settings,
         WorkPool(settings.concurrency, settings.queue_length, settings.request_timeout_s),

@@ -16,6 +16,8 @@ import os
 import sys
 import threading
 
+import cv2
+
 # Names and numbers from glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
@@ -47,6 +49,11 @@ def give_back_freed_memory() -> None:
 def switch_threads_often() -> None:
     """Have Python hand over from a thread that works to the one that answers sooner."""
     sys.setswitchinterval(_SWITCH_S)
+
+
+def leave_threads_to_the_service() -> None:
+    """Keep OpenCV from dividing its work: frames, and the pictures in them, are divided already."""
+    cv2.setNumThreads(1)
 
 
 def leave_alone_what_stays() -> None:

@@ -48,7 +48,7 @@ class Settings(BaseSettings):
     concurrency: int = Field(
         default_factory=_cores,
         ge=1,
-        description="Frames worked on at once: a thread each, and one beside it for photographs.",
+        description="Frames worked on at once: a thread each, and two beside it for photographs.",
     )
     queue_length: int = Field(default=16, ge=0, description="Frames that may wait for a thread.")
     request_timeout_s: float = Field(

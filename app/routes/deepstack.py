@@ -11,7 +11,7 @@ from app.auth import check_key
 from app.errors import documented
 from app.pool import Watch
 from app.routes.uploads import FrameFile
-from app.runtime import EstimatorDep, RuntimeDep, run_in_pool
+from app.runtime import run_in_pool, runtime_of
 from app.schemas import DeepstackPrediction, DeepstackResponse
 
 router = APIRouter(
@@ -24,8 +24,6 @@ router = APIRouter(
 @router.post("/detection", operation_id="detect_deepstack")
 async def detect_deepstack(
     request: Request,
-    runtime: RuntimeDep,
-    estimator: EstimatorDep,
     image: FrameFile,
     min_confidence: Annotated[
         float,
@@ -39,6 +37,8 @@ async def detect_deepstack(
 
     Whole people by their boxes, without silhouettes or poses; only the label `person` occurs.
     """
+    runtime = runtime_of(request)
+    estimator = runtime.ready_estimator()
     bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
     check_key(runtime.settings, (api_key, request.headers.get("x-api-key"), bearer))
     started = time.perf_counter()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
 
 from app.errors import documented
-from app.runtime import EstimatorDep, RuntimeDep
+from app.runtime import EstimatorDep, runtime_of
 from app.schemas import Health
 
 router = APIRouter(tags=["health"])
@@ -26,6 +26,6 @@ async def readiness(estimator: EstimatorDep) -> Health:
 
 
 @router.get("/metrics", include_in_schema=False)
-async def metrics(runtime: RuntimeDep) -> Response:
+async def metrics(request: Request) -> Response:
     """Write the metrics in Prometheus' text format."""
-    return Response(runtime.metrics.text(), media_type=CONTENT_TYPE_PLAIN_0_0_4)
+    return Response(runtime_of(request).metrics.text(), media_type=CONTENT_TYPE_PLAIN_0_0_4)

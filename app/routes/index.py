@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
 from app.auth import RequireKey
@@ -14,7 +14,7 @@ from app.estimator import Estimator
 from app.replies import entry_reply, index_reply
 from app.routes.pose import PNG
 from app.routes.uploads import KeypointSetQuery
-from app.runtime import EstimatorDep, RuntimeDep
+from app.runtime import EstimatorDep, runtime_of
 from app.schemas import EntryResponse, IndexResponse
 from app.version import VERSION
 
@@ -26,9 +26,9 @@ EntryNumber = Annotated[
 
 
 @router.get("", operation_id="describe_index", responses=documented(401, 503))
-async def describe_index(estimator: EstimatorDep, runtime: RuntimeDep) -> IndexResponse:
+async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
     """Describe the index: what it holds, how it was built, whose data it rests on."""
-    return index_reply(estimator.index, VERSION, runtime.settings.revision)
+    return index_reply(estimator.index, VERSION, runtime_of(request).settings.revision)
 
 
 @router.get("/entries/{entry}", operation_id="get_entry", responses=documented(401, 404, 422, 503))

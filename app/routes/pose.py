@@ -14,7 +14,7 @@ from app.estimator import Stopwatch
 from app.pool import Watch
 from app.replies import pose_reply
 from app.routes.uploads import HypothesisCount, KeypointSetQuery, UploadForm
-from app.runtime import EstimatorDep, RuntimeDep, run_in_pool
+from app.runtime import run_in_pool, runtime_of
 from app.schemas import PoseResponse
 from index.skeleton import KEYPOINT_SETS
 
@@ -36,8 +36,6 @@ PNG: dict[int | str, dict[str, Any]] = {
 async def estimate_pose(
     request: Request,
     upload: UploadForm,
-    runtime: RuntimeDep,
-    estimator: EstimatorDep,
     n: HypothesisCount = 7,
     keypoints: KeypointSetQuery = "native",
 ) -> Response:
@@ -46,6 +44,8 @@ async def estimate_pose(
     For every person the nearest distinct poses of the index, the best first. A frame with
     nobody in it gives an empty list.
     """
+    runtime = runtime_of(request)
+    estimator = runtime.ready_estimator()
 
     def work(watch: Watch) -> bytes:
         estimate = estimator.estimate(upload, n, watch.check)
@@ -60,11 +60,11 @@ async def estimate_pose(
 async def draw_pose(
     request: Request,
     upload: UploadForm,
-    runtime: RuntimeDep,
-    estimator: EstimatorDep,
     keypoints: KeypointSetQuery = "native",
 ) -> Response:
     """Draw boxes, silhouette outlines and the best skeletons over a frame."""
+    runtime = runtime_of(request)
+    estimator = runtime.ready_estimator()
 
     def work(watch: Watch) -> bytes:
         estimate = estimator.estimate(upload, 1, watch.check)
@@ -80,14 +80,14 @@ async def draw_pose(
     response_class=Response,
     responses=PNG,
 )
-async def extract_silhouettes(
-    request: Request, upload: UploadForm, runtime: RuntimeDep, estimator: EstimatorDep
-) -> Response:
+async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     """Cut out the people of a frame: a label image.
 
     0 is background, k the k-th entry of `persons` as `/pose` would list them. It can be sent
     back as `mask`.
     """
+    runtime = runtime_of(request)
+    estimator = runtime.ready_estimator()
 
     def work(watch: Watch) -> bytes:
         stopwatch = Stopwatch()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from app.vision.image_header import ImageError, ImageHeader, read_header
 from app.vision.png_chunks import check_png_chunks
+from app.vision.png_grey import read_grey_png
 
 __all__ = ["ImageError", "ImageTooLargeError", "decode_image", "decode_mask"]
 
@@ -83,7 +84,9 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
     step = 1
     if header.format == "png":
         data, step = _png_with_stored_values(data)
-    pixels = _decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    pixels: NDArray[Any] | None = read_grey_png(data) if header.format == "png" else None
+    if pixels is None:
+        pixels = _decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if not np.issubdtype(pixels.dtype, np.unsignedinteger):
         raise ImageError(f"expected a mask of whole numbers, got {pixels.dtype} values")
     if pixels.ndim == 3:

@@ -1,9 +1,9 @@
-"""Which way a person faces, as head and shoulders in the photograph show it.
+"""Which way a person faces, as the photograph shows it.
 
-The segmentation network was trained on faces and shoulders, and half-way through it still knows
-which of its pixels are skin, hair and cloth. A linear model over those features gives the two
-natural parameters of a von Mises distribution of the person's azimuth: von Mises regression
-[1]_, which says at once where a person faces and how sure that is.
+A small network sees head and shoulders, and all of the person, each beside its part of the
+silhouette, and answers with the two natural parameters of a von Mises distribution of the azimuth:
+von Mises regression [1]_, which says at once where a person faces and how sure that is. It was
+trained on simulated people before photographs (``scripts/facing/train.py``).
 
 References
 ----------
@@ -19,16 +19,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from app.vision.network import PersonNetwork
+from app.vision.joints import joints_window
+from app.vision.onnx import OnnxError, OnnxNetwork
 from app.vision.people import Silhouette
 from app.vision.resampling import Window, cut, resize
 
-WEIGHTS_PATH = Path(__file__).parent / "facing_weights.npz"
+SIZE = 64
+CHANNELS = 8
+WEIGHTS_PATH = Path(__file__).parent / "facing.onnx"
 WINDOW_SHARE = 0.5
 """Side of the window about head and shoulders, in heights of the silhouette."""
-
-CELLS = 8
-"""Features are averaged over so many cells each way."""
 
 # Rows of the silhouette, in shares of its height, whose middle is the head's; and how far below
 # the crown the window's centre lies.
@@ -77,78 +77,25 @@ class AzimuthBelief:
         return float(density[np.abs(azimuths) < 90].sum() / density.sum())
 
 
-@dataclass(frozen=True)
-class FacingModel:
-    """A linear model of the azimuth, and the heads it knows.
-
-    A head unlike all it was fitted to (blurred, helmeted, bent) must not be read with
-    certainty, so the belief fades as the features leave what is usual.
-
-    Parameters
-    ----------
-    weights : (2, F) float array
-        Of ``front`` and ``left``, over the features of :func:`head_features`.
-    bias : (2,) float array
-    mean, spread : (F,) float array
-        Of the features of the heads it was fitted to.
-    usual : (2,) float array
-        Median and 95th percentile of those heads' :meth:`strangeness`.
-    """
-
-    weights: NDArray[np.floating]
-    bias: NDArray[np.floating]
-    mean: NDArray[np.floating]
-    spread: NDArray[np.floating]
-    usual: NDArray[np.floating]
-
-    def __post_init__(self) -> None:
-        count = self.weights.shape[-1]
-        for name, shape in (
-            ("weights", (2, count)),
-            ("bias", (2,)),
-            ("mean", (count,)),
-            ("spread", (count,)),
-            ("usual", (2,)),
-        ):
-            if getattr(self, name).shape != shape:
-                raise ValueError(
-                    f"expected {name} of shape {shape}, got {getattr(self, name).shape}"
-                )
-
-    def strangeness(self, features: NDArray[np.floating]) -> NDArray[np.float64]:
-        """How far features ``(..., F)`` lie from the usual: root mean square, in spreads."""
-        squares = ((features - self.mean) / self.spread) ** 2
-        return np.asarray(np.sqrt(squares.mean(axis=-1)), np.float64)
-
-    def belief(self, features: NDArray[np.floating]) -> AzimuthBelief | None:
-        """What features ``(F,)`` tell of the azimuth; None where they are too strange.
-
-        Believed in full up to the 95th percentile of strangeness, and not at all as far beyond it
-        as the median is before it.
-        """
-        median, unusual = self.usual
-        beyond = float((self.strangeness(features) - unusual) / (unusual - median))
-        if beyond >= 1:
-            return None
-        front, left = (self.weights @ features + self.bias) * min(1.0, 1 - beyond)
-        return AzimuthBelief(float(front), float(left))
-
-
 class FacingReader:
     """Photograph and silhouette to a belief about the azimuth; safe under several threads.
 
     Parameters
     ----------
-    network : PersonNetwork
-    model : FacingModel
+    path : Path
+        ``facing.onnx``.
+
+    Raises
+    ------
+    OnnxError
+        If the file cannot be read or is another network.
     """
 
-    def __init__(self, network: PersonNetwork, model: FacingModel) -> None:
-        self._network = network
-        self._model = model
+    def __init__(self, path: Path = WEIGHTS_PATH) -> None:
+        self._network = OnnxNetwork(path, (CHANNELS, SIZE, SIZE), (2,))
 
     def read(self, frame: NDArray[np.uint8], silhouette: Silhouette) -> AzimuthBelief | None:
-        """Look at a person's head; None where it tells nothing.
+        """Look at a person; None where nothing is to be seen.
 
         Parameters
         ----------
@@ -156,24 +103,51 @@ class FacingReader:
             BGR.
         silhouette : Silhouette
         """
-        window = head_window(silhouette)
-        height = len(silhouette.crop)
         # A head that the frame's upper edge cuts is taken for a body's top wrongly.
-        if height < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
+        if len(silhouette.crop) < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
             return None
-        if resize(cut(frame, window), 16, 16).std(axis=(0, 1)).max() < _LEAST_CONTRAST:
+        planes = facing_input(frame, silhouette)
+        if planes[:3].std(axis=(1, 2)).max() < _LEAST_CONTRAST:
             return None
-        return self._model.belief(head_features(self._network, frame, window))
+        front, left = self._network.run(planes)
+        return AzimuthBelief(float(front), float(left))
 
 
-def load_facing_reader(
-    network: PersonNetwork | None, weights_path: Path = WEIGHTS_PATH
-) -> FacingReader | None:
-    """Load the model; None without the network."""
-    if network is None:
+def load_facing_reader(path: Path = WEIGHTS_PATH) -> FacingReader | None:
+    """Load the reader if its file is there and sound; poses are told without it, less well."""
+    try:
+        return FacingReader(path)
+    except OnnxError:
         return None
-    with np.load(weights_path, allow_pickle=False) as stored:
-        return FacingReader(network, FacingModel(**stored))
+
+
+def facing_input(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.uint8]:
+    """What the network looks at.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR.
+    silhouette : Silhouette
+
+    Returns
+    -------
+    (8, 64, 64) uint8 array
+        Blue, green, red and silhouette of head and shoulders, then of all of the person.
+    """
+    planes: NDArray[np.uint8] = np.empty((CHANNELS, SIZE, SIZE), np.uint8)
+    mask = silhouette.crop.astype(np.uint8) * np.uint8(255)
+    for first, window in ((0, head_window(silhouette)), (4, person_window(silhouette))):
+        left, top, width, height = window
+        planes[first : first + 3] = resize(cut(frame, window), SIZE, SIZE).transpose(2, 0, 1)
+        within = (left - silhouette.left, top - silhouette.top, width, height)
+        planes[first + 3] = resize(cut(mask, within), SIZE, SIZE)
+    return planes
+
+
+def person_window(silhouette: Silhouette) -> Window:
+    """Window about all of a person."""
+    return joints_window(silhouette.box)
 
 
 def head_window(silhouette: Silhouette) -> Window:
@@ -184,14 +158,3 @@ def head_window(silhouette: Silhouette) -> Window:
     side = max(2, round(WINDOW_SHARE * rows))
     left = round(silhouette.left + column - side / 2)
     return left, round(silhouette.top + _CENTRE * rows - side / 2), side, side
-
-
-def head_features(
-    network: PersonNetwork, frame: NDArray[np.uint8], window: Window
-) -> NDArray[np.float64]:
-    """Averages of the network's inner features over a grid of the window, ``(32 * 64,)``."""
-    inner = network.features(frame, window)
-    channels, rows, _ = inner.shape
-    cell = rows // CELLS
-    grid = inner.reshape(channels, CELLS, cell, CELLS, cell).mean(axis=(2, 4))
-    return np.asarray(grid.ravel(), np.float64)

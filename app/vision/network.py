@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
-from cv2.typing import MatLike
 from numpy.typing import NDArray
 
+from app.vision.network_pool import NetworkPool
 from app.vision.resampling import Window, cut, resize
+from app.vision.workers import Workers
 
 SIZE = 256
-# Bounds the memory of a pass; a larger batch is no faster.
-BATCH = 8
-# A layer half-way, 16x16 pixels of 32 channels.
-INNER_LAYER = "add_2__xeno_compat__1"
 
 
 class NetworkError(RuntimeError):
@@ -27,15 +23,14 @@ class NetworkError(RuntimeError):
 class PersonNetwork:
     """MediaPipe's selfie segmentation: 256x256 RGB in, probability of a person out.
 
-    Safe under several threads: an OpenCV network keeps its input and its layers' outputs
-    inside, so each thread reads its own copies of the 249 KB file, one for each layer asked
-    for (OpenCV sets a network up anew when that changes); a lock would make the request threads
-    wait for one another.
+    Safe under several threads.
 
     Parameters
     ----------
     model_path : Path
         ``selfie_segmentation.tflite``.
+    workers : Workers, optional
+        Who looks at several windows; by default the caller's thread, at one after the other.
 
     Raises
     ------
@@ -43,18 +38,19 @@ class PersonNetwork:
         If the file cannot be read or is another network.
     """
 
-    def __init__(self, model_path: Path) -> None:
+    def __init__(self, model_path: Path, workers: Workers | None = None) -> None:
         try:
-            self._model = np.frombuffer(model_path.read_bytes(), np.uint8)
+            model = np.frombuffer(model_path.read_bytes(), np.uint8)
         except OSError as error:
             raise NetworkError(f"cannot read the segmentation model: {error}") from error
-        self._local = threading.local()
+        self._workers = workers or Workers()
+        self._pool = NetworkPool(lambda: cv2.dnn.readNetFromTFLite(model))
         try:
-            shape = self._forward(np.zeros((1, 3, SIZE, SIZE), np.float32), "").shape
+            shape = self._of_image(np.zeros((SIZE, SIZE, 3), np.uint8)).shape
         except cv2.error as error:
             raise NetworkError(f"{model_path} is not a network OpenCV can run") from error
-        if shape != (1, 1, SIZE, SIZE):
-            raise NetworkError(f"expected a network with output (1, 1, 256, 256), got {shape}")
+        if shape != (SIZE, SIZE):
+            raise NetworkError(f"expected a network with output (256, 256), got {shape}")
 
     def probabilities(
         self, frame: NDArray[np.uint8], windows: Sequence[Window]
@@ -88,35 +84,21 @@ class PersonNetwork:
         (N, 256, 256) float32 array
             0 to 1.
         """
-        result = np.empty((len(images), SIZE, SIZE), np.float32)
-        for start in range(0, len(images), BATCH):
-            inputs = [resize(image, SIZE, SIZE) for image in images[start : start + BATCH]]
-            blob = cv2.dnn.blobFromImages(inputs, 1 / 255, swapRB=True)
-            result[start : start + BATCH] = self._forward(blob, "")[:, 0]
-        return result
+        answers = self._workers.map(self._of_image, images)
+        return np.array(answers, np.float32).reshape(len(images), SIZE, SIZE)
 
-    def features(self, frame: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
-        """What the network knows half-way of a window of a frame, ``(32, 16, 16)``."""
-        pixels = resize(cut(frame, window), SIZE, SIZE)
-        blob = cv2.dnn.blobFromImages([pixels], 1 / 255, swapRB=True)
-        return np.asarray(self._forward(blob, INNER_LAYER)[0], np.float32)
-
-    def _forward(self, blob: MatLike, layer: str) -> NDArray[np.float32]:
-        """Output of a layer; of the last one for an empty name."""
-        nets: dict[str, cv2.dnn.Net] = self._local.__dict__
-        net = nets.get(layer)
-        if net is None:
-            net = nets[layer] = cv2.dnn.readNetFromTFLite(self._model)
-        net.setInput(blob)
-        # The output lies in the network's memory, which the next pass overwrites.
-        return np.array(net.forward(layer) if layer else net.forward(), np.float32)
+    def _of_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        pixels = resize(image, SIZE, SIZE)
+        blob = np.asarray(cv2.dnn.blobFromImage(pixels, 1 / 255, swapRB=True), np.float32)
+        probability: NDArray[np.float32] = self._pool.run(blob)[0]
+        return probability
 
 
-def load_network(model_path: Path | None) -> PersonNetwork | None:
+def load_network(model_path: Path | None, workers: Workers | None = None) -> PersonNetwork | None:
     """Load the network if its file is there and sound; the service runs without it, less well."""
     if model_path is None:
         return None
     try:
-        return PersonNetwork(model_path)
+        return PersonNetwork(model_path, workers)
     except NetworkError:
         return None

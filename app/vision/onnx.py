@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from app.vision.network_pool import NetworkPool
 
 
 class OnnxError(RuntimeError):
@@ -17,14 +18,13 @@ class OnnxError(RuntimeError):
 class OnnxNetwork:
     """Planes of bytes in, planes of numbers out.
 
-    Safe under several threads. OpenCV's networks keep their layers' outputs inside, so each serves
-    one call at a time; another is set up only where a call comes while all are busy.
+    Safe under several threads.
 
     Parameters
     ----------
     path : Path
-    entering, leaving : (int, int, int)
-        Shapes of input and output: planes, rows, columns.
+    entering, leaving : tuple of int
+        Shapes of input, which is planes, rows and columns, and output.
     winograd : bool
         Whether convolutions take a third less time, and their weights five times the memory.
 
@@ -38,16 +38,21 @@ class OnnxNetwork:
         self,
         path: Path,
         entering: tuple[int, int, int],
-        leaving: tuple[int, int, int],
+        leaving: tuple[int, ...],
         *,
         winograd: bool = True,
     ) -> None:
         try:
-            self._model = np.frombuffer(path.read_bytes(), np.uint8)
+            model = np.frombuffer(path.read_bytes(), np.uint8)
         except OSError as error:
             raise OnnxError(f"cannot read a network: {error}") from error
-        self._winograd = winograd
-        self._idle: deque[cv2.dnn.Net] = deque()
+
+        def read() -> cv2.dnn.Net:
+            net = cv2.dnn.readNetFromONNX(model)
+            net.enableWinograd(winograd)
+            return net
+
+        self._pool = NetworkPool(read)
         try:
             shape = self.run(np.zeros(entering, np.uint8)).shape
         except cv2.error as error:
@@ -57,13 +62,4 @@ class OnnxNetwork:
 
     def run(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Show it planes ``(C, H, W)``, of which 255 is 1."""
-        try:
-            net = self._idle.pop()
-        except IndexError:
-            net = cv2.dnn.readNetFromONNX(self._model)
-            net.enableWinograd(self._winograd)
-        net.setInput(planes[None].astype(np.float32) / np.float32(255))
-        # The output lies in the network's memory, which the next pass overwrites.
-        answer = np.array(net.forward()[0], np.float32)
-        self._idle.append(net)
-        return answer
+        return self._pool.run(planes[None].astype(np.float32) / np.float32(255))

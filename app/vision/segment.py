@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +19,7 @@ from app.vision.refine import Refiner, load_refiner, refiner_input, refiner_wind
 from app.vision.resampling import Window, resize, resize_mask
 from app.vision.truncation import with_truncation
 from app.vision.views import View, view_of, with_grey_surroundings
+from app.vision.workers import Workers
 
 
 class Segmenter(Protocol):
@@ -43,9 +45,11 @@ class Segmenter(Protocol):
         ...
 
 
-def make_segmenter(network: PersonNetwork | None) -> Segmenter:
+def make_segmenter(network: PersonNetwork | None, workers: Workers | None = None) -> Segmenter:
     """The network's segmenter if there is a network, else GrabCut."""
-    return GrabCutSegmenter() if network is None else NetworkSegmenter(network, load_refiner())
+    if network is None:
+        return GrabCutSegmenter()
+    return NetworkSegmenter(network, load_refiner(), workers)
 
 
 # How much the refiner's answer counts beside the first network's, which knows real people better:
@@ -71,13 +75,21 @@ class NetworkSegmenter:
     ----------
     network : PersonNetwork
     refiner : Refiner, optional
+    workers : Workers, optional
+        Who redraws several people; by default the caller's thread, one after the other.
     """
 
     name: SegmenterName = "network"
 
-    def __init__(self, network: PersonNetwork, refiner: Refiner | None = None) -> None:
+    def __init__(
+        self,
+        network: PersonNetwork,
+        refiner: Refiner | None = None,
+        workers: Workers | None = None,
+    ) -> None:
         self._network = network
         self._refiner = refiner
+        self._workers = workers or Workers()
         self._fallback = GrabCutSegmenter()
 
     def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
@@ -86,18 +98,23 @@ class NetworkSegmenter:
         visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
         views = [view_of(frame, box, [b for j, b in visible if j != i]) for i, box in visible]
         answers = self._network.of_images([with_grey_surroundings(view) for view in views])
-        found: list[Silhouette | None] = [None] * len(boxes)
-        for (i, _), view, answer in zip(visible, views, answers, strict=True):
+
+        def drawn(position: int) -> Silhouette | None:
+            view, answer = views[position], answers[position]
             if self._refiner is None:
-                found[i] = _drawn(view, answer)
-            else:
-                others = [box for j, box in visible if j != i]
-                found[i] = _redrawn(self._refiner, frame, view, others, answer)
+                return _drawn(view, answer)
+            others = [box for other, (_, box) in enumerate(visible) if other != position]
+            return _redrawn(self._refiner, frame, view, others, answer)
+
+        found: list[Silhouette | None] = [None] * len(boxes)
+        silhouettes = self._workers.map(drawn, range(len(visible)))
+        for (i, _), silhouette in zip(visible, silhouettes, strict=True):
+            found[i] = silhouette
         missing = [i for i, _ in visible if found[i] is None]
         if missing:
-            drawn = self._fallback.segment(frame, boxes)
+            others = self._fallback.segment(frame, boxes)
             for i in missing:
-                found[i] = drawn[i]
+                found[i] = others[i]
         return with_truncation(found, boxes, frame.shape)
 
 
@@ -174,9 +191,12 @@ def silhouettes_from_labels(labels: NDArray[np.uint16]) -> list[Silhouette]:
     """
     if labels.ndim != 2:
         raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
+    left, top, width, height = cv2.boundingRect((labels != 0).view(np.uint8))
+    # Most of a mask is background.
+    part = labels[top : top + height, left : left + width]
     people = [
-        silhouette_from_mask(labels == label, segmenter="mask", truncated=False)
-        for label in labels_in(labels)
+        silhouette_from_mask(part == label, left=left, top=top, segmenter="mask", truncated=False)
+        for label in labels_in(part)
     ]
     found = [person for person in people if person is not None]
     flagged = with_truncation(found, [person.box for person in found], labels.shape)

@@ -1,9 +1,9 @@
 """The real experiment: street photographs and videos of ``../shared/real``.
 
-Whatever was fitted to the photographs is cross-validated by photograph. Settings of silhouettes
-and poses were tuned on even-numbered photographs, so that the odd ones, always shown beside all,
-are their test. The references of poses are MediaPipe's (street people) and a multi-view
-triangulation (``pose2sim``): something to compare with, not ground truth.
+The detector's weights are cross-validated by photograph. Settings of silhouettes and poses were
+tuned on even-numbered photographs, so that the odd ones, always shown beside all, are their test.
+The references of poses are MediaPipe's (street people) and a multi-view triangulation
+(``pose2sim``): something to compare with, not ground truth.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from app.vision.people import silhouette_from_mask
 from app.vision.refine import load_refiner
 from app.vision.segment import NetworkSegmenter
 from index.store import DEFAULT_PATH, PoseIndex
-from scripts.experiments import real_facing
 from scripts.experiments.real_confidence import (
     calibration_error,
+    cross_validated,
     fit_confidence,
     reliability,
     without_definitions,
@@ -61,6 +61,7 @@ from scripts.experiments.real_poses import (
 )
 from scripts.experiments.real_silhouettes import end_to_end, in_true_boxes, peer_in_true_boxes
 from scripts.experiments.real_vtest import FOUND_FROM, MARKS, measure_vtest, read_marks
+from scripts.facing.measure import street_figures as facing_figures
 from scripts.results import machine
 
 COMMAND = "python -m scripts.evaluate real"
@@ -84,10 +85,9 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
         "--fit-detector", action="store_true", help="print the detector's weights instead"
     )
     parser.add_argument(
-        "--fit-facing", action="store_true", help="write the facing weights instead"
-    )
-    parser.add_argument(
-        "--fit-confidence", action="store_true", help="print what app/facing.py is to hold instead"
+        "--fit-confidence",
+        action="store_true",
+        help="print what app/weighing.py holds instead",
     )
 
 
@@ -99,10 +99,11 @@ class Tools:
     detector: CascadeDetector
     segmenter: NetworkSegmenter
     index: PoseIndex
+    facing_reader: FacingReader | None
     joint_reader: JointReader | None
 
-    def estimator(self, reader: FacingReader | None, *, joints: bool = True) -> Estimator:
-        """Wrap them as the service does, with or without a look at the joints."""
+    def estimator(self, *, facing: bool = True, joints: bool = True) -> Estimator:
+        """Wrap them as the service does, with or without a look at facing and joints."""
         return Estimator(
             self.index,
             self.detector,
@@ -110,7 +111,7 @@ class Tools:
             min_person_px=50,
             max_pixels=50_000_000,
             max_persons=50,
-            facing_reader=reader,
+            facing_reader=self.facing_reader if facing else None,
             joint_reader=self.joint_reader if joints else None,
         )
 
@@ -127,6 +128,7 @@ def run(options: argparse.Namespace) -> None:
         CascadeDetector(network),
         NetworkSegmenter(network, load_refiner()),
         PoseIndex.load(options.index),
+        load_facing_reader(),
         load_joint_reader(),
     )
     folder = options.shared / "real"
@@ -135,15 +137,9 @@ def run(options: argparse.Namespace) -> None:
         print(fit_detector(photographs, network))
         return
     people = read_street_people(folder / "pennfudan", photographs)
-    samples = real_facing.read_samples(people, tools.segmenter, network)
-    if options.fit_facing:
-        everyone = samples.group >= 0
-        real_facing.write_model(real_facing.fit(samples, everyone))
-        return
     if options.fit_confidence:
-        estimators = [tools.estimator(reader) for reader in _readers(people, tools, samples)]
-        trials = street_trials(people, estimators, segmented(tools.segmenter))
-        print(fit_confidence([trial for trial in trials if not trial.odd]))
+        trials = street_trials(people, tools.estimator(), segmented(tools.segmenter))
+        print("SLOPE, BIAS = {:.3f}, {:.3f}".format(*fit_confidence(trials)))
         return
     absent = why_absent(options.mediapipe)
     python = None if absent else options.mediapipe
@@ -151,13 +147,14 @@ def run(options: argparse.Namespace) -> None:
     results["mediapipe"] = absent or "0.10.21"
     results["detection"] = measure_detection(photographs, network)
     results["silhouettes"] = silhouettes(photographs, tools, python)
-    results["facing"] = facing_alone(samples)
-    street = street_people(people, tools, samples)
+    if tools.facing_reader is not None:
+        results["facing"] = facing_figures(people, tools.segmenter, tools.facing_reader.read)
+    street = street_people(people, tools)
     results["street"] = street_figures(street)
     videos, results["pose2sim"] = pose2sim(folder, tools, options, python)
     if MARKS.is_file():
         results["vtest"] = vtest(folder, network)
-    own = street["own silhouettes"]
+    own = cross_validated(street["own silhouettes"])
     grouped = {
         "street people": own,
         "street people, odd": [trial for trial in own if trial.odd],
@@ -188,51 +185,25 @@ def silhouettes(
     return found
 
 
-def facing_alone(samples: real_facing.HeadSamples) -> dict[str, Figures]:
-    """What the photograph alone tells of the azimuth, cross-validated by photograph."""
-    weights = real_facing.cross_validated(samples)
-    variants = {"as they are": samples.plain.shape[1] - 1, "faces pixelated": 0}
-    return {
-        name: real_facing.facing_figures(samples, weights, variant)
-        for name, variant in variants.items()
-    }
-
-
-def street_people(
-    people: Sequence[StreetPerson], tools: Tools, samples: real_facing.HeadSamples
-) -> dict[str, list[Trial]]:
-    """Trials of the street people, with facing weights that never saw their photograph."""
-    readers = _readers(people, tools, samples)
-    whole, heads = (
-        [tools.estimator(reader, joints=joints) for reader in readers] for joints in (True, False)
-    )
+def street_people(people: Sequence[StreetPerson], tools: Tools) -> dict[str, list[Trial]]:
+    """Trials of the street people, with more and less of what the photograph shows."""
 
     def true_mask(person: StreetPerson) -> Any:
         mask = person.photograph.labels == person.label
         return silhouette_from_mask(mask, segmenter="mask", truncated=False)
 
-    blind = [tools.estimator(None, joints=False)] * len(people)
+    whole, unread, blind = (
+        tools.estimator(),
+        tools.estimator(joints=False),
+        tools.estimator(facing=False, joints=False),
+    )
     own = segmented(tools.segmenter)
     return {
         "own silhouettes": street_trials(people, whole, own),
-        "own silhouettes, joints not read": street_trials(people, heads, own),
+        "own silhouettes, joints not read": street_trials(people, unread, own),
         "own silhouettes, photograph not asked": street_trials(people, blind, own),
-        "true silhouettes, as a caller's mask": street_trials(people, heads, true_mask),
+        "true silhouettes, as a caller's mask": street_trials(people, unread, true_mask),
     }
-
-
-def _readers(
-    people: Sequence[StreetPerson], tools: Tools, samples: real_facing.HeadSamples
-) -> list[FacingReader]:
-    """A reader for each person that never saw their photograph."""
-    names = sorted({person.photograph.name for person in people})
-    by_photograph = {
-        names[group]: FacingReader(tools.network, model)
-        for group, model in zip(
-            samples.group.tolist(), real_facing.cross_validated(samples), strict=True
-        )
-    }
-    return [by_photograph[person.photograph.name] for person in people]
 
 
 def street_figures(street: dict[str, list[Trial]]) -> dict[str, dict[str, Figures]]:
@@ -247,7 +218,7 @@ def pose2sim(
     folder: Path, tools: Tools, options: argparse.Namespace, python: Path | None
 ) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
     """Trials in the true boxes of both cameras, and the figures of all that was tried."""
-    estimator = tools.estimator(load_facing_reader(tools.network))
+    estimator = tools.estimator()
     trials: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
     for camera in CAMERAS:
@@ -276,7 +247,7 @@ def report(results: dict[str, Any]) -> str:
     lines = [
         "# Real photographs and videos\n",
         f"`{COMMAND} [--mediapipe PYTHON]` on {results['machine']}, one thread.\n",
-        "Fitted weights are cross-validated by photograph. *Odd*: the odd-numbered photographs, "
+        "The detector's weights are cross-validated by photograph. *Odd*: the odd-numbered ones, "
         "on which no setting of silhouettes or poses was tuned. Times are of a machine that did "
         "other work as well.\n",
     ]
@@ -329,7 +300,6 @@ def _silhouettes(found: dict[str, Figures]) -> list[str]:
 
 
 def _street(results: dict[str, Any]) -> list[str]:
-    facing, pixelated = (results["facing"][name] for name in ("as they are", "faces pixelated"))
     rows = [
         f"| {name} | {part} | {int(one['people'])} | {one['pck']:.1f} % | {one['facing']:.1f} % "
         f"| {one['within_90']:.1f} % | {one['facing_any']:.1f} % "
@@ -338,21 +308,26 @@ def _street(results: dict[str, Any]) -> list[str]:
         for part, one in parts.items()
     ]
     return [
-        "The people of `landmarks.json`, in their true boxes; facing weights cross-validated by "
-        "photograph. PCK: share of the 12 limb joints within a tenth of the body height, first "
-        "hypothesis. Facing: front or back as in the reference (of somebody seen from the side, "
-        "either may be); within 90 degrees: of the reference's azimuth. 3D: mean distance of the "
-        "limb joints, hips on hips.\n",
+        "The people of `landmarks.json`, in their true boxes. PCK: share of the 12 limb joints "
+        "within a tenth of the body height, first hypothesis. Facing: front or back as in the "
+        "reference (of somebody seen from the side, either may be); within 90 degrees: of the "
+        "reference's azimuth. 3D: mean distance of the limb joints, hips on hips.\n",
         "| silhouettes | photographs | people | PCK | facing, first | within 90 degrees, first "
         "| facing, any of 7 | 3D first (mm) | 3D best of 7 (mm) |",
         "|---|---|---|---|---|---|---|---|---|",
         *rows,
-        f"\nThe photograph alone tells front from back of {100 * facing['right']:.0f} % "
-        f"({100 * facing['right_clear']:.0f} % of those not seen from the side), AUC "
-        f"{facing['auc']:.2f}; median error of the azimuth {facing['median_error_deg']:.0f} "
-        "degrees. With the face pixelated to three squares by three: "
-        f"{100 * pixelated['right']:.0f} % ({100 * pixelated['right_clear']:.0f} %), AUC "
-        f"{pixelated['auc']:.2f}; {pixelated['median_error_deg']:.0f} degrees.",
+        *(_facing(results["facing"]) if "facing" in results else []),
+    ]
+
+
+def _facing(found: dict[str, Figures]) -> list[str]:
+    plain, pixelated = found["as they are"], found["faces pixelated"]
+    return [
+        f"\nThe photograph alone tells front from back of {100 * plain['right']:.0f} % "
+        f"({100 * plain['right_clear']:.0f} % of those not seen from the side); median error of "
+        f"the azimuth {plain['median_error_deg']:.0f} degrees. With the face pixelated to three "
+        f"squares by three: {100 * pixelated['right']:.0f} % "
+        f"({100 * pixelated['right_clear']:.0f} %), {pixelated['median_error_deg']:.0f} degrees."
     ]
 
 
@@ -392,7 +367,8 @@ def _vtest(found: dict[str, Figures]) -> list[str]:
 
 def _confidence(found: dict[str, Any]) -> list[str]:
     lines = [
-        "All seven hypotheses. Right: the limb joints lie within "
+        "All seven hypotheses; confidences of street people as the other half of the photographs "
+        "gives them. Right: the limb joints lie within "
         f"{LIMBS_RIGHT_BELOW_PX:g} px of the reference on average, where as many simulated "
         "hypotheses lie as within 5 px over all 19 joints, as a confidence means it "
         "([measured](strict.md#limb-joints-alone)), "

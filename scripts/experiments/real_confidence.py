@@ -6,20 +6,47 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from app.facing import BIAS, SLOPE
+from app.weighing import BIAS, SLOPE
 from scripts.experiments.real_poses import LIMBS_RIGHT_BELOW_PX, Trial
 
 
-def fit_confidence(trials: Sequence[Trial]) -> str:
-    """Fit what :mod:`app.facing` makes of the agreement, to trials whose joints were read."""
-    confidence = np.clip(np.concatenate([t.confidence for t in trials]), 1e-9, 1 - 1e-9)
-    agreement = (np.log(confidence / (1 - confidence)) - BIAS) / SLOPE
+def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
+    """Slope and bias that make probabilities of the agreement, as :mod:`app.weighing` holds them.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Of people whose joints were read.
+    """
+    agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
         agreement[:, None], np.concatenate([t.right for t in trials])
     )
-    return f"SLOPE, BIAS = {model.coef_[0, 0]:.3f}, {model.intercept_[0]:.3f}"
+    return float(model.coef_[0, 0]), float(model.intercept_[0])
+
+
+def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
+    """The same trials with the confidences that people in the other half of the photographs give.
+
+    Slope and bias of the service are fitted to both halves.
+    """
+    fitted = {odd: fit_confidence([t for t in trials if t.odd != odd]) for odd in (False, True)}
+
+    def refitted(trial: Trial) -> Trial:
+        slope, bias = fitted[trial.odd]
+        confidence = 1 / (1 + np.exp(-slope * _agreement(trial) - bias))
+        return replace(trial, confidence=confidence)
+
+    return [refitted(trial) for trial in trials]
+
+
+def _agreement(trial: Trial) -> NDArray[np.float64]:
+    """What the confidences of the service, ``(N,)``, were made of."""
+    confidence = np.clip(trial.confidence, 1e-9, 1 - 1e-9)
+    return np.asarray((np.log(confidence / (1 - confidence)) - BIAS) / SLOPE)
 
 
 def reliability(trials: Sequence[Trial], bins: int = 5) -> list[dict[str, float]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimator import Estimator, Found, Person, Stopwatch
+from app.estimator import Estimator, Found, Person, Scene, Stopwatch
 from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter
 from descriptor.silhouette import normalise
@@ -86,7 +86,7 @@ def estimate(
 ) -> Person:
     """Hypotheses of one silhouette."""
     found = Found(silhouette.box, "boxes", None, silhouette)
-    return estimator.with_hypotheses(frame, found, n, Stopwatch())
+    return estimator.with_hypotheses(Scene(lambda: frame, (found,)), found, n, Stopwatch())
 
 
 def judge(
@@ -140,17 +140,15 @@ def procrustes(points: NDArray[np.float64], reference: NDArray[np.float64]) -> f
 
 def street_trials(
     people: Sequence[StreetPerson],
-    estimators: Sequence[Estimator],
+    estimator: Estimator,
     silhouette_of: Callable[[StreetPerson], Silhouette | None],
 ) -> list[Trial]:
-    """Judge the street people, each by an estimator that never saw their photograph.
+    """Judge the street people.
 
     Those without a silhouette are left out; callers say how many.
     """
     trials = []
-    for person, estimator in zip(
-        tqdm(people, desc="street people", unit="person"), estimators, strict=True
-    ):
+    for person in tqdm(people, desc="street people", unit="person"):
         silhouette = silhouette_of(person)
         if silhouette is None:
             continue

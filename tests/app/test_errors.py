@@ -38,6 +38,19 @@ def test_undecodable_images(client: TestClient, photo: Photo, field: str, data: 
     check_problem(client.post("/pose", files=files), 400, field)
 
 
+@pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
+@pytest.mark.parametrize("crowd", [0, 1])
+def test_a_broken_frame_beside_a_sound_mask(
+    client: TestClient, photo: Photo, path: str, crowd: int
+) -> None:
+    files = {"frame": b"\xff\xd8\xff\xe0" + b"x" * 99, "mask": png(crowd * photo.mask)}
+    check_problem(client.post(path, files=files), 400, "frame")
+
+
+def test_where_frame_and_mask_are_broken_the_frame_is_named(client: TestClient) -> None:
+    check_problem(client.post("/pose", files={"frame": b"x", "mask": b"y"}), 400, "frame")
+
+
 def test_a_bomb_is_refused_by_its_header(client: TestClient) -> None:
     bomb = png(np.zeros((12_000, 12_000), np.uint8))
     assert len(bomb) < 1_000_000

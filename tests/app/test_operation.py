@@ -172,10 +172,10 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
 def test_no_more_threads_beside_the_work_than_frames_worked_on(
     settings: Settings, photo: Photo, concurrency: int
 ) -> None:
-    def beside() -> set[threading.Thread]:
-        return {t for t in threading.enumerate() if t.name.startswith("photograph")}
+    def beside(name: str = "photograph") -> set[threading.Thread]:
+        return {t for t in threading.enumerate() if t.name.startswith(name)}
 
-    before = beside()
+    before, before_searching = beside(), beside("pictures")
     estimator = Estimator.load(settings.model_copy(update={"concurrency": concurrency}))
     estimator.warm_up()
     upload = Upload(frame=photo.frame_png, mask=photo.mask_png)
@@ -183,7 +183,9 @@ def test_no_more_threads_beside_the_work_than_frames_worked_on(
         answers = list(
             callers.map(lambda _: estimator.estimate(upload, 1, lambda: None), range(12))
         )
+        list(callers.map(lambda _: estimator.detect(photo.frame_png, lambda: None), range(6)))
     assert 1 <= len(beside() - before) <= concurrency
+    assert len(beside("pictures") - before_searching) <= concurrency
     assert all(len(answer.persons) == 1 for answer in answers)
 
 

@@ -1,34 +1,38 @@
-"""What a head tells of the azimuth: a density, symmetric, and silent on strange heads."""
+"""What a photograph tells of the azimuth: a density, symmetric, and silent where it is blank."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.vision.facing_evidence import WEIGHTS_PATH, AzimuthBelief, FacingModel, head_window
+from app.vision.facing_evidence import (
+    CHANNELS,
+    SIZE,
+    AzimuthBelief,
+    FacingReader,
+    facing_input,
+    head_window,
+    load_facing_reader,
+)
+from app.vision.joints import WEIGHTS_PATH as JOINTS_PATH
+from app.vision.onnx import OnnxError
 from app.vision.people import Silhouette
 
 strengths = st.floats(-200, 200)
-FEATURES = 12
 
 
-def some_model(seed: int = 0) -> FacingModel:
-    rng = np.random.default_rng(seed)
-    return FacingModel(
-        weights=rng.normal(size=(2, FEATURES)),
-        bias=rng.normal(size=2),
-        mean=rng.normal(size=FEATURES),
-        spread=rng.uniform(0.5, 2, FEATURES),
-        usual=np.array([1.0, 1.2]),
-    )
+def street() -> np.ndarray:
+    noise = np.random.default_rng(0).integers(0, 255, (300, 200, 3))
+    return noise.astype(np.uint8)
 
 
-def features_at(model: FacingModel, strangeness: float, seed: int = 1) -> np.ndarray:
-    direction = np.random.default_rng(seed).normal(size=FEATURES)
-    direction *= strangeness / np.sqrt((direction**2).mean())
-    return np.asarray(model.mean + model.spread * direction)
+def some_silhouette(height: int = 150) -> Silhouette:
+    return Silhouette(np.ones((height, height // 3), bool), 60, 40, "mask", False)
 
 
 class TestAzimuthBelief:
@@ -55,43 +59,50 @@ class TestAzimuthBelief:
         assert azimuths[belief.likelihood(azimuths).argmax()] == 40
 
 
-class TestFacingModel:
-    @pytest.mark.parametrize("strangeness", [0.0, 0.6, 1.0, 1.2])
-    def test_reads_usual_heads_in_full(self, strangeness: float) -> None:
-        model = some_model()
-        features = features_at(model, strangeness)
-        assert model.strangeness(features) == pytest.approx(strangeness)
-        belief = model.belief(features)
-        assert belief is not None
-        assert (belief.front, belief.left) == pytest.approx(
-            tuple(model.weights @ features + model.bias)
-        )
+class TestFacingReader:
+    reader = FacingReader()
 
-    def test_fades_as_heads_get_strange(self) -> None:
-        model = some_model()
-        full = model.weights @ features_at(model, 1.3) + model.bias
-        half = model.belief(features_at(model, 1.3))
-        assert half is not None
-        assert (half.front, half.left) == pytest.approx(tuple(full / 2))
+    def test_says_nothing_where_nothing_is_to_be_seen(self) -> None:
+        blank = np.full((300, 200, 3), 90, np.uint8)
+        assert self.reader.read(blank, some_silhouette()) is None
 
-    @given(strangeness=st.floats(1.4001, 1e3), seed=st.integers(0, 99))
-    def test_says_nothing_of_heads_unlike_any(self, strangeness: float, seed: int) -> None:
-        model = some_model()
-        assert model.belief(features_at(model, strangeness, seed)) is None
+    def test_says_nothing_of_thumbnails(self) -> None:
+        assert self.reader.read(street(), some_silhouette(height=39)) is None
 
-    @pytest.mark.parametrize("name", ["bias", "mean", "spread", "usual"])
-    def test_refuses_arrays_that_do_not_fit(self, name: str) -> None:
-        arrays = dict(vars(some_model()))
-        arrays[name] = np.ones(5)
-        with pytest.raises(ValueError, match=f"expected {name} of shape"):
-            FacingModel(**arrays)
+    def test_says_nothing_of_bodies_whose_head_the_frame_cuts(self) -> None:
+        cut = replace(some_silhouette(), top=0, truncated=True)
+        assert self.reader.read(street(), cut) is None
+        assert self.reader.read(street(), replace(cut, truncated=False)) is not None
 
-    def test_the_shipped_one_is_sound(self) -> None:
-        with np.load(WEIGHTS_PATH, allow_pickle=False) as stored:
-            model = FacingModel(**stored)
-        assert (model.spread > 0).all()
-        assert 0 < model.usual[0] < model.usual[1]
-        assert model.strangeness(model.mean) == 0
+    def test_the_same_picture_gives_the_same_belief(self) -> None:
+        first, second = (self.reader.read(street(), some_silhouette()) for _ in range(2))
+        assert first is not None
+        assert first == second
+
+    @pytest.mark.parametrize("content", [b"", b"no network"])
+    def test_a_broken_file_is_refused(self, tmp_path: Path, content: bytes) -> None:
+        broken = tmp_path / "facing.onnx"
+        broken.write_bytes(content)
+        with pytest.raises(OnnxError):
+            FacingReader(broken)
+        assert load_facing_reader(broken) is None
+
+    def test_another_network_is_refused(self) -> None:
+        with pytest.raises(OnnxError):
+            FacingReader(JOINTS_PATH)
+
+
+def test_the_network_sees_the_head_and_the_whole_person() -> None:
+    silhouette = some_silhouette()
+    planes = facing_input(street(), silhouette)
+    assert planes.shape == (CHANNELS, SIZE, SIZE)
+    head, body = planes[3] > 127, planes[7] > 127
+    # Head and shoulders fill the columns of their window, to its lower edge.
+    assert head[-1].any()
+    assert not head[0].any()
+    # All of the person lies inside the other, with room about it.
+    assert not body[[0, -1]].any()
+    assert body.any(axis=1).sum() == pytest.approx(SIZE / 1.3, abs=2)
 
 
 @given(left=st.integers(0, 500), top=st.integers(0, 500), height=st.integers(40, 300))
