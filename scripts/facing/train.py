@@ -3,7 +3,7 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.facing.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/facing.onnx`` in about forty minutes on one core. It needs the extras build and
+writes ``app/vision/facing.onnx`` in about half an hour on one core. It needs the extras build and
 train. No photograph of ``../shared/real`` is seen but the empty street of ``vtest``.
 """
 

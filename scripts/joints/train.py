@@ -3,8 +3,8 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.joints.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/joints.onnx`` in about two hours on one core. It needs the extras build and
-train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
+writes ``app/vision/joints.onnx`` in about three and a half hours on one core. It needs the extras
+build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
 ``../shared/real`` is seen but the empty street of ``vtest``.
 """
 
@@ -28,7 +28,7 @@ from scripts.refinement.model import export
 from scripts.refinement.samples import spoil
 from scripts.refinement.sprites import Casting
 
-LESSONS = ((7500, 3e-3), (8000, 2e-3))
+LESSONS = ((7500, 3e-3), (8000, 2e-3), (16000, 2e-3))
 """Batches, and the largest learning rate, which rises and falls once in each."""
 
 TRUE_SHARE = 0.6
@@ -112,7 +112,7 @@ def train(
 
 def main() -> None:
     """Command line."""
-    options = read_options(__doc__, sprites=4500, samples=30000, out=WEIGHTS_PATH)
+    options = read_options(__doc__, sprites=6000, samples=30000, out=WEIGHTS_PATH)
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
     sprites = draw_sprites(Casting(options.shared, photographs), options.sprites, generator)
