@@ -8,7 +8,6 @@ are for the final figure.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.settings import DEFAULT_MODEL
 from app.vision.facing_evidence import WEIGHTS_PATH, AzimuthBelief, FacingReader, head_window
 from app.vision.network import PersonNetwork
 from app.vision.people import Silhouette
@@ -28,9 +26,9 @@ from scripts.experiments.real_data import (
     read_pose2sim,
     read_street_people,
 )
+from scripts.experiments.real_options import read_options
 from scripts.experiments.real_poses import segmented
 
-ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = ("cam01", "cam03")
 
 FACE_CELLS = 3
@@ -119,13 +117,7 @@ def camera_figures(
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--reader", type=Path, default=WEIGHTS_PATH)
-    parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
-    parser.add_argument("--odd", action="store_true", help="the odd photographs, and pose2sim")
-    options = parser.parse_args()
+    options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     folder = options.shared / "real"
     segmenter = NetworkSegmenter(PersonNetwork(options.model), load_refiner())

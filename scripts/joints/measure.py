@@ -8,7 +8,6 @@ photographs; the odd ones, and the balancing person, are for the final figure.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.settings import DEFAULT_MODEL
 from app.vision.joints import WEIGHTS_PATH, JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Silhouette
@@ -29,9 +27,9 @@ from scripts.experiments.real_data import (
     read_pose2sim,
     read_street_people,
 )
+from scripts.experiments.real_options import read_options
 from scripts.experiments.real_poses import NEAR, segmented
 
-ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = ("cam01", "cam03")
 # Left and right take turns in LIMBS.
 OTHER_SIDE = [row ^ 1 for row in range(len(LIMBS))]
@@ -84,13 +82,7 @@ def people(
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--reader", type=Path, default=WEIGHTS_PATH)
-    parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
-    parser.add_argument("--odd", action="store_true", help="odd photographs and pose2sim")
-    options = parser.parse_args()
+    options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     segmenter = make_segmenter(PersonNetwork(options.model))
     reader = JointReader(options.reader)

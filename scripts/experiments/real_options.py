@@ -1,0 +1,21 @@
+"""The command line of the measures of one reader on real people."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from app.settings import DEFAULT_MODEL
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def read_options(description: str | None, weights: Path) -> argparse.Namespace:
+    """Read where the data, the networks and the halves of the photographs are."""
+    parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
+    parser.add_argument("--reader", type=Path, default=weights)
+    parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
+    parser.add_argument("--odd", action="store_true", help="the odd photographs, and pose2sim")
+    return parser.parse_args()
