@@ -12,6 +12,8 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.png_chunks import png_chunks
+
 _HEADER = struct.Struct(">IIBBBBB")
 _NONE, _SUB, _UP = range(3)
 
@@ -30,26 +32,20 @@ def read_grey_png(data: bytes) -> NDArray[np.uint8] | None:
         None for any other PNG, for a broken one, and where rows are predicted from both
         neighbours, which takes a loop over pixels.
     """
-    compressed = []
+    compressed: list[memoryview] = []
     shape: tuple[int, int] | None = None
-    position = 8
-    while position + 12 <= len(data):
-        length = int.from_bytes(data[position : position + 4], "big")
-        body = data[position + 4 : position + 8 + length]
-        position += 12 + length
-        if zlib.crc32(body) != int.from_bytes(data[position - 4 : position], "big"):
+    for chunk in png_chunks(data):
+        if zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
             return None
-        kind, content = body[:4], body[4:]
-        if kind == b"IHDR" and length == _HEADER.size:
+        kind, content = bytes(chunk[4:8]), chunk[8:-4]
+        if kind == b"IHDR" and len(content) == _HEADER.size:
             width, height, *rest = _HEADER.unpack(content)
             if rest != [8, 0, 0, 0, 0]:
                 return None
             shape = (height, width)
         elif kind == b"IDAT":
             compressed.append(content)
-        elif kind == b"IEND":
-            break
-        elif kind in (b"eXIf", b"tRNS", b"acTL") or kind[0:1].isupper():
+        elif kind in (b"eXIf", b"tRNS", b"acTL") or (kind != b"IEND" and kind[:1].isupper()):
             return None
     return None if shape is None else _unfiltered(b"".join(compressed), *shape)
 
