@@ -18,8 +18,8 @@ from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
 from app.vision.detect import Detector, make_detector
-from app.vision.facing_evidence import AzimuthBelief, FacingReader, load_facing_reader
-from app.vision.joints import JointReader, load_joint_reader
+from app.vision.facing_evidence import AzimuthBelief, FacingReader
+from app.vision.joints import JointReader
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
@@ -249,6 +249,8 @@ class Estimator:
         ------
         ArtefactError
             If the index cannot be used.
+        OnnxError
+            If a network of the package is missing or broken.
         """
         workers = Workers(settings.concurrency)
         network = load_network(settings.segmentation_model, workers)
@@ -259,8 +261,8 @@ class Estimator:
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            facing_reader=load_facing_reader(),
-            joint_reader=load_joint_reader(),
+            facing_reader=FacingReader(),
+            joint_reader=JointReader(),
             concurrency=settings.concurrency,
         )
 

@@ -21,9 +21,9 @@ from index.store import PoseIndex
 CANDIDATES = 200
 """Nearest entries that are looked at; of more, few add a mode worth offering."""
 
-SPARE_MODES = 5
-"""Modes looked at beyond those asked for: a thin one may fit best, or agree best with what else
-is known of the person."""
+SPARE_MODES, SPARE_MODES_SEEN = 5, 14
+"""Modes looked at beyond those asked for, without and with maps of the joints: a thin one may fit
+best, or agree best with what else is known of the person."""
 
 LEANS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
 """How far people are looked for who lean, where more is known than the silhouette."""
@@ -102,7 +102,7 @@ def match(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypot
 def match_with_spares(
     index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None = None
 ) -> list[Hypothesis]:
-    """As :func:`match`, and up to ``SPARE_MODES`` more for a caller who has more to go by.
+    """As :func:`match`, and some more for a caller who has more to go by.
 
     Where maps of the joints are given, people who lean are looked for as well, candidates count as
     the maps agree with them, and poses are interpolated to the maps as well as to the silhouette,
@@ -156,7 +156,8 @@ def _enough_modes(
     index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None
 ) -> tuple[Candidates, list[Mode]]:
     """Look at more candidates until they hold ``n`` modes or the index has no more."""
-    wanted, k = n + SPARE_MODES, max(CANDIDATES, 20 * n)
+    wanted = n + (SPARE_MODES if maps is None else SPARE_MODES_SEEN)
+    k = max(CANDIDATES, 20 * n)
     while True:
         if maps is None:
             candidates = find_candidates(index, silhouette, k)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from app.vision.joints import joints_window
-from app.vision.onnx import OnnxError, OnnxNetwork
+from app.vision.onnx import OnnxNetwork
 from app.vision.people import Silhouette
 from app.vision.resampling import Window, cut, resize
 
@@ -30,13 +30,14 @@ WEIGHTS_PATH = Path(__file__).parent / "facing.onnx"
 WINDOW_SHARE = 0.5
 """Side of the window about head and shoulders, in heights of the silhouette."""
 
+LEAST_PX = 40
+"""Persons of less than this show too little of a head."""
+
 # Rows of the silhouette, in shares of its height, whose middle is the head's; and how far below
 # the crown the window's centre lies.
 _HEAD = 0.13
 _CENTRE = 0.17
-# Persons of less than this show too little of a head; so does a blank picture, whose grey levels
-# spread by less than this.
-_LEAST_PX = 40
+# Grey levels of a blank picture spread by less than this.
 _LEAST_CONTRAST = 6.0
 # The image says nothing of the azimuth in so many cases: a turned head, a hood, a wrong box.
 _OUTLIERS = 0.05
@@ -104,21 +105,13 @@ class FacingReader:
         silhouette : Silhouette
         """
         # A head that the frame's upper edge cuts is taken for a body's top wrongly.
-        if len(silhouette.crop) < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
+        if len(silhouette.crop) < LEAST_PX or (silhouette.truncated and silhouette.top == 0):
             return None
         planes = facing_input(frame, silhouette)
         if planes[:3].std(axis=(1, 2)).max() < _LEAST_CONTRAST:
             return None
         front, left = self._network.run(planes)
         return AzimuthBelief(float(front), float(left))
-
-
-def load_facing_reader(path: Path = WEIGHTS_PATH) -> FacingReader | None:
-    """Load the reader if its file is there and sound; poses are told without it, less well."""
-    try:
-        return FacingReader(path)
-    except OnnxError:
-        return None
 
 
 def facing_input(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.uint8]:

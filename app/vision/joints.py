@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.onnx import OnnxError, OnnxNetwork
+from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box, Silhouette
 from app.vision.resampling import Window, cut, resize
 from descriptor.silhouette import Placement
@@ -114,11 +114,3 @@ class JointReader:
             cells_per_px / placement.scale,
             (origin + 0.5) * cells_per_px - 0.5,
         )
-
-
-def load_joint_reader(path: Path = WEIGHTS_PATH) -> JointReader | None:
-    """Load the reader if its file is there and sound; poses are told without it, less well."""
-    try:
-        return JointReader(path)
-    except OnnxError:
-        return None

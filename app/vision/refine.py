@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.onnx import OnnxError, OnnxNetwork
+from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box
 from app.vision.resampling import Window, cut, resize
 
@@ -124,11 +124,3 @@ class Refiner:
         """
         probability: NDArray[np.float32] = self._network.run(planes)[0]
         return probability
-
-
-def load_refiner(path: Path = WEIGHTS_PATH) -> Refiner | None:
-    """Load the refiner if its file is there and sound; silhouettes are drawn without it, worse."""
-    try:
-        return Refiner(path)
-    except OnnxError:
-        return None

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from app.vision.decode import labels_in
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
-from app.vision.neighbours import own_part
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_mask
-from app.vision.refine import Refiner, load_refiner, refiner_input, refiner_window
+from app.vision.refine import Refiner, refiner_input, refiner_window
 from app.vision.resampling import Window, resize, resize_mask
 from app.vision.truncation import with_truncation
 from app.vision.views import View, view_of, with_grey_surroundings
@@ -49,7 +48,7 @@ def make_segmenter(network: PersonNetwork | None, workers: Workers | None = None
     """The network's segmenter if there is a network, else GrabCut."""
     if network is None:
         return GrabCutSegmenter()
-    return NetworkSegmenter(network, load_refiner(), workers)
+    return NetworkSegmenter(network, Refiner(), workers)
 
 
 # How much the refiner's answer counts beside the first network's, which knows real people better:
@@ -59,7 +58,6 @@ _TAKEN_SHARE, _ADDED_SHARE = 0.6, 0.8
 _REFINED_RADIUS = 3
 # Masks that the refiner draws are enlarged to no more than this height before they are cleaned.
 _REFINED_ROWS = 384
-_NEIGHBOUR_ROWS = 96
 # Less than this share of the box, and the network did not see the person.
 _LEAST_FILL = 0.12
 
@@ -67,14 +65,13 @@ _LEAST_FILL = 0.12
 class NetworkSegmenter:
     """Cut people out with the segmentation network.
 
-    The network marks whoever is in its window. The refiner redraws the person's own part; without
-    it, that is told by the box and the photograph's edges. Where nobody is seen (people under some
-    30 px), GrabCut takes over.
+    The network marks whoever is in its window; the refiner redraws the person's own part. Where
+    nobody is seen (people under some 30 px), GrabCut takes over.
 
     Parameters
     ----------
     network : PersonNetwork
-    refiner : Refiner, optional
+    refiner : Refiner
     workers : Workers, optional
         Who redraws several people; by default the caller's thread, one after the other.
     """
@@ -84,7 +81,7 @@ class NetworkSegmenter:
     def __init__(
         self,
         network: PersonNetwork,
-        refiner: Refiner | None = None,
+        refiner: Refiner,
         workers: Workers | None = None,
     ) -> None:
         self._network = network
@@ -96,15 +93,12 @@ class NetworkSegmenter:
         """Cut out the person in each box; see :class:`Segmenter`."""
         height, width = frame.shape[:2]
         visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
-        views = [view_of(frame, box, [b for j, b in visible if j != i]) for i, box in visible]
+        views = [view_of(frame, box) for _, box in visible]
         answers = self._network.of_images([with_grey_surroundings(view) for view in views])
 
         def drawn(position: int) -> Silhouette | None:
-            view, answer = views[position], answers[position]
-            if self._refiner is None:
-                return _drawn(view, answer)
             others = [box for other, (_, box) in enumerate(visible) if other != position]
-            return _redrawn(self._refiner, frame, view, others, answer)
+            return _redrawn(self._refiner, frame, views[position], others, answers[position])
 
         found: list[Silhouette | None] = [None] * len(boxes)
         silhouettes = self._workers.map(drawn, range(len(visible)))
@@ -116,26 +110,6 @@ class NetworkSegmenter:
             for i in missing:
                 found[i] = others[i]
         return with_truncation(found, boxes, frame.shape)
-
-
-def _own_part(view: View, soft: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels of a view that are not a neighbour's."""
-    height, width = soft.shape
-    scale = min(1.0, _NEIGHBOUR_ROWS / height)
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    region = resize(soft, *size) > 0.4
-    others = [other.scaled(scale) for other in view.others]
-    own = own_part(resize(view.image, *size), region, view.box.scaled(scale), others)
-    # What is foreign is taken away, rather than the rest kept: thin limbs that vanish at the
-    # small size stay.
-    return ~resize_mask(region & ~own, width, height)
-
-
-def _drawn(view: View, answer: NDArray[np.float32]) -> Silhouette | None:
-    """One person's silhouette in the frame; None if next to nothing was seen."""
-    rows, columns = view.image.shape[:2]
-    soft = guided_filter(view.image, resize(answer, columns, rows), radius=max(2, round(rows / 70)))
-    return _silhouette((soft >= 0.5) & _own_part(view, soft), view.window, view.whole)
 
 
 def _redrawn(

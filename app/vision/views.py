@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -27,18 +26,17 @@ _ROWS = 320
 class View:
     """The window around one person, at the resolution at which the mask is drawn.
 
-    ``image`` is (h, w, 3) uint8; ``box`` and ``others`` are in its pixels, ``whole`` (the
-    person's box) and ``window`` in the frame's.
+    ``image`` is (h, w, 3) uint8; ``box`` is in its pixels, ``whole`` (the same box) and ``window``
+    in the frame's.
     """
 
     image: NDArray[np.uint8]
     box: Box
-    others: list[Box]
     whole: Box
     window: Window
 
 
-def view_of(frame: NDArray[np.uint8], box: Box, others: Sequence[Box]) -> View:
+def view_of(frame: NDArray[np.uint8], box: Box) -> View:
     """Cut the window around a person's box out of a frame."""
     left, top, right, bottom = box.pixels()
     height = max(bottom - top, round((right - left) / 1.6))
@@ -46,11 +44,8 @@ def view_of(frame: NDArray[np.uint8], box: Box, others: Sequence[Box]) -> View:
     window = ((left + right - width) // 2, (top + bottom - height) // 2, width, height)
     scale = min(1.0, _ROWS / height)
     image = resize(cut(frame, window), max(1, round(width * scale)), max(1, round(height * scale)))
-
-    def local(one: Box) -> Box:
-        return Box(one.x - window[0], one.y - window[1], one.width, one.height).scaled(scale)
-
-    return View(image, local(box), [local(other) for other in others], box, window)
+    local = Box(box.x - window[0], box.y - window[1], box.width, box.height).scaled(scale)
+    return View(image, local, box, window)
 
 
 def with_grey_surroundings(view: View) -> NDArray[np.uint8]:

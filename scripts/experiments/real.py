@@ -25,12 +25,12 @@ import matplotlib.pyplot as plt
 from app.estimator import Estimator
 from app.settings import DEFAULT_MODEL
 from app.vision.detect import CascadeDetector
-from app.vision.facing_evidence import FacingReader, load_facing_reader
+from app.vision.facing_evidence import FacingReader
 from app.vision.grabcut import GrabCutSegmenter
-from app.vision.joints import JointReader, load_joint_reader
+from app.vision.joints import JointReader
 from app.vision.network import NetworkError, PersonNetwork
 from app.vision.people import silhouette_from_mask
-from app.vision.refine import load_refiner
+from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter
 from index.store import DEFAULT_PATH, PoseIndex
 from scripts.experiments.real_confidence import (
@@ -99,8 +99,8 @@ class Tools:
     detector: CascadeDetector
     segmenter: NetworkSegmenter
     index: PoseIndex
-    facing_reader: FacingReader | None
-    joint_reader: JointReader | None
+    facing_reader: FacingReader
+    joint_reader: JointReader
 
     def estimator(self, *, facing: bool = True, joints: bool = True) -> Estimator:
         """Wrap them as the service does, with or without a look at facing and joints."""
@@ -126,10 +126,10 @@ def run(options: argparse.Namespace) -> None:
     tools = Tools(
         network,
         CascadeDetector(network),
-        NetworkSegmenter(network, load_refiner()),
+        NetworkSegmenter(network, Refiner()),
         PoseIndex.load(options.index),
-        load_facing_reader(),
-        load_joint_reader(),
+        FacingReader(),
+        JointReader(),
     )
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
@@ -147,8 +147,7 @@ def run(options: argparse.Namespace) -> None:
     results["mediapipe"] = absent or "0.10.21"
     results["detection"] = measure_detection(photographs, network)
     results["silhouettes"] = silhouettes(photographs, tools, python)
-    if tools.facing_reader is not None:
-        results["facing"] = facing_figures(people, tools.segmenter, tools.facing_reader.read)
+    results["facing"] = facing_figures(people, tools.segmenter, tools.facing_reader.read)
     street = street_people(people, tools)
     results["street"] = street_figures(street)
     videos, results["pose2sim"] = pose2sim(folder, tools, options, python)

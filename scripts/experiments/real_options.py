@@ -1,4 +1,4 @@
-"""The command line of the measures of one reader on real people."""
+"""The command line of the measures of one network on real people."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def read_options(description: str | None, weights: Path) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--reader", type=Path, default=weights)
+    parser.add_argument("--network", type=Path, default=weights, help="the one judged")
     parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
     parser.add_argument("--odd", action="store_true", help="the odd photographs, and pose2sim")
     return parser.parse_args()

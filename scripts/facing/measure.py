@@ -1,6 +1,6 @@
 """How well the photograph alone tells which way real people face.
 
-    python -m scripts.facing.measure [--odd] [--reader FILE]
+    python -m scripts.facing.measure [--odd] [--network FILE]
 
 Settings may be looked at on even-numbered photographs; the odd ones, and the balancing person,
 are for the final figure.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from app.vision.facing_evidence import WEIGHTS_PATH, AzimuthBelief, FacingReader, head_window
 from app.vision.network import PersonNetwork
 from app.vision.people import Silhouette
-from app.vision.refine import load_refiner
+from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter, Segmenter
 from scripts.experiments.real_data import (
     StreetPerson,
@@ -120,8 +120,8 @@ def main() -> None:
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     folder = options.shared / "real"
-    segmenter = NetworkSegmenter(PersonNetwork(options.model), load_refiner())
-    look = FacingReader(options.reader).read
+    segmenter = NetworkSegmenter(PersonNetwork(options.model), Refiner())
+    look = FacingReader(options.network).read
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
     chosen = [person for person in people if person.photograph.odd == options.odd]

@@ -1,6 +1,6 @@
 """How well joints are read: share of the limb joints of real people within a tenth of their height.
 
-    python -m scripts.joints.measure [--odd] [--reader FILE]
+    python -m scripts.joints.measure [--odd] [--network FILE]
 
 A joint is taken to be at the peak of its map. Settings may be looked at on even-numbered
 photographs; the odd ones, and the balancing person, are for the final figure.
@@ -85,7 +85,7 @@ def main() -> None:
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     segmenter = make_segmenter(PersonNetwork(options.model))
-    reader = JointReader(options.reader)
+    reader = JointReader(options.network)
     found: dict[str, list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]] = {}
     everyone = people(options.shared / "real", segmenter, odd=options.odd, step=options.step)
     for group, frame, silhouette, reference, height in everyone:

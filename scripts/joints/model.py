@@ -21,8 +21,8 @@ class JointReader(nn.Module):  # type: ignore[misc]
         self.to_quarter = nn.Sequential(
             Layer(CHANNELS, a, 2), Layer(a, a), Layer(a, b, 2), Residual(b)
         )
-        self.to_eighth = nn.Sequential(Layer(b, c, 2), Residual(c))
-        self.to_sixteenth = nn.Sequential(Layer(c, d, 2), Residual(d), Residual(d), Residual(d))
+        self.to_eighth = nn.Sequential(Layer(b, c, 2), *(Residual(c) for _ in range(2)))
+        self.to_sixteenth = nn.Sequential(Layer(c, d, 2), *(Residual(d) for _ in range(5)))
         self.up = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False)
         self.narrow = nn.ModuleList((nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1)))
         self.join = nn.ModuleList((Residual(c), Residual(b)))

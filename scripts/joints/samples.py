@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from app.vision.joints import CHANNELS, COLUMNS, READ_ROWS, ROWS, joints_input, joints_window
+from app.vision.joints import (
+    CHANNELS,
+    COLUMNS,
+    READ,
+    READ_ROWS,
+    ROWS,
+    joints_input,
+    joints_window,
+)
 from app.vision.resampling import cut, resize
 from app.vision.segment import Segmenter
-from scripts.refinement.scenes import Scene, make_scene
-from scripts.refinement.sprites import Sprite
+from index.skeleton import POINT_NAMES, POINTS, exchange_sides
+from scripts.refinement.scenes import Scene, counted
+
+OTHER_SIDE = [
+    READ.index(POINT_NAMES[row])
+    for row in exchange_sides(np.arange(float(POINTS))[:, None])[list(READ_ROWS), 0].astype(int)
+]
+"""For each point that is read, the number of the one on the body's other side."""
 
 
 @dataclass(frozen=True)
@@ -55,24 +68,12 @@ def samples_of(
         )
 
 
-def make_samples(
-    sprites: Sequence[Sprite],
-    backgrounds: Sequence[NDArray[np.uint8]],
-    segmenter: Segmenter,
-    count: int,
-    seed: int,
-) -> Samples:
-    """Compose ``count`` samples."""
-    generator = np.random.default_rng(seed)
+def make_samples(scenes: Iterable[Scene], segmenter: Segmenter, count: int) -> Samples:
+    """Make ``count`` samples of scenes."""
     seen = np.empty((count, CHANNELS, ROWS, COLUMNS), np.uint8)
     covers = np.empty((count, ROWS, COLUMNS), np.uint8)
     points = np.empty((count, len(READ_ROWS), 2), np.float32)
-    done = 0
-    with tqdm(total=count, desc="composing", unit="sample", mininterval=5) as progress:
-        while done < count:
-            for one in samples_of(make_scene(sprites, backgrounds, generator), segmenter):
-                if done < count:
-                    seen[done], covers[done], points[done] = one
-                    done += 1
-                    progress.update()
+    found = (one for scene in scenes for one in samples_of(scene, segmenter))
+    for row, one in enumerate(counted(found, count)):
+        seen[row], covers[row], points[row] = one
     return Samples(seen, covers, points)

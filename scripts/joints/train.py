@@ -16,16 +16,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from app.vision.joints import CELL, CHANNELS, COLUMNS, READ, READ_ROWS, ROWS, WEIGHTS_PATH
+from app.vision.joints import CELL, CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH
 from app.vision.network import PersonNetwork
 from app.vision.segment import make_segmenter
-from index.skeleton import POINT_NAMES, POINTS, exchange_sides
+from scripts.joints.maps import loss_of, wanted_maps
 from scripts.joints.model import JointReader
-from scripts.joints.samples import Samples, make_samples
+from scripts.joints.samples import OTHER_SIDE, Samples, make_samples
 from scripts.refinement.backgrounds import read_backgrounds
-from scripts.refinement.lessons import BATCH, descend, draw_sprites, read_options
+from scripts.refinement.lessons import BATCH, descend, read_options
 from scripts.refinement.model import export
 from scripts.refinement.samples import spoil
+from scripts.refinement.scenes import make_scenes
 from scripts.refinement.sprites import Casting
 
 LESSONS = ((7500, 3e-3), (8000, 2e-3), (16000, 2e-3))
@@ -38,14 +39,6 @@ simulated people."""
 TURN_DEG, SCALE, SHIFT = 12.0, 0.1, 0.04
 """Standard deviations of what a window is turned, enlarged (logarithm) and moved (of its height)
 by."""
-
-SPREAD_CELLS = 0.8
-"""How far about its place a point counts as found."""
-
-_OTHER_SIDE = [
-    READ.index(POINT_NAMES[row])
-    for row in exchange_sides(np.arange(float(POINTS))[:, None])[list(READ_ROWS), 0].astype(int)
-]
 
 
 def vary(
@@ -72,26 +65,8 @@ def vary(
     np.clip(seen[:3], 0, 1, out=seen[:3])
     if generator.random() < 0.5:
         seen = seen[..., ::-1]
-        points = points[_OTHER_SIDE] * (-1, 1) + (COLUMNS - 1, 0)
+        points = points[OTHER_SIDE] * (-1, 1) + (COLUMNS - 1, 0)
     return seen, points.astype(np.float32)
-
-
-def maps_of(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Points ``(N, P, 2)`` in pixels to wanted maps ``(N, P, 36, 24)``, and which lie inside."""
-    cells = (points + 0.5) / CELL - 0.5
-    x = np.exp(-((cells[..., :1] - np.arange(COLUMNS // CELL)) ** 2) / (2 * SPREAD_CELLS**2))
-    y = np.exp(-((cells[..., 1:] - np.arange(ROWS // CELL)) ** 2) / (2 * SPREAD_CELLS**2))
-    maps = y[..., :, None] * x[..., None, :]
-    inside = np.asarray(((points >= 0) & (points <= (COLUMNS - 1, ROWS - 1))).all(axis=-1))
-    sums = np.maximum(maps.sum(axis=(2, 3), keepdims=True), 1e-9)
-    return (maps / sums).astype(np.float32), inside
-
-
-def loss_of(odds: Tensor, wanted: Tensor, inside: Tensor) -> Tensor:
-    """Cross entropy of each map, over the points that lie in the window."""
-    logs = torch.log_softmax(odds.flatten(2), dim=2)
-    crossed = -(wanted.flatten(2) * logs).sum(dim=2)
-    return (crossed * inside).sum() / inside.sum()
 
 
 def train(
@@ -103,7 +78,8 @@ def train(
         rows = generator.choice(len(samples.points), BATCH, replace=False)
         varied = [vary(samples, row, generator) for row in rows]
         seen = torch.from_numpy(np.stack([one[0] for one in varied]))
-        wanted, inside = maps_of(np.stack([one[1] for one in varied]))
+        points = np.stack([one[1] for one in varied])
+        wanted, inside = wanted_maps(points, (ROWS // CELL, COLUMNS // CELL), CELL)
         odds = model.odds(seen.to(memory_format=torch.channels_last))
         return loss_of(odds, torch.from_numpy(wanted), torch.from_numpy(inside))
 
@@ -112,12 +88,12 @@ def train(
 
 def main() -> None:
     """Command line."""
-    options = read_options(__doc__, sprites=6000, samples=30000, out=WEIGHTS_PATH)
+    options = read_options(__doc__, samples=50000, out=WEIGHTS_PATH)
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
-    sprites = draw_sprites(Casting(options.shared, photographs), options.sprites, generator)
+    scenes = make_scenes(Casting(options.shared, photographs), photographs, generator)
     segmenter = make_segmenter(PersonNetwork(options.model))
-    samples = make_samples(sprites, photographs, segmenter, options.samples, options.seed + 1)
+    samples = make_samples(scenes, segmenter, options.samples)
     torch.manual_seed(options.seed)
     model = JointReader()
     model.to(memory_format=torch.channels_last)

@@ -1,4 +1,4 @@
-"""What the trainings of both networks share: their options, their people, and the descent."""
+"""What the trainings of all networks share: their options, and the descent."""
 
 from __future__ import annotations
 
@@ -8,27 +8,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
-import numpy as np
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
 from app.settings import DEFAULT_MODEL
-from scripts.refinement.sprites import Casting, Sprite
 
 ROOT = Path(__file__).resolve().parents[2]
 BATCH = 16
 
 
-def read_options(
-    description: str | None, *, sprites: int, samples: int, out: Path
-) -> argparse.Namespace:
+def read_options(description: str | None, *, samples: int, out: Path) -> argparse.Namespace:
     """Read the command line of a training, and hold the libraries to the threads it may use."""
     parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--backgrounds", type=Path, required=True, help="of .backgrounds")
     parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--sprites", type=int, default=sprites)
     parser.add_argument("--samples", type=int, default=samples)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=out)
@@ -36,11 +31,6 @@ def read_options(
     cv2.setNumThreads(1)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     return options
-
-
-def draw_sprites(casting: Casting, count: int, generator: np.random.Generator) -> list[Sprite]:
-    """Draw simulated people, with a progress bar."""
-    return [casting.sprite(generator) for _ in tqdm(range(count), "drawing", unit="sprite")]
 
 
 def descend(

@@ -1,13 +1,13 @@
-"""How much the refiner helps: overlap with the street masks, limbs of the balancing person, time.
+"""How well silhouettes are redrawn: overlap with the street masks, limbs of the balancing person.
 
-    python -m scripts.refinement.measure [--odd]
+    python -m scripts.refinement.measure [--odd] [--network FILE]
 
-Settings may be looked at on even-numbered photographs; the odd ones are for the final figure.
+Settings may be looked at on even-numbered photographs; the odd ones, and the balancing person,
+are for the final figure.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,15 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.settings import DEFAULT_MODEL
 from app.vision.network import PersonNetwork
 from app.vision.people import Box
 from app.vision.refine import WEIGHTS_PATH, Refiner
 from app.vision.segment import NetworkSegmenter, Segmenter
 from scripts.experiments.real_data import read_pennfudan, read_pose2sim
+from scripts.experiments.real_options import read_options
 from scripts.experiments.real_silhouettes import in_true_boxes
 
-ROOT = Path(__file__).resolve().parents[2]
 CAMERAS = ("cam01", "cam03")
 LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 SLACK = 0.03
@@ -71,26 +70,16 @@ def _mask(segmenter: Segmenter, frame: NDArray[np.uint8], box: Box) -> NDArray[n
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
-    parser.add_argument("--refiner", type=Path, default=WEIGHTS_PATH)
-    parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
-    parser.add_argument("--odd", action="store_true", help="all photographs, odd ones beside")
-    options = parser.parse_args()
+    options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
-    network = PersonNetwork(options.model)
-    photographs = read_pennfudan(options.shared / "real" / "pennfudan")
-    chosen = [one for one in photographs if options.odd or not one.odd]
-    segmenters = {
-        "without": NetworkSegmenter(network),
-        "with": NetworkSegmenter(network, Refiner(options.refiner)),
-    }
-    for name, segmenter in segmenters.items():
-        found = in_true_boxes(chosen, segmenter)
-        print(f"{name} refiner, street:", {key: round(value, 4) for key, value in found.items()})
-        limbs = limbs_covered(options.shared / "real" / "pose2sim", segmenter, options.step)
-        print(f"{name} refiner, limbs:", {key: round(value, 3) for key, value in limbs.items()})
+    folder = options.shared / "real"
+    segmenter = NetworkSegmenter(PersonNetwork(options.model), Refiner(options.network))
+    photographs = [one for one in read_pennfudan(folder / "pennfudan") if one.odd == options.odd]
+    found = {"street": in_true_boxes(photographs, segmenter)}
+    if options.odd:
+        found["limbs covered"] = limbs_covered(folder / "pose2sim", segmenter, options.step)
+    for name, one in found.items():
+        print(f"{name}:", ", ".join(f"{key} {value:.4g}" for key, value in one.items()))
 
 
 if __name__ == "__main__":

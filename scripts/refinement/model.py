@@ -10,7 +10,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from app.vision.refine import CHANNELS
 
-WIDTHS = (20, 32, 48, 64)
+WIDTHS = (20, 32, 64, 112)
 """Channels at a half, a quarter, an eighth and a sixteenth of the resolution."""
 
 FINE = 10
@@ -51,7 +51,7 @@ class Refiner(nn.Module):  # type: ignore[misc]
         self.halved = nn.Sequential(Layer(CHANNELS, a, 2), Layer(a, a))
         self.quartered = nn.Sequential(Layer(a, b, 2), Residual(b))
         self.to_eighth = nn.Sequential(Layer(b, c, 2), Residual(c))
-        self.to_sixteenth = nn.Sequential(Layer(c, d, 2), Residual(d))
+        self.to_sixteenth = nn.Sequential(Layer(c, d, 2), Residual(d), Residual(d))
         self.up = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False)
         self.narrow = nn.ModuleList(
             nn.Conv2d(*pair, 1) for pair in ((d, c), (c, b), (b, a), (a, FINE))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from app.vision.network import PersonNetwork
 from app.vision.refine import CHANNELS, COLUMNS, ROWS, refiner_input, refiner_window
 from app.vision.resampling import cut, resize
 from app.vision.views import view_of, with_grey_surroundings
-from scripts.refinement.scenes import Scene, make_scene
-from scripts.refinement.sprites import Sprite
+from scripts.refinement.scenes import Scene, counted
 
 
 def samples_of(
@@ -24,7 +22,7 @@ def samples_of(
     found = []
     for number, box in enumerate(scene.boxes):
         others = [other for other in scene.boxes if other is not box]
-        view = view_of(scene.frame, box, others)
+        view = view_of(scene.frame, box)
         answer = network.of_images([with_grey_surroundings(view)])[0]
         window = refiner_window(box)
         seen = refiner_input(scene.frame, window, box, others, answer, view.window)
@@ -34,24 +32,14 @@ def samples_of(
 
 
 def make_samples(
-    sprites: Sequence[Sprite],
-    backgrounds: Sequence[NDArray[np.uint8]],
-    network: PersonNetwork,
-    count: int,
-    seed: int,
+    scenes: Iterable[Scene], network: PersonNetwork, count: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Compose ``count`` samples: inputs ``(N, 6, 192, 128)`` and targets ``(N, 192, 128)``."""
-    generator = np.random.default_rng(seed)
+    """Make ``count`` samples of scenes: inputs ``(N, 6, 192, 128)``, targets ``(N, 192, 128)``."""
     inputs = np.empty((count, CHANNELS, ROWS, COLUMNS), np.uint8)
     targets = np.empty((count, ROWS, COLUMNS), np.uint8)
-    done = 0
-    with tqdm(total=count, desc="composing", unit="sample") as progress:
-        while done < count:
-            for seen, target in samples_of(make_scene(sprites, backgrounds, generator), network):
-                if done < count:
-                    inputs[done], targets[done] = seen, target
-                    done += 1
-                    progress.update()
+    found = (one for scene in scenes for one in samples_of(scene, network))
+    for row, (seen, target) in enumerate(counted(found, count)):
+        inputs[row], targets[row] = seen, target
     return inputs, targets
 
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from app.vision.people import Box
 from app.vision.resampling import resize
 from index.skeleton import exchange_sides
 from scripts.experiments.real_data import tight_box
-from scripts.refinement.sprites import Sprite
+from scripts.refinement.sprites import Casting, Sprite
+
+T = TypeVar("T")
 
 HEIGHTS_PX = (60.0, 360.0)
 """From the smallest person that the service looks for to one who fills the network's window."""
@@ -26,6 +31,10 @@ LEAST_VISIBLE = 0.4
 
 JITTER_SHARE = 0.03
 """Standard deviation of the edges of a person's box, in its sizes."""
+
+CAST, SCENES = 1500, 1100
+"""People who are drawn at a time, and the scenes that they appear in, about once each: of people
+who are shown oftener, a network remembers every one."""
 
 ROOM = 0.5
 """Room about the person, in heights of the larger side."""
@@ -54,6 +63,21 @@ class Scene:
     boxes: list[Box]
     points: NDArray[np.float64]
     azimuth_deg: NDArray[np.float64]
+
+
+def make_scenes(
+    casting: Casting, backgrounds: Sequence[NDArray[np.uint8]], generator: np.random.Generator
+) -> Iterator[Scene]:
+    """Compose scenes without end, with ever new people."""
+    while True:
+        sprites = [casting.sprite(generator) for _ in range(CAST)]
+        for _ in range(SCENES):
+            yield make_scene(sprites, backgrounds, generator)
+
+
+def counted(samples: Iterable[T], count: int) -> Iterator[T]:
+    """Take the first ``count`` samples, with a progress bar."""
+    return iter(tqdm(islice(samples, count), "composing", count, unit="sample", mininterval=5))
 
 
 def make_scene(

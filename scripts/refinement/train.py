@@ -21,9 +21,10 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from app.vision.network import PersonNetwork
 from app.vision.refine import CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH
 from scripts.refinement.backgrounds import read_backgrounds
-from scripts.refinement.lessons import BATCH, descend, draw_sprites, read_options
+from scripts.refinement.lessons import BATCH, descend, read_options
 from scripts.refinement.model import Refiner, export
 from scripts.refinement.samples import make_samples, spoil
+from scripts.refinement.scenes import make_scenes
 from scripts.refinement.sprites import Casting
 
 
@@ -52,8 +53,8 @@ class Lesson:
 
 
 LESSONS = (
-    Lesson(3600, 4e-3, 0.5, 0.6, (1.0, 1.0)),
-    Lesson(1400, 1.5e-3, 0.8, 0.6, (0.1, 0.7)),
+    Lesson(4200, 4e-3, 0.5, 0.6, (1.0, 1.0)),
+    Lesson(1600, 1.5e-3, 0.8, 0.6, (0.1, 0.7)),
 )
 """First every fault there is; then those that the first network has, which is mostly right."""
 
@@ -128,12 +129,11 @@ def mean_of(first: dict[str, Tensor], second: dict[str, Tensor]) -> dict[str, Te
 
 def main() -> None:
     """Command line."""
-    options = read_options(__doc__, sprites=1600, samples=12000, out=WEIGHTS_PATH)
+    options = read_options(__doc__, samples=20000, out=WEIGHTS_PATH)
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
-    sprites = draw_sprites(Casting(options.shared, photographs), options.sprites, generator)
-    network = PersonNetwork(options.model)
-    samples = make_samples(sprites, photographs, network, options.samples, options.seed + 1)
+    scenes = make_scenes(Casting(options.shared, photographs), photographs, generator)
+    samples = make_samples(scenes, PersonNetwork(options.model), options.samples)
     torch.manual_seed(options.seed)
     model = Refiner()
     model.to(memory_format=torch.channels_last)

@@ -9,13 +9,16 @@ from numpy.testing import assert_allclose
 pytest.importorskip("torch", reason="needs the extras build and train: torch")
 
 from app.vision.joints import CELL, CHANNELS, COLUMNS, READ, ROWS
-from scripts.joints.samples import Samples
-from scripts.joints.train import _OTHER_SIDE, maps_of, vary
+from scripts.joints.maps import wanted_maps
+from scripts.joints.samples import OTHER_SIDE, Samples
+from scripts.joints.train import vary
+
+SHAPE = (ROWS // CELL, COLUMNS // CELL)
 
 
 def test_other_sides_are_those_of_the_names() -> None:
-    for row, other in enumerate(_OTHER_SIDE):
-        assert _OTHER_SIDE[other] == row
+    for row, other in enumerate(OTHER_SIDE):
+        assert OTHER_SIDE[other] == row
         assert READ[row].split("_")[-1] == READ[other].split("_")[-1]
         assert (READ[row] == READ[other]) == ("_" not in READ[row])
 
@@ -23,7 +26,7 @@ def test_other_sides_are_those_of_the_names() -> None:
 def test_wanted_maps_are_distributions_about_the_points() -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform((10, 10), (COLUMNS - 10, ROWS - 10), (5, len(READ), 2)).astype(np.float32)
-    maps, inside = maps_of(points)
+    maps, inside = wanted_maps(points, SHAPE, CELL)
     assert maps.shape == (5, len(READ), ROWS // CELL, COLUMNS // CELL)
     assert inside.all()
     assert_allclose(maps.sum(axis=(2, 3)), 1, atol=1e-5)
@@ -36,7 +39,7 @@ def test_points_outside_the_window_are_told() -> None:
     points = np.full((1, len(READ), 2), 20, np.float32)
     points[0, 3] = (-5, 20)
     points[0, 4] = (20, ROWS + 5)
-    inside = maps_of(points)[1][0]
+    inside = wanted_maps(points, SHAPE, CELL)[1][0]
     assert not inside[3] and not inside[4] and inside.sum() == len(READ) - 2
 
 
@@ -60,7 +63,7 @@ def test_varied_samples_keep_their_points_on_what_they_mark() -> None:
         for plane, number in ((1, head), (0, ankle)):
             dot = picture[plane] - picture[2]
             middle = np.argwhere(dot > 0.6 * dot.max()).mean(axis=0)[::-1]
-            near = [np.linalg.norm(places[one] - middle) for one in (number, _OTHER_SIDE[number])]
+            near = [np.linalg.norm(places[one] - middle) for one in (number, OTHER_SIDE[number])]
             assert min(near) < 1.5
             if number == ankle:
                 mirrored.add(int(np.argmin(near)))

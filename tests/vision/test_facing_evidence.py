@@ -17,7 +17,6 @@ from app.vision.facing_evidence import (
     FacingReader,
     facing_input,
     head_window,
-    load_facing_reader,
 )
 from app.vision.joints import WEIGHTS_PATH as JOINTS_PATH
 from app.vision.onnx import OnnxError
@@ -85,7 +84,6 @@ class TestFacingReader:
         broken.write_bytes(content)
         with pytest.raises(OnnxError):
             FacingReader(broken)
-        assert load_facing_reader(broken) is None
 
     def test_another_network_is_refused(self) -> None:
         with pytest.raises(OnnxError):

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.vision.joints import load_joint_reader
+from app.vision.joints import JointReader
 from app.vision.onnx import OnnxError, OnnxNetwork
-from app.vision.refine import CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH, load_refiner
+from app.vision.refine import CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH, Refiner
 
 ENTERING = (CHANNELS, ROWS, COLUMNS)
 
@@ -20,11 +20,13 @@ def test_a_missing_or_broken_file_is_told(tmp_path: Path) -> None:
     broken.write_bytes(b"not a network" * 100)
     with pytest.raises(OnnxError, match="OpenCV"):
         OnnxNetwork(broken, ENTERING, (1, ROWS, COLUMNS))
-    assert load_refiner(broken) is None
-    assert load_joint_reader(broken) is None
+    for network in (Refiner, JointReader):
+        with pytest.raises(OnnxError, match="OpenCV"):
+            network(broken)
 
 
 def test_another_network_is_told() -> None:
     with pytest.raises(OnnxError, match=r"shape \(2, 192, 128\), got \(1, 192, 128\)"):
         OnnxNetwork(WEIGHTS_PATH, ENTERING, (2, ROWS, COLUMNS))
-    assert load_joint_reader(WEIGHTS_PATH) is None
+    with pytest.raises(OnnxError, match=r"refiner\.onnx"):
+        JointReader(WEIGHTS_PATH)

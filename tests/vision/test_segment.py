@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from app.vision.body_shape import body_prior
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
-from app.vision.neighbours import own_part
 from app.vision.network import NetworkError, PersonNetwork, load_network
 from app.vision.people import Box
-from app.vision.refine import load_refiner
+from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter, make_segmenter, silhouettes_from_labels
 
 
@@ -91,15 +90,9 @@ def test_grabcut_survives_odd_boxes_and_blank_walls(shape: tuple[int, ...]) -> N
     assert len(GrabCutSegmenter().segment(blank, ODD_BOXES)) == len(ODD_BOXES)
 
 
-@pytest.fixture(params=["alone", "refined"])
-def segmenter(request: pytest.FixtureRequest, network: PersonNetwork) -> NetworkSegmenter:
-    """The network's segmenter, without and with the refiner."""
-    if request.param == "alone":
-        return NetworkSegmenter(network)
-    refiner = load_refiner()
-    if refiner is None:
-        pytest.skip("app/vision/refiner.onnx is not there; scripts/refinement/train.py makes it")
-    return NetworkSegmenter(network, refiner)
+@pytest.fixture
+def segmenter(network: PersonNetwork) -> NetworkSegmenter:
+    return NetworkSegmenter(network, Refiner())
 
 
 @pytest.mark.parametrize("shape", [(320, 298, 3), (1, 1, 3), (3, 900, 3)])
@@ -179,27 +172,6 @@ def test_the_guided_filter_snaps_to_edges() -> None:
     assert ((smooth > 0.5) == (guide[..., 0] > 0)).mean() > 0.97
     constant = guided_filter(guide, np.full((40, 40), 0.3, np.float32), 6)
     assert np.allclose(constant, 0.3, atol=1e-4)
-
-
-def test_a_neighbour_is_parted_at_the_colour_edge() -> None:
-    image = np.full((100, 90, 3), 128, np.uint8)
-    region = np.zeros((100, 90), bool)
-    region[2:98, 20:70] = True  # two people melted into one
-    image[2:98, 20:42] = (40, 40, 200)
-    image[2:98, 42:70] = (200, 60, 40)
-    own = own_part(image, region, Box(19.5, 1.5, 26, 96), [])
-    assert own[50, 30] and not own[50, 60]
-    expected = region.copy()
-    expected[:, 42:] = False
-    assert (own == expected).mean() > 0.95
-
-
-def test_a_person_alone_is_left_alone() -> None:
-    region = np.zeros((100, 60), bool)
-    region[5:95, 20:40] = True
-    image = np.zeros((100, 60, 3), np.uint8)
-    assert (own_part(image, region, Box(19.5, 4.5, 20, 90), []) == region).all()
-    assert not own_part(image, region & False, Box(19.5, 4.5, 20, 90), []).any()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (128, 48), (40, 90)])
