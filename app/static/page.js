@@ -4,7 +4,7 @@ import {
   drawCloseUp, drawStage, drawThumbnail, personColour, Solid, tint,
 } from "./drawing.js";
 import {
-  curlCommand, describeIndex, entrySilhouette, estimatePose, extractSilhouettes,
+  curlCommand, describeEntry, describeIndex, entrySilhouette, estimatePose, extractSilhouettes,
 } from "./service.js";
 
 const $ = (id) => document.getElementById(id);
@@ -145,11 +145,10 @@ function card(hypothesis) {
     { min: 0, max: 1, value: hypothesis.confidence, title: "confidence" });
   const pictures = document.createElement("div");
   pictures.className = "pictures";
-  const silhouette = Object.assign(new Image(48, 128), { alt: `Silhouette of entry ${hypothesis.entry}` });
-  entrySilhouette(hypothesis.entry, $("key").value)
-    .then((blob) => { silhouette.src = URL.createObjectURL(blob); })
-    .catch(() => {});
-  silhouette.onload = () => URL.revokeObjectURL(silhouette.src);
+  const silhouette = Object.assign(document.createElement("canvas"), { width: 80, height: 140 });
+  silhouette.setAttribute("role", "img");
+  silhouette.setAttribute("aria-label", `Silhouette of entry ${hypothesis.entry}`);
+  drawEntry(silhouette, hypothesis).catch(() => {});
   const skeleton = Object.assign(document.createElement("canvas"), { width: 140, height: 200 });
   drawThumbnail(skeleton, hypothesis.joints_3d, state.answer.keypoints);
   pictures.append(silhouette, skeleton);
@@ -159,6 +158,19 @@ function card(hypothesis) {
     pictures,
     line("entry", hypothesis.entry));
   return box;
+}
+
+/** The entry's silhouette as the hypothesis means it: mirrored, and turned as far as the person leans. */
+async function drawEntry(canvas, { entry, source, camera }) {
+  const key = $("key").value;
+  const [blob, own] = await Promise.all([entrySilhouette(entry, key), describeEntry(entry, key)]);
+  const picture = await createImageBitmap(blob);
+  const side = source.mirrored ? -1 : 1;
+  const context = canvas.getContext("2d");
+  context.translate(canvas.width / 2, canvas.height / 2);
+  context.rotate((camera.roll_deg - side * own.camera.roll_deg) * Math.PI / 180);
+  context.scale(side, 1);
+  context.drawImage(picture, -picture.width / 2, -picture.height / 2);
 }
 
 const FACING_FROM = { image: "from the photograph", motion: "from the walk", none: "a silhouette cannot tell" };

@@ -45,6 +45,10 @@ export async function extractSilhouettes(upload, { key, signal }) {
   return (await answer("silhouette", { method: "POST", body: form(upload), signal }, key)).blob();
 }
 
+export async function describeEntry(entry, key) {
+  return (await answer(`index/entries/${entry}`, {}, key)).json();
+}
+
 export async function entrySilhouette(entry, key) {
   return (await answer(`index/entries/${entry}/silhouette.png`, {}, key)).blob();
 }
