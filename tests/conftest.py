@@ -225,14 +225,14 @@ class Server:
         return self.process.wait(timeout=20)
 
 
-def start_server(index: Path, **environment: str) -> Server:
-    """Start ``python -m app`` on a free port; it may not be ready yet."""
+def start_server(index: Path, root: Path = ROOT, **environment: str) -> Server:
+    """Start ``python -m app`` in ``root`` on a free port; it may not be ready yet."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     process = subprocess.Popen(
         [sys.executable, "-m", "app"],
-        cwd=ROOT,
+        cwd=root,
         env={
             **os.environ,
             "HOST": "127.0.0.1",

@@ -13,7 +13,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.conftest import Photo, Server, start_server, wait_until
+from tests.conftest import ROOT, Photo, Server, start_server, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -98,16 +98,12 @@ def test_sigterm_finishes_what_runs_and_ends_with_status_0(
         assert answer.result().status_code == 200
 
 
-def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
-    corrupted = tmp_path / "index"
-    shutil.copytree(index_path, corrupted)
-    vectors = corrupted / "descriptors.faiss.xz"
-    vectors.write_bytes(vectors.read_bytes()[:-10])
-    running = start_server(corrupted)
+def assert_told_not_served(running: Server, expected: str) -> None:
+    """Probe a server that cannot get ready, send it a frame, and stop it."""
     try:
         wait_until(f"{running.url}/healthz")
         deadline, detail = time.monotonic() + 10, ""
-        while "truncated" not in detail:
+        while expected not in detail:
             assert time.monotonic() < deadline, detail
             response = httpx.get(f"{running.url}/readyz")
             assert response.status_code == 503
@@ -117,6 +113,24 @@ def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) 
         assert response.headers["content-type"] == "application/problem+json"
     finally:
         assert running.stop() == 0
+
+
+def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
+    corrupted = tmp_path / "index"
+    shutil.copytree(index_path, corrupted)
+    vectors = corrupted / "descriptors.faiss.xz"
+    vectors.write_bytes(vectors.read_bytes()[:-10])
+    assert_told_not_served(start_server(corrupted), "truncated")
+
+
+def test_a_broken_network_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
+    for package in ("app", "index", "descriptor"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("data"))
+    weights = tmp_path / "app" / "vision" / "facing.onnx"
+    weights.write_bytes(weights.read_bytes()[:1000])
+    assert_told_not_served(
+        start_server(index_path, tmp_path), "facing.onnx is not a network OpenCV can run"
+    )
 
 
 def test_a_slow_upload_is_sent_away(index_path: Path) -> None:
