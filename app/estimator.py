@@ -262,7 +262,7 @@ class Estimator:
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
             facing_reader=FacingReader(),
-            joint_reader=JointReader(),
+            joint_reader=JointReader(workers=workers),
             concurrency=settings.concurrency,
         )
 

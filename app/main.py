@@ -31,6 +31,7 @@ from app.routes.page import add_page
 from app.runtime import Runtime
 from app.settings import Settings
 from app.version import VERSION
+from app.vision.face import FaceError
 from app.vision.onnx import OnnxError
 from index.store import ArtefactError
 
@@ -132,7 +133,7 @@ async def _load(runtime: Runtime) -> None:
 
     try:
         estimator = await to_thread.run_sync(load)
-    except (ArtefactError, OnnxError) as error:
+    except (ArtefactError, OnnxError, FaceError) as error:
         runtime.not_ready_because = str(error)
         log.error("not ready: %s", error)
     except Exception:

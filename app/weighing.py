@@ -18,11 +18,11 @@ from index.matching import Hypothesis
 # Where a hypothesis is wrong, how likely none of the others is right either.
 _UNTHOUGHT = 0.5
 
-SILHOUETTE, FACING, JOINTS, SIDES = 0.25, 1.0, 1.0, 0.2
+SILHOUETTE, FACING, JOINTS, SIDES = 0.1, 1.0, 1.5, 0.1
 """What the log odds of the silhouette's confidence count, and the logarithms of the likelihoods of
 facing, joints and sides. Chosen on the street people of even-numbered photographs."""
 
-LEAN_DEG = 30.0
+LEAN_DEG = 60.0
 """Few people lean: so much of it makes a hypothesis 1/e as likely."""
 
 SLOPE, BIAS = 0.290, 2.621

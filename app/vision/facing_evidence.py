@@ -1,6 +1,7 @@
 """Which way a person faces, as the photograph shows it.
 
-A small network sees head and shoulders, and all of the person, each beside its part of the
+OpenCV's cascade looks for a face that is seen from the front (``app/vision/face.py``). A small
+network sees head and shoulders, and all of the person, each beside its part of the
 silhouette, and answers with the two natural parameters of a von Mises distribution of the azimuth:
 von Mises regression [1]_, which says at once where a person faces and how sure that is. It was
 trained on simulated people before photographs (``scripts/facing/train.py``).
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from app.vision.face import FaceFinder
 from app.vision.joints import joints_window
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Silhouette
@@ -30,17 +32,24 @@ WEIGHTS_PATH = Path(__file__).parent / "facing.onnx"
 WINDOW_SHARE = 0.5
 """Side of the window about head and shoulders, in heights of the silhouette."""
 
-LEAST_PX = 40
-"""Persons of less than this show too little of a head."""
-
 # Rows of the silhouette, in shares of its height, whose middle is the head's; and how far below
 # the crown the window's centre lies.
 _HEAD = 0.13
 _CENTRE = 0.17
-# Grey levels of a blank picture spread by less than this.
+# Side and centre of the square about the head alone, likewise.
+_FACE_SHARE, _FACE_CENTRE = 0.25, 0.085
+# Persons of less than this show too little of a head; so does a blank picture, whose grey levels
+# spread by less than this.
+_LEAST_PX = 40
 _LEAST_CONTRAST = 6.0
 # The image says nothing of the azimuth in so many cases: a turned head, a hood, a wrong box.
 _OUTLIERS = 0.05
+# How often the cascade finds a face where there is none, how much oftener where somebody faces the
+# camera, hidden and pixelated faces among them, and by how many degrees aside that has fallen to
+# 1/e. Of the street people of even-numbered photographs 13 of 15 faces within 30 degrees are found,
+# and nothing in 29 backs.
+_FALSE_FACES, _FACES, _FACES_TO_DEG = 0.02, 0.7, 38.0
+_CIRCLE_DEG = np.arange(-179.5, 180.0)
 
 
 @dataclass(frozen=True)
@@ -56,26 +65,42 @@ class AzimuthBelief:
         Positive where the camera sees the face, negative where it sees the back.
     left : float
         Positive where it sees the person's left side, who faces image left.
+    face : bool, optional
+        Whether a face is seen from the front, for which the density is corrected; None where that
+        was not looked for.
     """
 
     front: float
     left: float
+    face: bool | None = None
 
     def likelihood(self, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
         """Density at azimuths in degrees, relative to knowing nothing: 1 on average."""
-        azimuth = np.deg2rad(np.asarray(azimuth_deg, np.float64))
+        azimuths = np.asarray(azimuth_deg, np.float64)
+        return np.asarray(self._weight(azimuths) / self._weight(_CIRCLE_DEG).mean())
+
+    def _weight(self, azimuth_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+        azimuth = np.deg2rad(azimuth_deg)
         # Of the density's logarithm; i0 overflows beyond 700.
         scale = min(1.0, 50.0 / max(float(np.hypot(self.front, self.left)), 1e-9))
         front, left = scale * self.front, scale * self.left
         density = np.exp(front * np.cos(azimuth) + left * np.sin(azimuth))
         density /= np.i0(np.hypot(front, left))
-        return np.asarray((1 - _OUTLIERS) * density + _OUTLIERS)
+        density = (1 - _OUTLIERS) * density + _OUTLIERS
+        if self.face is None:
+            return np.asarray(density)
+        aside = (azimuth_deg + 180) % 360 - 180
+        found = _FALSE_FACES + _FACES * np.exp(-((aside / _FACES_TO_DEG) ** 2))
+        return np.asarray(density * (found if self.face else 1 - found))
 
     def front_probability(self) -> float:
         """Probability that the azimuth lies within 90 degrees of the face."""
-        azimuths = np.arange(-179.5, 180.0)
-        density = self.likelihood(azimuths)
-        return float(density[np.abs(azimuths) < 90].sum() / density.sum())
+        density = self._weight(_CIRCLE_DEG)
+        return float(density[np.abs(_CIRCLE_DEG) < 90].sum() / density.sum())
+
+    def azimuth_deg(self) -> float:
+        """The likeliest azimuth, to a degree."""
+        return float(_CIRCLE_DEG[self._weight(_CIRCLE_DEG).argmax()])
 
 
 class FacingReader:
@@ -90,10 +115,13 @@ class FacingReader:
     ------
     OnnxError
         If the file cannot be read or is another network.
+    FaceError
+        If OpenCV lacks its cascade.
     """
 
     def __init__(self, path: Path = WEIGHTS_PATH) -> None:
         self._network = OnnxNetwork(path, (CHANNELS, SIZE, SIZE), (2,))
+        self._faces = FaceFinder()
 
     def read(self, frame: NDArray[np.uint8], silhouette: Silhouette) -> AzimuthBelief | None:
         """Look at a person; None where nothing is to be seen.
@@ -105,13 +133,14 @@ class FacingReader:
         silhouette : Silhouette
         """
         # A head that the frame's upper edge cuts is taken for a body's top wrongly.
-        if len(silhouette.crop) < LEAST_PX or (silhouette.truncated and silhouette.top == 0):
+        if len(silhouette.crop) < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
             return None
         planes = facing_input(frame, silhouette)
         if planes[:3].std(axis=(1, 2)).max() < _LEAST_CONTRAST:
             return None
         front, left = self._network.run(planes)
-        return AzimuthBelief(float(front), float(left))
+        face = self._faces.finds(frame, face_window(silhouette))
+        return AzimuthBelief(float(front), float(left), face)
 
 
 def facing_input(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.uint8]:
@@ -145,9 +174,19 @@ def person_window(silhouette: Silhouette) -> Window:
 
 def head_window(silhouette: Silhouette) -> Window:
     """Square about head and shoulders of a person who is upright."""
+    return _about_head(silhouette, WINDOW_SHARE, _CENTRE)
+
+
+def face_window(silhouette: Silhouette) -> Window:
+    """Square about the head alone of a person who is upright."""
+    return _about_head(silhouette, _FACE_SHARE, _FACE_CENTRE)
+
+
+def _about_head(silhouette: Silhouette, share: float, centre: float) -> Window:
+    """Square of a share of the silhouette's height, its centre that far below the crown."""
     rows = len(silhouette.crop)
     weights = silhouette.crop[: max(2, round(_HEAD * rows))].sum(axis=0)
     column = float(weights @ np.arange(len(weights)) / weights.sum())
-    side = max(2, round(WINDOW_SHARE * rows))
+    side = max(2, round(share * rows))
     left = round(silhouette.left + column - side / 2)
-    return left, round(silhouette.top + _CENTRE * rows - side / 2), side, side
+    return left, round(silhouette.top + centre * rows - side / 2), side, side

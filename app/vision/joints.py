@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box, Silhouette
 from app.vision.resampling import Window, cut, resize
+from app.vision.workers import Workers
 from descriptor.silhouette import Placement
 from index.joint_maps import JointMaps
-from index.skeleton import LIMBS, POINT_NAMES
+from index.skeleton import LIMBS, POINT_NAMES, POINTS, exchange_sides
 
 ROWS, COLUMNS = 144, 96
 CELL = 4
@@ -28,6 +29,12 @@ READ = (*LIMBS, "head", "nose", "left_toe", "right_toe")
 """The points that are read, in the order of the maps."""
 
 READ_ROWS = tuple(POINT_NAMES.index(name) for name in READ)
+
+OTHER_SIDE = [
+    READ.index(POINT_NAMES[row])
+    for row in exchange_sides(np.arange(float(POINTS))[:, None])[list(READ_ROWS), 0].astype(int)
+]
+"""For each point that is read, the number of the one on the body's other side."""
 
 # The window leaves this much room about the silhouette, which may lack a limb.
 WEIGHTS_PATH = Path(__file__).parent / "joints.onnx"
@@ -77,6 +84,9 @@ class JointReader:
     ----------
     path : Path
         ``joints.onnx``.
+    workers : Workers, optional
+        Who looks at the picture and at its mirror image; by default the caller's thread, at one
+        after the other.
 
     Raises
     ------
@@ -84,10 +94,29 @@ class JointReader:
         If the file cannot be read or is another network.
     """
 
-    def __init__(self, path: Path = WEIGHTS_PATH) -> None:
+    def __init__(self, path: Path = WEIGHTS_PATH, workers: Workers | None = None) -> None:
+        self._workers = workers or Workers()
         maps = (len(READ), ROWS // CELL, COLUMNS // CELL)
         # A million weights: 17 MB of memory count more than 3 ms for each person.
         self._network = OnnxNetwork(path, (CHANNELS, ROWS, COLUMNS), maps, winograd=False)
+
+    def maps(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Look at a picture and at its mirror image, and take what both agree on.
+
+        Parameters
+        ----------
+        planes : (4, 144, 96) uint8 array
+            Of :func:`joints_input`.
+
+        Returns
+        -------
+        (16, 36, 24) float32 array
+            Probability of each cell; each map sums to 1.
+        """
+        mirrored = np.ascontiguousarray(planes[..., ::-1])
+        plain, other = self._workers.map(self._network.run, (planes, mirrored))
+        both = np.sqrt(plain * other[OTHER_SIDE, :, ::-1])
+        return np.asarray(both / np.maximum(both.sum(axis=(1, 2), keepdims=True), 1e-30))
 
     def read(
         self, frame: NDArray[np.uint8], silhouette: Silhouette, placement: Placement
@@ -110,7 +139,7 @@ class JointReader:
         origin = placement.to_image(np.zeros(2)) + corner
         return JointMaps(
             READ_ROWS,
-            self._network.run(joints_input(frame, silhouette, window)),
+            self.maps(joints_input(frame, silhouette, window)),
             cells_per_px / placement.scale,
             (origin + 0.5) * cells_per_px - 0.5,
         )

@@ -66,7 +66,7 @@ def facing_figures(
     azimuth = np.deg2rad(azimuth_deg)
     front = np.cos(azimuth) > 0
     clear = np.abs(np.cos(azimuth)) > 0.5
-    found = np.arctan2([one.left for one in known], [one.front for one in known])
+    found = np.deg2rad([one.azimuth_deg() for one in known])
     error = np.abs(np.rad2deg((found - azimuth + np.pi) % (2 * np.pi) - np.pi))
     probability = np.array([one.front_probability() for one in known])
     density = np.array(

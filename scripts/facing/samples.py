@@ -1,25 +1,34 @@
-"""Training samples: what the facing reader sees of simulated scenes, and what there is to know."""
+"""Training samples: simulated people as the facing reader's two windows show them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
-from app.vision.facing_evidence import (
-    CHANNELS,
-    LEAST_PX,
-    SIZE,
-    facing_input,
-    head_window,
-    person_window,
-)
-from app.vision.joints import READ_ROWS
+from app.vision.facing_evidence import SIZE, head_window, person_window
+from app.vision.people import Silhouette, silhouette_from_mask
 from app.vision.resampling import cut, resize
-from app.vision.segment import Segmenter
-from scripts.refinement.scenes import Scene, counted
+from index.skeleton import POINT_NAMES
+from scripts.refinement.samples import spoil
+from scripts.refinement.sprites import Casting, Sprite
+
+ROWS = 160
+"""Height at which people are drawn, in pixels; the windows show them smaller."""
+
+SPOILT_SHARE, SEVERITY = 0.6, 0.6
+"""How many silhouettes have faults, and how severe they are at most."""
+
+HIDDEN_SHARE = 0.3
+"""How many of those are kept whose face or back of the head is not where it is looked for, for
+they are bent or raise an arm above it."""
+
+PLANES = 5
+"""Of each window: blue, green, red, share covered, silhouette."""
+
+_HEADS = [POINT_NAMES.index(name) for name in ("head", "nose")]
 
 
 @dataclass(frozen=True)
@@ -28,53 +37,59 @@ class Samples:
 
     Parameters
     ----------
-    seen : (N, 8, 64, 64) uint8 array
-        What the network is shown, with the silhouette that the service finds.
-    covers : (N, 2, 64, 64) uint8 array
-        The true silhouettes in both windows, 255 where sure.
-    points : (N, 16, 2) float32 array
-        The points that the joint reader reads, in pixels of the second window; they may lie
-        outside.
+    views : (N, 2, 5, 64, 64) uint8 array
+        Head and shoulders, and all of the person.
     azimuth_deg : (N,) float32 array
     """
 
-    seen: NDArray[np.uint8]
-    covers: NDArray[np.uint8]
-    points: NDArray[np.float32]
+    views: NDArray[np.uint8]
     azimuth_deg: NDArray[np.float32]
 
 
-def samples_of(
-    scene: Scene, segmenter: Segmenter
-) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32], float]]:
-    """Yield input, true silhouettes, points and azimuth of everybody whom the service sees."""
-    silhouettes = segmenter.segment(scene.frame, scene.boxes)
-    for number, silhouette in enumerate(silhouettes):
-        if silhouette is None or len(silhouette.crop) < LEAST_PX:
-            continue
-        windows = (head_window(silhouette), person_window(silhouette))
-        covers = [resize(cut(scene.covers[number], window), SIZE, SIZE) for window in windows]
-        left, top, width, height = windows[1]
-        scale = SIZE / np.array([width, height])
-        points = (scene.points[number][list(READ_ROWS)] + 0.5 - (left, top)) * scale - 0.5
-        yield (
-            facing_input(scene.frame, silhouette),
-            np.rint(255 * np.stack(covers)).astype(np.uint8),
-            points.astype(np.float32),
-            float(scene.azimuth_deg[number]),
-        )
+def views_of(
+    sprite: Sprite, generator: np.random.Generator
+) -> tuple[NDArray[np.uint8], bool] | None:
+    """Both views ``(2, 5, 64, 64)`` of a person, and whether the first shows the head."""
+    silhouette = silhouette_from_mask(sprite.cover >= 0.5, segmenter="mask", truncated=False)
+    if silhouette is None or min(silhouette.crop.shape) < 8:
+        return None
+    if generator.random() < SPOILT_SHARE:
+        silhouette = _spoilt(silhouette, generator)
+    views = np.empty((2, PLANES, SIZE, SIZE), np.uint8)
+    cover = np.rint(255 * sprite.cover).astype(np.uint8)
+    mask = silhouette.crop.astype(np.uint8) * np.uint8(255)
+    windows = (head_window(silhouette), person_window(silhouette))
+    for view, window in zip(views, windows, strict=True):
+        left, top, width, height = window
+        view[:3] = resize(cut(sprite.colour, window), SIZE, SIZE).transpose(2, 0, 1)
+        view[3] = resize(cut(cover, window), SIZE, SIZE)
+        within = (left - silhouette.left, top - silhouette.top, width, height)
+        view[4] = resize(cut(mask, within), SIZE, SIZE)
+    left, top, side, _ = windows[0]
+    heads = (sprite.points[_HEADS] - (left, top)) / side
+    return views, bool(((heads > (0.3, 0.05)) & (heads < (0.7, 0.5))).all())
 
 
-def make_samples(scenes: Iterable[Scene], segmenter: Segmenter, count: int) -> Samples:
-    """Make ``count`` samples of scenes."""
-    samples = Samples(
-        np.empty((count, CHANNELS, SIZE, SIZE), np.uint8),
-        np.empty((count, 2, SIZE, SIZE), np.uint8),
-        np.empty((count, len(READ_ROWS), 2), np.float32),
-        np.empty(count, np.float32),
-    )
-    found = (one for scene in scenes for one in samples_of(scene, segmenter))
-    for row, (seen, covers, points, azimuth_deg) in enumerate(counted(found, count)):
-        samples.seen[row], samples.covers[row] = seen, covers
-        samples.points[row], samples.azimuth_deg[row] = points, azimuth_deg
-    return samples
+def _spoilt(silhouette: Silhouette, generator: np.random.Generator) -> Silhouette:
+    """Give a silhouette some of the faults that a segmenter leaves."""
+    true = silhouette.crop.astype(np.uint8) * np.uint8(255)
+    mask = spoil(true, generator, generator.uniform(0, SEVERITY)) >= 128
+    place = {"left": silhouette.left, "top": silhouette.top}
+    return silhouette_from_mask(mask, **place, segmenter="mask", truncated=False) or silhouette
+
+
+def make_samples(casting: Casting, count: int, generator: np.random.Generator) -> Samples:
+    """Draw ``count`` people, each once: of fewer, a network remembers every one."""
+    views = np.empty((count, 2, PLANES, SIZE, SIZE), np.uint8)
+    azimuth = np.empty(count, np.float32)
+    done = 0
+    with tqdm(total=count, desc="drawing", unit="person", mininterval=5) as progress:
+        while done < count:
+            sprite = casting.sprite(generator)
+            found = views_of(sprite, generator)
+            if found is None or not (found[1] or generator.random() < HIDDEN_SHARE):
+                continue
+            views[done], azimuth[done] = found[0], sprite.azimuth_deg
+            done += 1
+            progress.update()
+    return Samples(views, azimuth)

@@ -3,12 +3,13 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.facing.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/facing.onnx`` in about an hour and a half on one core. It needs the extras build
-and train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
-``../shared/real`` is seen but the empty street of ``vtest``.
+writes ``app/vision/facing.onnx`` in about half an hour on one core. It needs the extras build and
+train. No photograph of ``../shared/real`` is seen but the empty street of ``vtest``.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -17,79 +18,98 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from app.vision.facing_evidence import CHANNELS, SIZE, WEIGHTS_PATH
-from app.vision.network import PersonNetwork
 from app.vision.resampling import resize
-from app.vision.segment import make_segmenter
-from scripts.facing.model import CELL, FacingReader
-from scripts.facing.samples import Samples, make_samples
-from scripts.joints.maps import loss_of as loss_of_maps
-from scripts.joints.maps import wanted_maps
-from scripts.joints.samples import OTHER_SIDE
+from scripts.facing.model import FacingReader
+from scripts.facing.samples import ROWS, Samples, make_samples
 from scripts.refinement.backgrounds import read_backgrounds
 from scripts.refinement.lessons import descend, read_options
 from scripts.refinement.model import export
-from scripts.refinement.samples import spoil
-from scripts.refinement.scenes import make_scenes
+from scripts.refinement.scenes import patch
 from scripts.refinement.sprites import Casting
 
-STEPS, RATE, BATCH = 10000, 3e-3, 32
-
-MAPS_SHARE = 0.5
-"""What finding the joints counts for beside the azimuth."""
-
-TRUE_SHARE, SEVERITY = 0.5, 0.5
-"""How often the silhouette shown is the true one, and how badly that is spoilt at most."""
+STEPS, RATE, BATCH = 8000, 3e-3, 32
 
 TURN_DEG, SCALE, SHIFT_PX = 6.0, 0.07, 2.0
 """Standard deviations of what a window is turned, enlarged (logarithm) and moved by."""
 
-MOST_BLURRED = 1.6
-"""How much smaller some people are than the window of the head shows them."""
+NEIGHBOUR_SHARE, MATCHED_SHARE = 0.3, 0.3
+"""How often somebody stands behind, and how often colours are brought nearer to those behind."""
+
+PATCHES = 4000
+"""Pieces of photographs to stand before."""
+
+MOST_BLURRED = 2.5
+"""How much smaller the smallest people are than the window of the head shows them."""
 
 
 def vary(
-    samples: Samples, row: int, generator: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """One sample, varied: input ``(8, 64, 64)`` in 0..1, points ``(16, 2)``, degrees of azimuth."""
-    planes = samples.seen[row].copy()
-    if generator.random() < TRUE_SHARE:
-        for number, cover in enumerate(samples.covers[row]):
-            spoilt = spoil(cover, generator, generator.uniform(0, SEVERITY))
-            planes[4 * number + 3] = np.where(spoilt > 127, np.uint8(255), np.uint8(0))
+    samples: Samples,
+    row: int,
+    patches: Sequence[NDArray[np.uint8]],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.float32], float]:
+    """One sample before some photograph: input ``(8, 64, 64)`` in 0..1, and degrees of azimuth."""
+    neighbour = int(generator.integers(len(samples.views)))
+    crowded = generator.random() < NEIGHBOUR_SHARE
     smaller = np.exp(generator.uniform(0, np.log(MOST_BLURRED)))
+    matched = generator.uniform(0.2, 0.8) if generator.random() < MATCHED_SHARE else 0.0
     gain = np.exp(generator.normal(0, 0.12, 3) + generator.normal(0, 0.2))
     shift, contrast = generator.normal(0, 15), np.exp(generator.normal(0, 0.2))
-    grey = generator.random() < 0.15
-    seen = np.empty((CHANNELS, SIZE, SIZE), np.float32)
-    for first in (0, 4):
-        matrix = _movement(generator)
-        stacked = np.ascontiguousarray(planes[first : first + 4].transpose(1, 2, 0))
-        moved: NDArray[np.uint8] = np.asarray(
-            cv2.warpAffine(stacked, matrix, (SIZE, SIZE), borderMode=cv2.BORDER_REPLICATE), np.uint8
-        )
-        small = max(8, round(SIZE / smaller)) if first == 0 else SIZE
-        colour = resize(resize(moved[..., :3], small, small), SIZE, SIZE)
-        light = (128 + contrast * (colour.astype(np.float32) - 128)) * gain + shift
+    noise, grey = generator.uniform(0, 8), generator.random() < 0.15
+    planes = np.empty((CHANNELS, SIZE, SIZE), np.float32)
+    for number, view in enumerate(samples.views[row]):
+        scene = patches[int(generator.integers(len(patches)))].astype(np.float32)
+        if crowded:
+            _put(scene, samples.views[neighbour, number], generator.uniform(14, 40), generator)
+        moved = _moved(view, generator)
+        cover = moved[..., 3:4] / np.float32(255)
+        colour = moved[..., :3].astype(np.float32)
+        colour += np.float32(matched) * (scene.mean(axis=(0, 1)) - colour.mean(axis=(0, 1)))
+        frame: NDArray[np.float32] = (scene * (1 - cover) + colour * cover).astype(np.float32)
+        sharpest = smaller if number == 0 else max(1.0, smaller / 2.6)
+        small = max(8, round(SIZE / sharpest))
+        frame = resize(resize(frame, small, small), SIZE, SIZE)
+        light = (128 + contrast * (frame - 128)) * gain + shift
+        light += generator.normal(0, noise, light.shape)
         if grey:
             light[:] = light.mean(axis=2, keepdims=True)
-        seen[first : first + 3] = np.clip(light, 0, 255).transpose(2, 0, 1)
-        seen[first + 3] = moved[..., 3]
-    seen /= 255
-    # The second window is the last one moved.
-    points: NDArray[np.floating] = samples.points[row] @ matrix[:, :2].T + matrix[:, 2]
+        planes[4 * number : 4 * number + 3] = np.clip(light, 0, 255).transpose(2, 0, 1)
+        planes[4 * number + 3] = moved[..., 4]
+    planes /= 255
     azimuth = float(samples.azimuth_deg[row])
-    if generator.random() < 0.5:
-        seen, azimuth = seen[..., ::-1], -azimuth
-        points = points[OTHER_SIDE] * (-1, 1) + (SIZE - 1, 0)
-    return seen, points.astype(np.float32), azimuth
+    return (planes[..., ::-1], -azimuth) if generator.random() < 0.5 else (planes, azimuth)
 
 
-def _movement(generator: np.random.Generator) -> NDArray[np.float64]:
-    """Matrix ``(2, 3)`` that turns, enlarges and moves a window."""
+def _moved(view: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
+    """Turn, enlarge and move a view; ``(64, 64, 5)``."""
     angle, scale = generator.normal(0, TURN_DEG), np.exp(generator.normal(0, SCALE))
     matrix = np.array(cv2.getRotationMatrix2D(((SIZE - 1) / 2,) * 2, angle, scale), np.float64)
     matrix[:, 2] += generator.normal(0, SHIFT_PX, 2)
-    return matrix
+    stacked = view.transpose(1, 2, 0)
+    # Colours run on beyond the person, and with them beyond the window.
+    size, edge = (SIZE, SIZE), cv2.BORDER_REPLICATE
+    plain, masks = np.ascontiguousarray(stacked[..., :3]), np.ascontiguousarray(stacked[..., 3:])
+    colour = cv2.warpAffine(plain, matrix, size, borderMode=edge)
+    moved = np.concatenate([colour, cv2.warpAffine(masks, matrix, size)], axis=2)
+    return np.asarray(moved, np.uint8)
+
+
+def _put(
+    scene: NDArray[np.float32],
+    view: NDArray[np.uint8],
+    aside_px: float,
+    generator: np.random.Generator,
+) -> None:
+    """Draw somebody else into a scene, aside."""
+    step = round(aside_px) * (1 if generator.random() < 0.5 else -1)
+    placed = np.zeros((SIZE, SIZE, 4), np.float32)
+    stacked = view[:4].transpose(1, 2, 0)
+    if step > 0:
+        placed[:, step:] = stacked[:, :-step]
+    else:
+        placed[:, :step] = stacked[:, -step:]
+    cover = placed[..., 3:] / 255
+    scene[:] = scene * (1 - cover) + placed[..., :3] * cover
 
 
 def loss_of(answers: Tensor, azimuth: Tensor) -> Tensor:
@@ -99,35 +119,36 @@ def loss_of(answers: Tensor, azimuth: Tensor) -> Tensor:
     return (torch.log(torch.special.i0e(kappa)) + kappa - towards).mean()
 
 
-def train(model: FacingReader, samples: Samples, generator: np.random.Generator) -> None:
+def train(
+    model: FacingReader,
+    samples: Samples,
+    photographs: Sequence[NDArray[np.uint8]],
+    generator: np.random.Generator,
+) -> None:
     """Give a facing reader its lesson."""
-    cells = (SIZE // CELL, SIZE // CELL)
+    patches = [patch((SIZE, SIZE), photographs, generator) for _ in range(PATCHES)]
 
     def loss() -> Tensor:
-        rows = generator.choice(len(samples.seen), BATCH, replace=False)
-        varied = [vary(samples, row, generator) for row in rows]
+        rows = generator.choice(len(samples.views), BATCH, replace=False)
+        varied = [vary(samples, row, patches, generator) for row in rows]
         seen = torch.from_numpy(np.stack([one[0] for one in varied]))
-        maps, inside = wanted_maps(np.stack([one[1] for one in varied]), cells, CELL)
-        azimuth = torch.from_numpy(np.deg2rad([one[2] for one in varied]).astype(np.float32))
-        odds, belief = model.odds_and_belief(seen.to(memory_format=torch.channels_last))
-        joints = loss_of_maps(odds, torch.from_numpy(maps), torch.from_numpy(inside))
-        return loss_of(belief, azimuth) + MAPS_SHARE * joints
+        azimuth = torch.from_numpy(np.deg2rad([one[1] for one in varied]).astype(np.float32))
+        return loss_of(model(seen.to(memory_format=torch.channels_last)), azimuth)
 
     descend(model, loss, steps=STEPS, rate=RATE, weight_decay=5e-2, warm_up=0.15)
 
 
 def main() -> None:
     """Command line."""
-    options = read_options(__doc__, samples=20000, out=WEIGHTS_PATH)
+    options = read_options(__doc__, samples=16000, out=WEIGHTS_PATH)
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
-    scenes = make_scenes(Casting(options.shared, photographs), photographs, generator)
-    segmenter = make_segmenter(PersonNetwork(options.model))
-    samples = make_samples(scenes, segmenter, options.samples)
+    casting = Casting(options.shared, photographs, rows=ROWS)
+    samples = make_samples(casting, options.samples, generator)
     torch.manual_seed(options.seed)
     model = FacingReader()
     model.to(memory_format=torch.channels_last)
-    train(model, samples, generator)
+    train(model, samples, photographs, generator)
     export(model, options.out, (CHANNELS, SIZE, SIZE), "belief")
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from app.vision.joints import (
     CHANNELS,
     COLUMNS,
-    READ,
     READ_ROWS,
     ROWS,
     joints_input,
@@ -19,14 +18,7 @@ from app.vision.joints import (
 )
 from app.vision.resampling import cut, resize
 from app.vision.segment import Segmenter
-from index.skeleton import POINT_NAMES, POINTS, exchange_sides
 from scripts.refinement.scenes import Scene, counted
-
-OTHER_SIDE = [
-    READ.index(POINT_NAMES[row])
-    for row in exchange_sides(np.arange(float(POINTS))[:, None])[list(READ_ROWS), 0].astype(int)
-]
-"""For each point that is read, the number of the one on the body's other side."""
 
 
 @dataclass(frozen=True)

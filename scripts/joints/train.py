@@ -16,12 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from app.vision.joints import CELL, CHANNELS, COLUMNS, ROWS, WEIGHTS_PATH
+from app.vision.joints import CELL, CHANNELS, COLUMNS, OTHER_SIDE, ROWS, WEIGHTS_PATH
 from app.vision.network import PersonNetwork
 from app.vision.segment import make_segmenter
 from scripts.joints.maps import loss_of, wanted_maps
 from scripts.joints.model import JointReader
-from scripts.joints.samples import OTHER_SIDE, Samples, make_samples
+from scripts.joints.samples import Samples, make_samples
 from scripts.refinement.backgrounds import read_backgrounds
 from scripts.refinement.lessons import BATCH, descend, read_options
 from scripts.refinement.model import export

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("torch", reason="needs the extras build and train: torch")
 
-from app.vision.joints import CELL, CHANNELS, COLUMNS, READ, ROWS
+from app.vision.joints import CELL, CHANNELS, COLUMNS, OTHER_SIDE, READ, ROWS
 from scripts.joints.maps import wanted_maps
-from scripts.joints.samples import OTHER_SIDE, Samples
+from scripts.joints.samples import Samples
 from scripts.joints.train import vary
 
 SHAPE = (ROWS // CELL, COLUMNS // CELL)

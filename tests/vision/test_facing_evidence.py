@@ -23,6 +23,7 @@ from app.vision.onnx import OnnxError
 from app.vision.people import Silhouette
 
 strengths = st.floats(-200, 200)
+faces = st.sampled_from([None, True, False])
 
 
 def street() -> np.ndarray:
@@ -35,9 +36,11 @@ def some_silhouette(height: int = 150) -> Silhouette:
 
 
 class TestAzimuthBelief:
-    @given(front=strengths, left=strengths)
-    def test_is_a_density_relative_to_knowing_nothing(self, front: float, left: float) -> None:
-        density = AzimuthBelief(front, left).likelihood(np.arange(0, 360, 0.5))
+    @given(front=strengths, left=strengths, face=faces)
+    def test_is_a_density_relative_to_knowing_nothing(
+        self, front: float, left: float, face: bool | None
+    ) -> None:
+        density = AzimuthBelief(front, left, face).likelihood(np.arange(0, 360, 0.5))
         assert (density > 0).all()
         assert density.mean() == pytest.approx(1, abs=1e-3)
 
@@ -52,10 +55,25 @@ class TestAzimuthBelief:
         assert belief.likelihood([0.0, 77.0, -180.0]) == pytest.approx(1)
         assert belief.front_probability() == pytest.approx(0.5)
 
+    @given(front=st.floats(-20, 20), left=st.floats(-20, 20))
+    def test_a_face_speaks_for_the_front_and_its_absence_against(
+        self, front: float, left: float
+    ) -> None:
+        seen, unseen, unknown = (
+            AzimuthBelief(front, left, face).front_probability() for face in (True, False, None)
+        )
+        assert unseen <= unknown <= seen
+
+    def test_a_face_says_nothing_of_the_side(self) -> None:
+        belief = AzimuthBelief(0.0, 0.0, True)
+        assert belief.likelihood(30.0) == pytest.approx(belief.likelihood(-30.0))
+        assert belief.azimuth_deg() == pytest.approx(0, abs=1)
+
     def test_peaks_where_it_points(self) -> None:
         azimuths = np.arange(-180, 180)
         belief = AzimuthBelief(3 * np.cos(np.deg2rad(40)), 3 * np.sin(np.deg2rad(40)))
         assert azimuths[belief.likelihood(azimuths).argmax()] == 40
+        assert belief.azimuth_deg() == pytest.approx(40, abs=1)
 
 
 class TestFacingReader:

@@ -14,14 +14,15 @@ from app.vision.joints import (
     CELL,
     CHANNELS,
     COLUMNS,
+    OTHER_SIDE,
     READ,
     ROWS,
-    WEIGHTS_PATH,
     JointReader,
     joints_input,
     joints_window,
 )
 from app.vision.people import Box, Silhouette
+from app.vision.workers import Workers
 from descriptor.silhouette import normalise
 
 sides = st.floats(1, 900)
@@ -30,8 +31,6 @@ places = st.floats(-300, 900)
 
 @pytest.fixture(scope="module")
 def reader() -> JointReader:
-    if not WEIGHTS_PATH.is_file():
-        pytest.skip(f"{WEIGHTS_PATH} is not there; scripts/joints/train.py makes it")
     return JointReader()
 
 
@@ -109,3 +108,14 @@ def test_heads_are_above_feet(reader: JointReader, figure: Silhouette) -> None:
     found = dict(zip(READ, rows, strict=True))
     assert found["head"] < found["left_hip"] < found["left_ankle"]
     assert found["head"] < found["right_hip"] < found["right_ankle"]
+
+
+def test_the_mirror_image_has_the_mirrored_joints(reader: JointReader) -> None:
+    planes = np.random.default_rng(2).integers(0, 256, (CHANNELS, ROWS, COLUMNS)).astype(np.uint8)
+    mirrored = reader.maps(np.ascontiguousarray(planes[..., ::-1]))
+    assert_allclose(mirrored[OTHER_SIDE, :, ::-1], reader.maps(planes), atol=1e-5)
+
+
+def test_with_workers_the_maps_are_the_same(reader: JointReader) -> None:
+    planes = np.random.default_rng(3).integers(0, 256, (CHANNELS, ROWS, COLUMNS)).astype(np.uint8)
+    assert (JointReader(workers=Workers(2)).maps(planes) == reader.maps(planes)).all()
