@@ -17,7 +17,7 @@ from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_ma
 from app.vision.refine import Refiner, refiner_input, refiner_window
 from app.vision.resampling import Window, resize, resize_mask
 from app.vision.truncation import with_truncation
-from app.vision.views import View, view_of, with_grey_surroundings
+from app.vision.views import View, halves_of, joined, view_of, with_grey_surroundings
 from app.vision.workers import Workers
 
 
@@ -94,7 +94,7 @@ class NetworkSegmenter:
         height, width = frame.shape[:2]
         visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
         views = [view_of(frame, box) for _, box in visible]
-        answers = self._network.of_images([with_grey_surroundings(view) for view in views])
+        answers = two_looks(self._network, views)
 
         def drawn(position: int) -> Silhouette | None:
             others = [box for other, (_, box) in enumerate(visible) if other != position]
@@ -112,16 +112,26 @@ class NetworkSegmenter:
         return with_truncation(found, boxes, frame.shape)
 
 
+def two_looks(network: PersonNetwork, views: Sequence[View]) -> NDArray[np.float32]:
+    """What the network sees of each view, and of its halves; ``(N, 2, 256, 256)``."""
+    images = [with_grey_surroundings(view) for view in views]
+    parts = [part for v, image in zip(views, images, strict=True) for part in halves_of(v, image)]
+    answers = network.of_images([*images, *parts])
+    whole, halves = answers[: len(views)], answers[len(views) :]
+    closer = [joined(v, whole[i], halves[2 * i : 2 * i + 2]) for i, v in enumerate(views)]
+    return np.stack([whole, np.array(closer, np.float32).reshape(whole.shape)], axis=1)
+
+
 def _redrawn(
     refiner: Refiner,
     frame: NDArray[np.uint8],
     view: View,
     others: Sequence[Box],
-    answer: NDArray[np.float32],
+    answers: NDArray[np.float32],
 ) -> Silhouette | None:
     """One person's silhouette as the refiner sees it; None if next to nothing was seen."""
     window = refiner_window(view.whole)
-    planes = refiner_input(frame, window, view.whole, others, answer, view.window)
+    planes = refiner_input(frame, window, view.whole, others, answers, view.window)
     first = planes[3] / np.float32(255)
     change = refiner.probability(planes) - first
     soft = first + np.float32(_ADDED_SHARE) * np.maximum(change, 0)

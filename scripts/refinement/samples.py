@@ -11,21 +11,22 @@ from numpy.typing import NDArray
 from app.vision.network import PersonNetwork
 from app.vision.refine import CHANNELS, COLUMNS, ROWS, refiner_input, refiner_window
 from app.vision.resampling import cut, resize
-from app.vision.views import view_of, with_grey_surroundings
+from app.vision.segment import two_looks
+from app.vision.views import view_of
 from scripts.refinement.scenes import Scene, counted
 
 
 def samples_of(
     scene: Scene, network: PersonNetwork
 ) -> list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """Inputs ``(6, 192, 128)`` and targets ``(192, 128)`` of everybody in a scene."""
+    """Inputs ``(7, 192, 128)`` and targets ``(192, 128)`` of everybody in a scene."""
     found = []
-    for number, box in enumerate(scene.boxes):
+    views = [view_of(scene.frame, box) for box in scene.boxes]
+    looks = two_looks(network, views)
+    for number, (box, view, answers) in enumerate(zip(scene.boxes, views, looks, strict=True)):
         others = [other for other in scene.boxes if other is not box]
-        view = view_of(scene.frame, box)
-        answer = network.of_images([with_grey_surroundings(view)])[0]
         window = refiner_window(box)
-        seen = refiner_input(scene.frame, window, box, others, answer, view.window)
+        seen = refiner_input(scene.frame, window, box, others, answers, view.window)
         target = resize(cut(scene.covers[number], window), COLUMNS, ROWS)
         found.append((seen, np.rint(255 * target).astype(np.uint8)))
     return found
@@ -34,7 +35,7 @@ def samples_of(
 def make_samples(
     scenes: Iterable[Scene], network: PersonNetwork, count: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Make ``count`` samples of scenes: inputs ``(N, 6, 192, 128)``, targets ``(N, 192, 128)``."""
+    """Make ``count`` samples of scenes: inputs ``(N, 7, 192, 128)``, targets ``(N, 192, 128)``."""
     inputs = np.empty((count, CHANNELS, ROWS, COLUMNS), np.uint8)
     targets = np.empty((count, ROWS, COLUMNS), np.uint8)
     found = (one for scene in scenes for one in samples_of(scene, network))

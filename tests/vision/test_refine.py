@@ -15,6 +15,7 @@ from app.vision.people import Box
 from app.vision.refine import (
     CHANNELS,
     COLUMNS,
+    PROBABILITIES,
     ROWS,
     WEIGHTS_PATH,
     Refiner,
@@ -34,9 +35,10 @@ def refiner() -> Refiner:
 def planes_of(
     frame: NDArray[np.uint8], box: Box, others: list[Box], probability: NDArray[np.float32]
 ) -> NDArray[np.uint8]:
-    """What the refiner sees where the first network saw the whole frame."""
+    """What the refiner sees where the first network saw the whole frame, twice the same."""
     seen = (0, 0, frame.shape[1], frame.shape[0])
-    return refiner_input(frame, refiner_window(box), box, others, probability, seen)
+    looks = np.stack([probability, probability])
+    return refiner_input(frame, refiner_window(box), box, others, looks, seen)
 
 
 @given(places, places, sides, sides)
@@ -65,15 +67,16 @@ def test_probability_and_box_lie_on_each_other(side: int) -> None:
     answer = cv2.resize(marked, (side, side), interpolation=cv2.INTER_AREA)
     planes = planes_of(frame, box, [], answer)
     assert planes.shape == (CHANNELS, ROWS, COLUMNS) and planes.dtype == np.uint8
-    differs = (planes[3] > 127) != (planes[4] > 127)
-    assert differs.mean() < (0.01 if side >= 256 else 0.04)
+    for plane in PROBABILITIES:
+        differs = (planes[plane] > 127) != (planes[4] > 127)
+        assert differs.mean() < (0.01 if side >= 256 else 0.04)
     assert not planes[5].any()
 
 
 def test_what_is_beyond_the_first_networks_window_is_nobody() -> None:
     frame = np.full((100, 100, 3), 90, np.uint8)
     box = Box(9.5, 9.5, 40, 80)
-    everywhere = np.ones((256, 256), np.float32)
+    everywhere = np.ones((2, 256, 256), np.float32)
     window = refiner_window(box)
     planes = refiner_input(frame, window, box, [], everywhere, (30, 0, 70, 100))
     inside = planes[3] > 127
@@ -92,7 +95,7 @@ def test_mirrored_scenes_give_mirrored_planes() -> None:
         np.ascontiguousarray(probability[:, ::-1]),
     )  # fmt: skip
     difference = np.abs(planes.astype(int) - flipped[..., ::-1].astype(int))
-    assert difference[[0, 1, 2, 4, 5]].max() <= 1 and difference[3].max() < 16
+    assert difference[[0, 1, 2, 4, 5]].max() <= 1 and difference[list(PROBABILITIES)].max() < 16
 
 
 @pytest.mark.parametrize("box", [Box(-30, -20, 50, 60), Box(5, 5, 1, 1), Box(0, 0, 300, 2)])
