@@ -18,7 +18,7 @@ from index.matching import Hypothesis
 # Where a hypothesis is wrong, how likely none of the others is right either.
 _UNTHOUGHT = 0.5
 
-SILHOUETTE, FACING, JOINTS, SIDES = 0.1, 1.0, 1.5, 0.1
+SILHOUETTE, FACING, JOINTS, SIDES = 0.25, 2.0, 1.0, 0.2
 """What the log odds of the silhouette's confidence count, and the logarithms of the likelihoods of
 facing, joints and sides. Chosen on the street people of even-numbered photographs."""
 

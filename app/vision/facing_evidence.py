@@ -48,7 +48,7 @@ _OUTLIERS = 0.05
 # camera, hidden and pixelated faces among them, and by how many degrees aside that has fallen to
 # 1/e. Of the street people of even-numbered photographs 13 of 15 faces within 30 degrees are found,
 # and nothing in 29 backs.
-_FALSE_FACES, _FACES, _FACES_TO_DEG = 0.02, 0.7, 38.0
+_FALSE_FACES, _FACES, _FACES_TO_DEG = 0.01, 0.5, 38.0
 _CIRCLE_DEG = np.arange(-179.5, 180.0)
 
 

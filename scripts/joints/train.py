@@ -3,7 +3,7 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.joints.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/joints.onnx`` in about three and a half hours on one core. It needs the extras
+writes ``app/vision/joints.onnx`` in about five hours on one core. It needs the extras
 build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
 ``../shared/real`` is seen but the empty street of ``vtest``.
 """
@@ -29,7 +29,7 @@ from scripts.refinement.samples import spoil
 from scripts.refinement.scenes import make_scenes
 from scripts.refinement.sprites import Casting
 
-LESSONS = ((7500, 3e-3), (8000, 2e-3), (16000, 2e-3))
+LESSONS = ((7500, 3e-3), (8000, 2e-3), (16000, 2e-3), (14000, 2e-3))
 """Batches, and the largest learning rate, which rises and falls once in each."""
 
 TRUE_SHARE = 0.6
