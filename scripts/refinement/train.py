@@ -3,7 +3,7 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.refinement.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/refiner.onnx`` in about two hours and a half on one core. It needs the extras
+writes ``app/vision/refiner.onnx`` in about an hour and three quarters on one core. It needs the extras
 build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph
 of ``../shared/real`` is seen but the empty street of ``vtest``.
 """
@@ -55,7 +55,6 @@ class Lesson:
 LESSONS = (
     Lesson(5800, 4e-3, 0.5, 0.6, (1.0, 1.0)),
     Lesson(2500, 2e-3, 0.6, 0.6, (0.1, 0.8)),
-    Lesson(2300, 1.5e-3, 0.8, 0.6, (0.1, 0.7)),
 )
 """First every fault there is; then those that the first network has, which is mostly right."""
 
