@@ -75,7 +75,8 @@ def main() -> None:
     folder = options.shared / "real"
     segmenter = NetworkSegmenter(PersonNetwork(options.model), Refiner(options.network))
     photographs = [one for one in read_pennfudan(folder / "pennfudan") if one.odd == options.odd]
-    found = {"street": in_true_boxes(photographs, segmenter)}
+    street = in_true_boxes(photographs, segmenter)
+    found = {"street": {key: street[key] for key in ("people", "mean", "median", "milliseconds")}}
     if options.odd:
         found["limbs covered"] = limbs_covered(folder / "pose2sim", segmenter, options.step)
     for name, one in found.items():

@@ -3,9 +3,9 @@
     python -m scripts.refinement.backgrounds /tmp/backgrounds
     python -m scripts.refinement.train --backgrounds /tmp/backgrounds
 
-writes ``app/vision/refiner.onnx`` in about an hour and three quarters on one core. It needs the extras
-build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph
-of ``../shared/real`` is seen but the empty street of ``vtest``.
+writes ``app/vision/refiner.onnx`` in about an hour and three quarters on one core. It needs the
+extras build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
+``../shared/real`` is seen but the empty street of ``vtest``.
 """
 
 from __future__ import annotations
