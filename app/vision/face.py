@@ -1,7 +1,7 @@
 """Whether a person's face is seen from the front.
 
 A network that has seen no real face knows none. OpenCV brings along a cascade [1]_ that was trained
-on thousands, finds them in heads of a dozen pixels and takes few other things for one.
+on thousands, and takes hardly anything else for one.
 
 References
 ----------

@@ -73,6 +73,8 @@ def facing_figures(
         [float(b.likelihood(deg)) for b, deg in zip(known, azimuth_deg, strict=True)]
     )
     right = (probability > 0.5) == front
+    faces = np.array([bool(one.face) for one in known])
+    shown, away = np.cos(azimuth) > np.cos(np.deg2rad(30)), np.cos(azimuth) < 0
     return {
         "people": len(front),
         "right": float(right.mean()),
@@ -81,6 +83,10 @@ def facing_figures(
         "within_90_deg": float((error < 90).mean()),
         "log_likelihood": float(np.log(density).mean()),
         "brier": float(((probability - front) ** 2).mean()),
+        "faces_within_30_deg": int(shown.sum()),
+        "faces_found_of_them": int((faces & shown).sum()),
+        "backs": int(away.sum()),
+        "faces_found_of_backs": int((faces & away).sum()),
     }
 
 

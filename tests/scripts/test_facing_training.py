@@ -33,6 +33,12 @@ class TestFigures:
         assert found["right"] == found["within_90_deg"] == 0
         assert found["median_error_deg"] > 179
 
+    def test_faces_are_counted_where_there_are_any(self) -> None:
+        beliefs = [AzimuthBelief(0.0, 0.0, face) for face in (True, True, None, False)]
+        found = facing_figures(beliefs, AZIMUTHS)
+        assert (found["faces_within_30_deg"], found["faces_found_of_them"]) == (1, 1)
+        assert (found["backs"], found["faces_found_of_backs"]) == (2, 1)
+
     def test_of_no_beliefs(self) -> None:
         found = facing_figures([None] * 4, AZIMUTHS)
         assert found["log_likelihood"] == pytest.approx(0)
