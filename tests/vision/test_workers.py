@@ -21,6 +21,12 @@ def test_one_thread_is_the_callers_own() -> None:
     )
 
 
+def test_one_item_is_worked_on_by_the_same_threads_as_several() -> None:
+    workers = Workers(2)
+    names = {workers.map(lambda _: threading.current_thread().name, "a")[0] for _ in range(20)}
+    assert threading.current_thread().name not in names and len(names) <= 2
+
+
 def test_several_items_are_worked_on_at_once() -> None:
     meeting = threading.Barrier(3, timeout=10)
     # Each waits for the others: one after the other they would wait in vain.
