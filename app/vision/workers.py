@@ -2,8 +2,8 @@
 
 OpenCV's own threads divide each layer of a network, and wait for one another after each. Where
 there are several pictures to look at, a thread that takes one after the other from start to end
-does nearly twice as many in the same time. One picture is looked at here as well: however many frames are
-worked on at once, no network is then needed in more copies than there are threads.
+does nearly twice as many in the same time. One picture is looked at here as well: however many
+frames are worked on at once, no network is then needed in more copies than there are threads.
 """
 
 from __future__ import annotations
