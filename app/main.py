@@ -33,7 +33,7 @@ from app.settings import Settings
 from app.version import VERSION
 from app.vision.face import FaceError
 from app.vision.onnx import OnnxError
-from index.store import ArtefactError
+from index.artefact import ArtefactError
 
 log = logging.getLogger("app")
 

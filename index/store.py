@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import lzma
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, restore
+from index.artefact import ArtefactError, npy_bytes, read_array, read_bytes
 from index.folders import clear_left_overs, lock, replace_folder
 from index.nearest import NearestVectors
 from index.silhouettes import Silhouettes
@@ -57,10 +57,6 @@ ENTRY_DTYPE = np.dtype(
 
 _INCOMPRESSIBLE = "silhouettes.npy"
 """Lies in the artefact as it is; every other file is compressed as a whole."""
-
-
-class ArtefactError(ValueError):
-    """An index artefact that cannot be used; the message says in one sentence why."""
 
 
 @dataclass(frozen=True)
@@ -315,17 +311,17 @@ class PoseIndex:
         return version
 
     def _files(self) -> dict[str, bytes]:
-        learned = {f"descriptor-{k}.npy": _npy(v) for k, v in self.descriptor.arrays().items()}
+        learned = {f"descriptor-{k}.npy": npy_bytes(v) for k, v in self.descriptor.arrays().items()}
         return {
             "descriptors.faiss": faiss.serialize_index(self._flat).tobytes(),
-            "entries.npy": _npy(self.entries),
-            "skeletons.npy": _npy(self.skeletons),
-            "skeleton-labels.npy": _npy(self.skeleton_labels),
-            _INCOMPRESSIBLE: _npy(self.silhouette_store.data),
-            "silhouette-lengths.npy": _npy(
+            "entries.npy": npy_bytes(self.entries),
+            "skeletons.npy": npy_bytes(self.skeletons),
+            "skeleton-labels.npy": npy_bytes(self.skeleton_labels),
+            _INCOMPRESSIBLE: npy_bytes(self.silhouette_store.data),
+            "silhouette-lengths.npy": npy_bytes(
                 np.diff(self.silhouette_store.ends, prepend=0).astype("<u2")
             ),
-            "silhouette-dictionary.npy": _npy(self.silhouette_store.dictionary),
+            "silhouette-dictionary.npy": npy_bytes(self.silhouette_store.dictionary),
             **learned,
         }
 
@@ -346,7 +342,7 @@ class PoseIndex:
             with ThreadPoolExecutor() as pool:
                 read = {
                     name: pool.submit(
-                        _read_array if name.endswith(".npy") else _read_bytes,
+                        read_array if name.endswith(".npy") else read_bytes,
                         path / _stored(name),
                         sha256,
                     )
@@ -413,64 +409,6 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     return cast("dict[str, Any]", manifest)
 
 
-class _HashingReader(io.RawIOBase):
-    """A file read once, from start to end, decompressed if need be, and hashed on the way."""
-
-    def __init__(self, file: Path) -> None:
-        # Closed with the reader.
-        self._stream = lzma.open(file) if file.suffix == ".xz" else file.open("rb")  # noqa: SIM115
-        self._hash = hashlib.sha256()
-
-    def read(self, size: int = -1) -> bytes:
-        content = self._stream.read(size)
-        self._hash.update(content)
-        return content
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
-
-    def finish(self) -> str:
-        """Read what is left and return the hash of everything."""
-        while self.read(1 << 20):
-            pass
-        return self._hash.hexdigest()
-
-
-def _read_array(file: Path, sha256: str) -> NDArray[np.generic]:
-    """Read one ``.npy.xz`` file, never holding more than the array."""
-    return _read_file(
-        file, sha256, lambda stream: np.lib.format.read_array(stream, allow_pickle=False)
-    )
-
-
-def _read_bytes(file: Path, sha256: str) -> NDArray[np.generic]:
-    return _read_file(file, sha256, lambda stream: np.frombuffer(stream.read(), np.uint8))
-
-
-def _read_file(
-    file: Path, sha256: str, parse: Callable[[_HashingReader], NDArray[np.generic]]
-) -> NDArray[np.generic]:
-    altered = f"the index file {file} was altered: its SHA-256 does not fit"
-    try:
-        with _HashingReader(file) as stream:
-            try:
-                content = parse(stream)
-            except ValueError as error:
-                # What does not parse and does not hash was altered; what only does not parse
-                # was written so.
-                raise ArtefactError(
-                    altered if stream.finish() != sha256 else f"{file} is no array: {error}"
-                ) from error
-            if stream.finish() != sha256:
-                raise ArtefactError(altered)
-            return content
-    except OSError as error:
-        raise ArtefactError(f"the index file {file} cannot be read: {error.strerror}") from error
-    except (EOFError, lzma.LZMAError) as error:
-        raise ArtefactError(f"the index file {file} is truncated or altered: {error}") from error
-
-
 def _stored(name: str) -> str:
     """Name on disk of a file that the manifest names."""
     return name if name == _INCOMPRESSIBLE else f"{name}.xz"
@@ -481,9 +419,3 @@ def _version(manifest: dict[str, Any]) -> str:
     content = {key: value for key, value in manifest.items() if key != "version"}
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
-
-
-def _npy(array: NDArray[np.generic]) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()

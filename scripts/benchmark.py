@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from index.store import DEFAULT_PATH, ArtefactError, PoseIndex
+from index.artefact import ArtefactError
+from index.store import DEFAULT_PATH, PoseIndex
 from scripts.raw_client import Call, RawClient
 from scripts.results import machine
 from scripts.server_process import ServerProcess

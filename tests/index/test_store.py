@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import lzma
 import os
@@ -20,9 +21,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from descriptor.descriptor import DiscriminantDescriptor
 from descriptor.silhouette import normalise
 from index import folders, store
+from index.artefact import ArtefactError, npy_bytes
 from index.silhouettes import Silhouettes
 from index.skeleton import camera_rotation, mirror_3d, mirror_normalised, project
-from index.store import ArtefactError, PoseIndex
+from index.store import PoseIndex
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -272,9 +274,9 @@ class TestRefusal:
     def test_sealed_files_that_do_not_fit_each_other(
         self, toy_index: PoseIndex, saved: Path
     ) -> None:
-        half = store._npy(toy_index.entries[: len(toy_index) // 2])
+        half = npy_bytes(toy_index.entries[: len(toy_index) // 2])
         (saved / "entries.npy.xz").write_bytes(lzma.compress(half))
-        digest = store.hashlib.sha256(half).hexdigest()
+        digest = hashlib.sha256(half).hexdigest()
         seal(
             saved,
             lambda manifest: manifest["files"].update(  # type: ignore[attr-defined]
@@ -288,7 +290,7 @@ class TestRefusal:
         other.add(toy_index.vectors)
         content = faiss.serialize_index(other).tobytes()
         (saved / "descriptors.faiss.xz").write_bytes(lzma.compress(content))
-        digest = store.hashlib.sha256(content).hexdigest()
+        digest = hashlib.sha256(content).hexdigest()
         seal(
             saved,
             lambda manifest: manifest["files"].update(  # type: ignore[attr-defined]
