@@ -251,6 +251,8 @@ class Estimator:
             If the index cannot be used.
         OnnxError
             If a network of the package is missing or broken.
+        FaceError
+            If OpenCV lacks its cascade for faces.
         """
         workers = Workers(settings.concurrency)
         network = load_network(settings.segmentation_model, workers)

@@ -11,13 +11,13 @@ References
 
 from __future__ import annotations
 
-from collections import deque
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.copies import Copies
 from app.vision.resampling import Window, cut, resize
 
 CASCADE_PATH = Path(cv2.__file__).parent / "data" / "haarcascade_frontalface_alt2.xml"
@@ -53,7 +53,9 @@ class FaceFinder:
     def __init__(self, path: Path = CASCADE_PATH) -> None:
         self._path = path
         # A cascade keeps the picture inside, so each serves one call at a time.
-        self._idle = deque([self._read()])
+        self._copies = Copies(self._read)
+        with self._copies.one():
+            pass  # A broken file is told now.
 
     def _read(self) -> cv2.CascadeClassifier:
         try:
@@ -76,12 +78,8 @@ class FaceFinder:
         """
         colour = np.ascontiguousarray(resize(cut(frame, head), SIZE, SIZE))
         grey = cv2.equalizeHist(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY))
-        try:
-            cascade = self._idle.pop()
-        except IndexError:
-            cascade = self._read()
-        found = cascade.detectMultiScale(
-            grey, _STEP, _AGREEING, minSize=(_LEAST, _LEAST), maxSize=(_MOST, _MOST)
-        )
-        self._idle.append(cascade)
+        with self._copies.one() as cascade:
+            found = cascade.detectMultiScale(
+                grey, _STEP, _AGREEING, minSize=(_LEAST, _LEAST), maxSize=(_MOST, _MOST)
+            )
         return len(found) > 0

@@ -14,7 +14,7 @@ from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_mask
-from app.vision.refine import Refiner, refiner_input, refiner_window
+from app.vision.refine import PROBABILITIES, Refiner, refiner_input, refiner_window
 from app.vision.resampling import Window, resize, resize_mask
 from app.vision.truncation import with_truncation
 from app.vision.views import View, halves_of, joined, view_of, with_grey_surroundings
@@ -132,7 +132,7 @@ def _redrawn(
     """One person's silhouette as the refiner sees it; None if next to nothing was seen."""
     window = refiner_window(view.whole)
     planes = refiner_input(frame, window, view.whole, others, answers, view.window)
-    first = planes[3] / np.float32(255)
+    first = planes[PROBABILITIES[0]] / np.float32(255)
     change = refiner.probability(planes) - first
     soft = first + np.float32(_ADDED_SHARE) * np.maximum(change, 0)
     soft += np.float32(_TAKEN_SHARE) * np.minimum(change, 0)

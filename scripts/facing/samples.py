@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from app.vision.facing_evidence import SIZE, head_window, person_window
 from app.vision.people import Silhouette, silhouette_from_mask
 from app.vision.resampling import cut, resize
 from index.skeleton import POINT_NAMES
 from scripts.refinement.samples import spoil
+from scripts.refinement.scenes import counted
 from scripts.refinement.sprites import Casting, Sprite
 
 ROWS = 160
@@ -82,14 +83,17 @@ def make_samples(casting: Casting, count: int, generator: np.random.Generator) -
     """Draw ``count`` people, each once: of fewer, a network remembers every one."""
     views = np.empty((count, 2, PLANES, SIZE, SIZE), np.uint8)
     azimuth = np.empty(count, np.float32)
-    done = 0
-    with tqdm(total=count, desc="drawing", unit="person", mininterval=5) as progress:
-        while done < count:
-            sprite = casting.sprite(generator)
-            found = views_of(sprite, generator)
-            if found is None or not (found[1] or generator.random() < HIDDEN_SHARE):
-                continue
-            views[done], azimuth[done] = found[0], sprite.azimuth_deg
-            done += 1
-            progress.update()
+    for row, (view, azimuth_deg) in enumerate(counted(_people(casting, generator), count)):
+        views[row], azimuth[row] = view, azimuth_deg
     return Samples(views, azimuth)
+
+
+def _people(
+    casting: Casting, generator: np.random.Generator
+) -> Iterator[tuple[NDArray[np.uint8], float]]:
+    """Yield views and azimuth of people without end."""
+    while True:
+        sprite = casting.sprite(generator)
+        found = views_of(sprite, generator)
+        if found is not None and (found[1] or generator.random() < HIDDEN_SHARE):
+            yield found[0], sprite.azimuth_deg

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.joints import WEIGHTS_PATH, JointReader
+from app.vision.joints import OTHER_SIDE, WEIGHTS_PATH, JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Silhouette
 from app.vision.segment import Segmenter, make_segmenter
@@ -31,8 +31,6 @@ from scripts.experiments.real_options import read_options
 from scripts.experiments.real_poses import NEAR, segmented
 
 CAMERAS = ("cam01", "cam03")
-# Left and right take turns in LIMBS.
-OTHER_SIDE = [row ^ 1 for row in range(len(LIMBS))]
 
 
 def peaks(
@@ -54,7 +52,7 @@ def shares(
     """Which joints ``(12,)`` are near, and which would be if sides did not count."""
     near, crossed = (
         np.linalg.norm(points - reference.joints_2d, axis=1) < NEAR * height_px
-        for points in (found, found[OTHER_SIDE])
+        for points in (found, found[OTHER_SIDE[: len(LIMBS)]])
     )
     return near, near | crossed
 

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.joints import (
-    CHANNELS,
-    COLUMNS,
-    READ_ROWS,
-    ROWS,
-    joints_input,
-    joints_window,
-)
+from app.vision.joints import CHANNELS, COLUMNS, READ_ROWS, ROWS, joints_input, joints_window
 from app.vision.resampling import cut, resize
 from app.vision.segment import Segmenter
 from scripts.refinement.scenes import Scene, counted

@@ -19,7 +19,6 @@ from torch import Tensor
 from app.vision.joints import CELL, CHANNELS, COLUMNS, OTHER_SIDE, ROWS, WEIGHTS_PATH
 from app.vision.network import PersonNetwork
 from app.vision.segment import make_segmenter
-from scripts.joints.maps import loss_of, wanted_maps
 from scripts.joints.model import JointReader
 from scripts.joints.samples import Samples, make_samples
 from scripts.refinement.backgrounds import read_backgrounds
@@ -39,6 +38,9 @@ simulated people."""
 TURN_DEG, SCALE, SHIFT = 12.0, 0.1, 0.04
 """Standard deviations of what a window is turned, enlarged (logarithm) and moved (of its height)
 by."""
+
+SPREAD_CELLS = 0.8
+"""How far about its place a point counts as found."""
 
 
 def vary(
@@ -69,6 +71,24 @@ def vary(
     return seen, points.astype(np.float32)
 
 
+def maps_of(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Points ``(N, P, 2)`` in pixels to wanted maps ``(N, P, 36, 24)``, and which lie inside."""
+    cells = (points + 0.5) / CELL - 0.5
+    x = np.exp(-((cells[..., :1] - np.arange(COLUMNS // CELL)) ** 2) / (2 * SPREAD_CELLS**2))
+    y = np.exp(-((cells[..., 1:] - np.arange(ROWS // CELL)) ** 2) / (2 * SPREAD_CELLS**2))
+    maps = y[..., :, None] * x[..., None, :]
+    inside = np.asarray(((points >= 0) & (points <= (COLUMNS - 1, ROWS - 1))).all(axis=-1))
+    sums = np.maximum(maps.sum(axis=(2, 3), keepdims=True), 1e-9)
+    return (maps / sums).astype(np.float32), inside
+
+
+def loss_of(odds: Tensor, wanted: Tensor, inside: Tensor) -> Tensor:
+    """Cross entropy of each map, over the points that lie in the window."""
+    logs = torch.log_softmax(odds.flatten(2), dim=2)
+    crossed = -(wanted.flatten(2) * logs).sum(dim=2)
+    return (crossed * inside).sum() / inside.sum()
+
+
 def train(
     model: JointReader, samples: Samples, steps: int, rate: float, generator: np.random.Generator
 ) -> None:
@@ -78,8 +98,7 @@ def train(
         rows = generator.choice(len(samples.points), BATCH, replace=False)
         varied = [vary(samples, row, generator) for row in rows]
         seen = torch.from_numpy(np.stack([one[0] for one in varied]))
-        points = np.stack([one[1] for one in varied])
-        wanted, inside = wanted_maps(points, (ROWS // CELL, COLUMNS // CELL), CELL)
+        wanted, inside = maps_of(np.stack([one[1] for one in varied]))
         odds = model.odds(seen.to(memory_format=torch.channels_last))
         return loss_of(odds, torch.from_numpy(wanted), torch.from_numpy(inside))
 

@@ -9,11 +9,8 @@ from numpy.testing import assert_allclose
 pytest.importorskip("torch", reason="needs the extras build and train: torch")
 
 from app.vision.joints import CELL, CHANNELS, COLUMNS, OTHER_SIDE, READ, ROWS
-from scripts.joints.maps import wanted_maps
 from scripts.joints.samples import Samples
-from scripts.joints.train import vary
-
-SHAPE = (ROWS // CELL, COLUMNS // CELL)
+from scripts.joints.train import maps_of, vary
 
 
 def test_other_sides_are_those_of_the_names() -> None:
@@ -26,7 +23,7 @@ def test_other_sides_are_those_of_the_names() -> None:
 def test_wanted_maps_are_distributions_about_the_points() -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform((10, 10), (COLUMNS - 10, ROWS - 10), (5, len(READ), 2)).astype(np.float32)
-    maps, inside = wanted_maps(points, SHAPE, CELL)
+    maps, inside = maps_of(points)
     assert maps.shape == (5, len(READ), ROWS // CELL, COLUMNS // CELL)
     assert inside.all()
     assert_allclose(maps.sum(axis=(2, 3)), 1, atol=1e-5)
@@ -39,7 +36,7 @@ def test_points_outside_the_window_are_told() -> None:
     points = np.full((1, len(READ), 2), 20, np.float32)
     points[0, 3] = (-5, 20)
     points[0, 4] = (20, ROWS + 5)
-    inside = wanted_maps(points, SHAPE, CELL)[1][0]
+    inside = maps_of(points)[1][0]
     assert not inside[3] and not inside[4] and inside.sum() == len(READ) - 2
 
 
