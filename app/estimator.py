@@ -17,11 +17,12 @@ from app.process import give_way
 from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
-from app.vision.detect import Detector, make_detector
+from app.vision.detect import Detector
 from app.vision.facing_evidence import AzimuthBelief, FacingReader
 from app.vision.joints import JointReader
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
+from app.vision.second_look import make_detector
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
 from app.vision.workers import Workers
 from app.weighing import weigh, weigh_by_image
@@ -256,15 +257,17 @@ class Estimator:
         """
         workers = Workers(settings.concurrency)
         network = load_network(settings.segmentation_model, workers)
+        segmenter = make_segmenter(network, workers)
+        reader = JointReader(workers=workers)
         return cls(
             PoseIndex.load(settings.index),
-            make_detector(network, min_person_px=settings.min_person_px),
-            make_segmenter(network, workers),
+            make_detector(network, segmenter, reader, min_person_px=settings.min_person_px),
+            segmenter,
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
             facing_reader=FacingReader(),
-            joint_reader=JointReader(workers=workers),
+            joint_reader=reader,
             concurrency=settings.concurrency,
         )
 

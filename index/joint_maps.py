@@ -102,6 +102,14 @@ class JointMaps:
         ]
         return np.stack(smooth).reshape(3, -1, height, width).astype(np.float32)
 
+    def clarity(self) -> float:
+        """How clearly the points show: mean log likelihood of each at its map's highest peak.
+
+        At most 0, where every map has one sharp peak; where there is no body there is none.
+        """
+        peaks = self._moments[0].max(axis=(1, 2))
+        return float(np.log((peaks + DOUBT) / (1 + DOUBT)).mean())
+
     def look(self, points_normalised: NDArray[np.floating]) -> Look:
         """Compare skeletons with the maps.
 

@@ -43,13 +43,6 @@ class Detector(Protocol):
         ...
 
 
-def make_detector(network: PersonNetwork | None, *, min_person_px: float = 50) -> Detector:
-    """The cascade if there is a network, else gradients alone."""
-    if network is not None:
-        return CascadeDetector(network, min_person_px=min_person_px)
-    return HogDetector(min_person_px=min_person_px)
-
-
 class HogDetector:
     """Find people by gradients alone; needs no model file, holds no state.
 
@@ -69,7 +62,7 @@ class HogDetector:
         """Find the people; see :class:`Detector`."""
         small, factor, person_px = _searched(frame, self._min_person_px)
         boxes, margins = gradient_detections(small, person_px)
-        scores = _probability(_HOG_SLOPE * margins + _HOG_OFFSET)
+        scores = probability(_HOG_SLOPE * margins + _HOG_OFFSET)
         return _detections(boxes, scores, frame.shape, factor, self._min_score)
 
 
@@ -128,7 +121,7 @@ class CascadeDetector:
             return []
         odds = features @ _WEIGHTS + _OFFSET
         means, kept = merge(boxes, odds)
-        scores = _probability(_CALIBRATION_SLOPE * odds[kept] + _CALIBRATION_OFFSET)
+        scores = probability(_CALIBRATION_SLOPE * odds[kept] + _CALIBRATION_OFFSET)
         return _detections(means, scores, frame.shape, factor, self._min_score)
 
 
@@ -195,7 +188,7 @@ def merge(boxes: Boxes, odds: NDArray[np.float64]) -> tuple[Boxes, list[int]]:
         The best candidate of each, best first.
     """
     kept = drop_parts(boxes, suppress(boxes, odds, _SAME_PERSON))
-    return averaged(boxes, _probability(odds), kept), kept
+    return averaged(boxes, probability(odds), kept), kept
 
 
 def _proposed_by_gradients(
@@ -265,7 +258,8 @@ _CALIBRATION_SLOPE, _CALIBRATION_OFFSET = 0.991, -0.136
 _HOG_SLOPE, _HOG_OFFSET = 2.967, -3.715
 
 
-def _probability(odds: NDArray[np.float64]) -> NDArray[np.float64]:
+def probability(odds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Logarithms of odds to probabilities."""
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 

@@ -89,8 +89,13 @@ class NetworkSegmenter:
         self._workers = workers or Workers()
         self._fallback = GrabCutSegmenter()
 
-    def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
-        """Cut out the person in each box; see :class:`Segmenter`."""
+    def segment(
+        self, frame: NDArray[np.uint8], boxes: Sequence[Box], beside: Sequence[Box] = ()
+    ) -> list[Silhouette | None]:
+        """Cut out the person in each box; see :class:`Segmenter`.
+
+        Pixels of people in the boxes ``beside`` are kept out as well.
+        """
         height, width = frame.shape[:2]
         visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
         views = [view_of(frame, box) for _, box in visible]
@@ -98,6 +103,7 @@ class NetworkSegmenter:
 
         def drawn(position: int) -> Silhouette | None:
             others = [box for other, (_, box) in enumerate(visible) if other != position]
+            others += beside
             return _redrawn(self._refiner, frame, views[position], others, answers[position])
 
         found: list[Silhouette | None] = [None] * len(boxes)

@@ -24,13 +24,14 @@ import matplotlib.pyplot as plt
 
 from app.estimator import Estimator
 from app.settings import DEFAULT_MODEL
-from app.vision.detect import CascadeDetector
+from app.vision.detect import Detector
 from app.vision.facing_evidence import FacingReader
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.joints import JointReader
 from app.vision.network import NetworkError, PersonNetwork
 from app.vision.people import silhouette_from_mask
 from app.vision.refine import Refiner
+from app.vision.second_look import make_detector
 from app.vision.segment import NetworkSegmenter
 from index.store import DEFAULT_PATH, PoseIndex
 from scripts.experiments.real_confidence import (
@@ -48,7 +49,7 @@ from scripts.experiments.real_data import (
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import fit_detector, measure_detection
+from scripts.experiments.real_detection import fit_detector, look_by, measure_detection
 from scripts.experiments.real_peer import why_absent
 from scripts.experiments.real_poses import (
     LIMBS_RIGHT_BELOW_PX,
@@ -96,7 +97,7 @@ class Tools:
     """What is measured, loaded once."""
 
     network: PersonNetwork
-    detector: CascadeDetector
+    detector: Detector
     segmenter: NetworkSegmenter
     index: PoseIndex
     facing_reader: FacingReader
@@ -123,18 +124,15 @@ def run(options: argparse.Namespace) -> None:
         network = PersonNetwork(options.model)
     except NetworkError as error:
         raise FileNotFoundError(f"{error}; python scripts/fetch_model.py fetches it") from None
-    tools = Tools(
-        network,
-        CascadeDetector(network),
-        NetworkSegmenter(network, Refiner()),
-        PoseIndex.load(options.index),
-        FacingReader(),
-        JointReader(),
-    )
+    segmenter, reader = NetworkSegmenter(network, Refiner()), JointReader()
+    detector = make_detector(network, segmenter, reader)
+    index = PoseIndex.load(options.index)
+    tools = Tools(network, detector, segmenter, index, FacingReader(), reader)
+    look = look_by(segmenter, reader)
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     if options.fit_detector:
-        print(fit_detector(photographs, network))
+        print(fit_detector(photographs, network, look))
         return
     people = read_street_people(folder / "pennfudan", photographs)
     if options.fit_confidence:
@@ -145,14 +143,14 @@ def run(options: argparse.Namespace) -> None:
     python = None if absent else options.mediapipe
     results: dict[str, Any] = {"command": COMMAND, "machine": machine()}
     results["mediapipe"] = absent or "0.10.21"
-    results["detection"] = measure_detection(photographs, network)
+    results["detection"] = measure_detection(photographs, network, look)
     results["silhouettes"] = silhouettes(photographs, tools, python)
     results["facing"] = facing_figures(people, tools.segmenter, tools.facing_reader.read)
     street = street_people(people, tools)
     results["street"] = street_figures(street)
     videos, results["pose2sim"] = pose2sim(folder, tools, options, python)
     if MARKS.is_file():
-        results["vtest"] = vtest(folder, network)
+        results["vtest"] = vtest(folder, tools.detector)
     own = cross_validated(street["own silhouettes"])
     grouped = {
         "street people": own,
@@ -234,10 +232,9 @@ def pose2sim(
     return trials, found
 
 
-def vtest(folder: Path, network: PersonNetwork) -> dict[str, Figures]:
+def vtest(folder: Path, detector: Detector) -> dict[str, Figures]:
     """People found in the street video, at each of :data:`SCORES`."""
     frames = read_vtest(folder / "vtest", VTEST_FRAMES)
-    detector = CascadeDetector(network, min_score=min(SCORES))
     return {f"{score:g}": measure_vtest(frames, read_marks(), detector, score) for score in SCORES}
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.box_arrays import averaged, drop_parts, iou_matrix, suppress
-from app.vision.detect import CascadeDetector, Detector, HogDetector, make_detector
+from app.vision.detect import CascadeDetector, Detector, HogDetector
 from app.vision.evidence import suited
 from app.vision.hog import as_cells, person_windows
 from app.vision.network import PersonNetwork
@@ -63,9 +63,7 @@ def test_threads_agree(network: PersonNetwork, street: NDArray[np.uint8]) -> Non
             assert found == expected
 
 
-def test_without_a_network_gradients_serve(network: PersonNetwork) -> None:
-    assert isinstance(make_detector(None), HogDetector)
-    assert isinstance(make_detector(network), CascadeDetector)
+def test_impossible_limits_are_refused() -> None:
     with pytest.raises(ValueError, match="min_person_px"):
         HogDetector(min_person_px=0)
     with pytest.raises(ValueError, match="min_score"):
