@@ -23,8 +23,11 @@ T = TypeVar("T")
 HEIGHTS_PX = (60.0, 360.0)
 """From the smallest person that the service looks for to one who fills the network's window."""
 
-NEIGHBOUR_SHARES = (0.4, 0.35, 0.25)
-"""How many scenes have no neighbour, one, and two."""
+NEIGHBOUR_SHARES = (0.33, 0.35, 0.22, 0.1)
+"""How many scenes have no neighbour, one, two, and three."""
+
+FAR_SHARE = 0.25
+"""How many neighbours are farther away, and look smaller."""
 
 LEAST_VISIBLE = 0.4
 """A person who is covered more than this is no example."""
@@ -49,7 +52,7 @@ class Scene:
     frame : (H, W, 3) uint8 array
         BGR.
     covers : (N, H, W) float32 array
-        Share of each pixel that shows a person, one layer for each.
+        Share of each pixel that shows a person, one layer for each, without what hands carry.
     boxes : list of Box
         About what is seen of them, a little off.
     points : (N, 24, 2) float64 array
@@ -102,15 +105,21 @@ def _try_scene(
     rows, columns = own.cover.shape
     room = round(ROOM * max(rows, columns))
     size = (rows + 2 * room, columns + 2 * room)
-    layers = [(own, room, room)]
-    for _ in range(int(generator.choice(3, p=NEIGHBOUR_SHARES))):
-        relative = height_px * generator.uniform(0.8, 1.2)
-        other = _varied(sprites[int(generator.integers(len(sprites)))], relative, generator)
-        side = generator.choice([-1, 1]) * generator.uniform(0.08, 0.55) * height_px
+    layers, is_far = [(own, room, room)], [False]
+    for _ in range(int(generator.choice(4, p=NEIGHBOUR_SHARES))):
+        far = generator.random() < FAR_SHARE
+        relative = generator.uniform(0.3, 0.8) if far else generator.uniform(0.8, 1.2)
+        other = _varied(
+            sprites[int(generator.integers(len(sprites)))], relative * height_px, generator
+        )
+        side = generator.choice([-1, 1]) * generator.uniform(0.05, 0.55) * height_px
         left = room + columns / 2 + side - other.cover.shape[1] / 2
-        top = room + rows - other.cover.shape[0] + generator.normal(0, 0.06) * height_px
+        # Whoever is far away stands higher in the picture.
+        foot = rows - max(0.0, 1 - relative) * generator.uniform(0, 0.8) * rows
+        top = room + foot - other.cover.shape[0] + generator.normal(0, 0.06) * height_px
         layers.append((other, round(top), round(left)))
-    order = generator.permutation(len(layers))
+        is_far.append(far)
+    order = sorted(generator.permutation(len(layers)), key=lambda index: not is_far[index])
     frame = _background(size, backgrounds, generator).astype(np.float32)
     if generator.random() < 0.5:
         for index in order:
@@ -124,13 +133,13 @@ def _try_scene(
             colour = _matched(colour, frame, cover, generator)
         frame = frame * (1 - cover[..., None]) + colour * cover[..., None]
         covers *= 1 - cover
-        covers[index] = cover
+        covers[index] = _pasted(sprite.own, size, top, left)
     frame = _with_bars(frame, covers, generator)
     window = _cropped(covers[0], generator)
     frame, covers = frame[window], covers[:, *window]
     corner = np.array([window[1].start, window[0].start])
     points = np.stack([s.points + np.array([left, top]) - corner for s, top, left in layers])
-    whole = np.array([layer[0].cover.sum() for layer in layers])
+    whole = np.array([layer[0].own.sum() for layer in layers])
     seen = (covers.sum(axis=(1, 2)) > LEAST_VISIBLE * whole) & (covers.max(axis=(1, 2)) > 0.5)
     if not seen.any():
         return None
@@ -143,13 +152,13 @@ def _try_scene(
 def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) -> Sprite:
     """Resize, mirror and recolour a sprite."""
     scale = height_px / max(sprite.cover.shape)
-    colour, cover = (
+    colour, cover, own = (
         cv2.resize(array, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        for array in (sprite.colour, sprite.cover)
+        for array in (sprite.colour, sprite.cover, sprite.own)
     )
     points, azimuth = (sprite.points + 0.5) * scale - 0.5, sprite.azimuth_deg
     if generator.random() < 0.5:
-        colour, cover = colour[:, ::-1], cover[:, ::-1]
+        colour, cover, own = colour[:, ::-1], cover[:, ::-1], own[:, ::-1]
         points = exchange_sides(points) * (-1, 1) + (cover.shape[1] - 1, 0)
         azimuth = -azimuth
     hsv = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_BGR2HSV)
@@ -161,6 +170,7 @@ def _varied(sprite: Sprite, height_px: float, generator: np.random.Generator) ->
     return Sprite(
         np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR), np.uint8),
         np.ascontiguousarray(cover, np.float32),
+        np.ascontiguousarray(own, np.float32),
         points,
         azimuth,
     )

@@ -52,7 +52,7 @@ UNCLOTHED_SHARE, BARE_SHARE = 0.22, 0.45
 BALD_SHARE = 0.15
 """How many of them have no hair either."""
 
-BAG_SHARES = (0.65, 0.2, 0.15)
+BAG_SHARES = (0.58, 0.18, 0.24)
 """How many carry nothing, something on the back, and something in a hand."""
 
 LIMB_BONES = tuple(
@@ -78,7 +78,9 @@ class Sprite:
     colour : (h, w, 3) uint8 array
         BGR; beyond the person its nearest colours run on.
     cover : (h, w) float32 array
-        Share of each pixel that the person covers, 0 to 1.
+        Share of each pixel that the person and what he or she carries cover, 0 to 1.
+    own : (h, w) float32 array
+        The same of the person alone, with what is on the back, without what a hand carries.
     points : (24, 2) float64 array
         Where the skeleton's points are, in pixels; rows are ``POINT_NAMES``.
     azimuth_deg : float
@@ -88,15 +90,18 @@ class Sprite:
 
     colour: NDArray[np.uint8]
     cover: NDArray[np.float32]
+    own: NDArray[np.float32]
     points: NDArray[np.float64]
     azimuth_deg: float
 
     def __post_init__(self) -> None:
-        if self.colour.shape != (*self.cover.shape, 3) or self.points.shape != (POINTS, 2):
+        if self.colour.shape != (*self.cover.shape, 3) or self.own.shape != self.cover.shape:
             raise ValueError(
-                f"expected colour and cover of equal size and {POINTS} points, got "
-                f"{self.colour.shape}, {self.cover.shape} and {self.points.shape}"
+                "expected colour, cover and own of equal size, got "
+                f"{self.colour.shape}, {self.cover.shape} and {self.own.shape}"
             )
+        if self.points.shape != (POINTS, 2):
+            raise ValueError(f"expected {POINTS} points, got {self.points.shape}")
 
 
 def pieces_of(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
@@ -142,11 +147,19 @@ def with_bags(
     avatar: Avatar,
     moved: NDArray[np.float64],
     generator: np.random.Generator,
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Give a posed body something to carry, in some cases: more vertices and triangles."""
+) -> tuple[NDArray[np.float32], NDArray[np.int32], bool]:
+    """Give a posed body something to carry, in some cases.
+
+    Returns
+    -------
+    vertices, triangles
+        With more rows.
+    held : bool
+        Whether a hand carries what the added triangles show.
+    """
     kind = int(generator.choice(3, p=BAG_SHARES))
     if kind == 0:
-        return vertices, avatar.triangles
+        return vertices, avatar.triangles, False
     bone = avatar.bones.index(
         "Spine1" if kind == 1 else generator.choice(["LeftHand", "RightHand"])
     )
@@ -162,7 +175,8 @@ def with_bags(
         size = np.array([0.17, 0.17, 0.07]) * generator.uniform(0.5, 1.2, 3)
         centre = place + np.array([0, -0.1 - size[1], 0])
     more, triangles = _ellipsoid(centre, size[:, None] * turn, len(vertices))
-    return np.concatenate([vertices, more]), np.concatenate([avatar.triangles, triangles])
+    triangles = np.concatenate([avatar.triangles, triangles])
+    return np.concatenate([vertices, more]), triangles, kind == 2
 
 
 class Casting:
@@ -219,7 +233,7 @@ class Casting:
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, moved[0].astype(np.float32)
         )
-        vertices, triangles = with_bags(vertices, avatar, moved[0], generator)
+        vertices, triangles, held = with_bags(vertices, avatar, moved[0], generator)
         camera = sample_views(1, generator)[0]
         roll = float(camera["roll_deg"])
         if generator.random() < FALLEN_SHARE:
@@ -229,7 +243,7 @@ class Casting:
         turn = camera_rotation(azimuth, elevation, roll).T
         facing = float(azimuth_deg(points @ camera_rotation(azimuth, elevation).T))
         seen = (vertices @ turn, points @ turn, facing)
-        return self._drawn(which, seen, triangles, float(camera["distance"]), generator)
+        return self._drawn(which, seen, (triangles, held), float(camera["distance"]), generator)
 
     def _with_other_limbs(
         self, row: int, rotations: NDArray[np.float64], generator: np.random.Generator
@@ -252,13 +266,17 @@ class Casting:
         self,
         which: int,
         seen: tuple[NDArray[np.float64], NDArray[np.float64], float],
-        triangles: NDArray[np.int32],
+        surface: tuple[NDArray[np.int32], bool],
         distance: float,
         generator: np.random.Generator,
     ) -> Sprite:
-        """Draw a body as ``seen``: vertices and points in camera axes, and the azimuth."""
+        """Draw a body as ``seen``: vertices and points in camera axes, and the azimuth.
+
+        ``surface`` is its triangles, and whether a hand carries those that are no avatar's.
+        """
         avatar = self.avatars[which]
         turned, points, facing = seen
+        triangles, held = surface
         plane = project(turned, distance)
         low, high = plane.min(axis=0), plane.max(axis=0)
         scale = (
@@ -285,6 +303,8 @@ class Casting:
             colour = pixelate(colour, face, generator)
         small = (width // SUPERSAMPLING, height // SUPERSAMPLING)
         cover = resize(on.astype(np.float32), *small)
+        person = on & (shown < len(avatar.triangles)) if held else on
+        own = resize(person.astype(np.float32), *small)
         summed = resize(colour, *small)
         # Colours run on past the outline, so that a blurred or enlarged sprite has no dark rim.
         around = [cv2.GaussianBlur(array, (0, 0), 2.0) for array in (summed, cover)]
@@ -292,7 +312,7 @@ class Casting:
         beyond = around[0] / np.maximum(around[1], 1e-3)[..., None]
         filled = np.where(cover[..., None] > 0.05, inside, beyond)
         joints = (joints + 0.5) / SUPERSAMPLING - 0.5
-        return Sprite(np.clip(filled, 0, 255).astype(np.uint8), cover, joints, facing)
+        return Sprite(np.clip(filled, 0, 255).astype(np.uint8), cover, own, joints, facing)
 
     def _is_face(
         self, which: int, triangles: NDArray[np.int32], rest: NDArray[np.float32]

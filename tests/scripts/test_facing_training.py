@@ -106,7 +106,7 @@ class TestTraining:
         generator = np.random.default_rng(0)
         for head_row, shown in ((20.0, True), (90.0, False)):
             points[:, 1] = head_row
-            found = samples.views_of(sprites.Sprite(grey, cover, points, 0.0), generator)
+            found = samples.views_of(sprites.Sprite(grey, cover, cover, points, 0.0), generator)
             assert found is not None
             views, hit = found
             assert hit == shown

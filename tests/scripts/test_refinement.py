@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -68,7 +70,7 @@ def sprites() -> list[Sprite]:
     points = np.full((POINTS, 2), 30.0)
     points[LEFT], points[RIGHT] = (39.5, 20.0), (19.5, 20.0)
     colours = [np.full((120, 60, 3), level, np.uint8) for level in (40, 200)]
-    return [Sprite(colour, cover, points, 30.0) for colour in colours]
+    return [Sprite(colour, cover, cover, points, 30.0) for colour in colours]
 
 
 @pytest.fixture
@@ -95,6 +97,23 @@ def test_everybody_in_a_scene_is_in_a_box(
         for box, cover in zip(scene.boxes, scene.covers, strict=True):
             assert box.iou(tight_box(cover > 0.5)) > 0.6
     assert 0 < LEAST_VISIBLE < 1
+
+
+def test_what_hands_carry_is_nobodys(
+    sprites: list[Sprite], backgrounds: list[NDArray[np.uint8]]
+) -> None:
+    own = sprites[0].cover.copy()
+    own[60:] = 0
+    laden = [dataclasses.replace(sprite, own=own) for sprite in sprites]
+    for seed in range(10):
+        free, burdened = (
+            make_scene(some, backgrounds, np.random.default_rng(seed)) for some in (sprites, laden)
+        )
+        if len(free.boxes) == 1 == len(burdened.boxes) and free.frame.shape == burdened.frame.shape:
+            assert 0.3 < burdened.covers.sum() / free.covers.sum() < 0.7
+            break
+    else:
+        pytest.fail("expected a scene with one person")
 
 
 def test_points_stay_on_the_body_with_left_on_its_side(
