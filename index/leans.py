@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
-from index.candidates import Candidates, find_candidates
+from index.candidates import Candidates, find_candidates_of_each
 from index.store import PoseIndex
 
 _FINER = 2
@@ -18,35 +18,53 @@ _FINER = 2
 _SIDE = _FINER * (HEIGHT + WIDTH)
 
 
-def find_leaning_candidates(
-    index: PoseIndex, silhouette: NDArray[np.uint8], k: int, leans_deg: Sequence[float]
-) -> Candidates:
-    """Find the ``k`` nearest to a silhouette turned by each of some angles, all together.
+@dataclass(frozen=True)
+class Leaning:
+    """A silhouette as if the person leant, set upright.
+
+    Parameters
+    ----------
+    lean_deg : float
+        How far, clockwise in the picture.
+    upright : (128, 48) uint8 array
+    back : (2, 3) float64 array
+        From its pixels to those of the silhouette as it came.
+    """
+
+    lean_deg: float
+    upright: NDArray[np.uint8]
+    back: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, silhouette: NDArray[np.uint8], lean_deg: float) -> Leaning:
+        """Set a silhouette ``(128, 48)`` upright."""
+        if lean_deg == 0:
+            return cls(0.0, silhouette, np.eye(2, 3))
+        return cls(lean_deg, *turned(silhouette, -lean_deg))
+
+
+def find_leaning_candidates(index: PoseIndex, leanings: Sequence[Leaning], k: int) -> Candidates:
+    """Find the ``k`` nearest to a silhouette for each of some leans, all together.
 
     An index holds hardly a camera that hangs askew; turning the query instead finds the same.
 
     Parameters
     ----------
     index : PoseIndex
-    silhouette : (128, 48) uint8 array
+    leanings : sequence of Leaning
+        Of one silhouette; upright must be among them if wanted.
     k : int
-        For each angle.
-    leans_deg : sequence of float
-        How far the person leans, clockwise in the picture; 0 must be named if wanted.
+        For each.
 
     Returns
     -------
     Candidates
         In ascending distance; points lie on the silhouette as it came, and skeletons lean.
     """
-    found = []
-    for lean in leans_deg:
-        if lean == 0:
-            found.append(find_candidates(index, silhouette, k))
-        else:
-            upright, back = turned(silhouette, -lean)
-            found.append(_turned_back(find_candidates(index, upright, k), back, lean))
-    return Candidates.merged(found)
+    found = find_candidates_of_each(index, np.stack([one.upright for one in leanings]), k)
+    return Candidates.merged(
+        [_turned_back(some, one) for some, one in zip(found, leanings, strict=True)]
+    )
 
 
 def turned(
@@ -74,13 +92,15 @@ def turned(
     return upright, np.column_stack([linear, inverse[:, 2] - linear @ offset])
 
 
-def _turned_back(candidates: Candidates, back: NDArray[np.float64], lean_deg: float) -> Candidates:
-    angle = np.deg2rad(lean_deg)
+def _turned_back(candidates: Candidates, leaning: Leaning) -> Candidates:
+    if leaning.lean_deg == 0:
+        return candidates
+    angle, back = np.deg2rad(leaning.lean_deg), leaning.back
     cosine, sine = np.cos(angle), np.sin(angle)
     clockwise = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
     return replace(
         candidates,
-        lean_deg=np.full(len(candidates), float(lean_deg)),
+        lean_deg=np.full(len(candidates), leaning.lean_deg),
         points_3d=candidates.points_3d @ clockwise.T,
         points_normalised=candidates.points_normalised @ back[:, :2].T + back[:, 2],
     )

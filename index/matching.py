@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.bending import bend
-from index.candidates import Candidates, find_candidates
+from index.candidates import Candidates
 from index.confidence import RIGHT_BELOW_PX, Calibration
 from index.joint_maps import JointMaps
-from index.leans import find_leaning_candidates, turned
+from index.leans import Leaning, find_leaning_candidates
 from index.modes import Mode, candidate_weights, find_modes
 from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
@@ -115,13 +116,15 @@ def match_with_features(
     index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None = None
 ) -> tuple[list[Hypothesis], NDArray[np.float64]]:
     """As :func:`match_with_spares`, with the features ``(N, F)`` behind the confidences."""
-    candidates, modes = _enough_modes(index, silhouette, n, maps)
+    leans = (0.0,) if maps is None else LEANS_DEG
+    leanings = [Leaning.of(silhouette, lean) for lean in leans]
+    candidates, modes = _enough_modes(index, leanings, n, maps)
     modes.sort(key=lambda mode: mode.distance)
     centres = [mode.centre for mode in modes]
     others = index.silhouettes(candidates.numbers[centres])
     mirrored = candidates.mirrored[centres]
     others[mirrored] = others[mirrored, :, ::-1]
-    errors = _outline_errors(silhouette, others, candidates.lean_deg[centres])
+    errors = _outline_errors(leanings, others, candidates.lean_deg[centres])
     features = match_features(candidates, modes, errors)
     confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
     points_3d = np.stack([mode.points_3d for mode in modes])
@@ -153,17 +156,16 @@ def match_with_features(
 
 
 def _enough_modes(
-    index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None
+    index: PoseIndex, leanings: Sequence[Leaning], n: int, maps: JointMaps | None
 ) -> tuple[Candidates, list[Mode]]:
     """Look at more candidates until they hold ``n`` modes or the index has no more."""
     wanted = n + (SPARE_MODES if maps is None else SPARE_MODES_SEEN)
     k = max(CANDIDATES, 20 * n)
     while True:
+        candidates = find_leaning_candidates(index, leanings, k)
         if maps is None:
-            candidates = find_candidates(index, silhouette, k)
             modes = find_modes(candidates, wanted)
         else:
-            candidates = find_leaning_candidates(index, silhouette, k, LEANS_DEG)
             look = maps.look(candidates.points_normalised)
             weights = candidate_weights(candidates.distances) * look.weights()
             # In ascending distance, as they came.
@@ -214,14 +216,14 @@ def _agreements(candidates: Candidates, modes: list[Mode]) -> NDArray[np.float64
 
 
 def _outline_errors(
-    silhouette: NDArray[np.uint8], others: NDArray[np.uint8], lean_deg: NDArray[np.float64]
+    leanings: Sequence[Leaning], others: NDArray[np.uint8], lean_deg: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Distances ``(B,)`` of the query's outline, set upright, from entries that lean."""
     errors = np.empty(len(others))
-    for lean in np.unique(lean_deg):
-        some = lean_deg == lean
-        upright = silhouette if lean == 0 else turned(silhouette, -lean)[0]
-        errors[some] = outline_distances(upright, others[some])
+    for leaning in leanings:
+        some = lean_deg == leaning.lean_deg
+        if some.any():
+            errors[some] = outline_distances(leaning.upright, others[some])
     return errors
 
 

@@ -105,9 +105,12 @@ def find_modes(
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     # Interpolation makes some modes alike: a few more are looked at than wanted.
     looked_at = count + count // 3
+    modes: list[Mode] = []
     while True:
         centres, gathered = _densest(weights, apart, looked_at, bandwidth_m)
-        modes = _interpolate(candidates, offsets, centres, gathered)
+        # The first are those of the last time.
+        more = slice(len(modes), None)
+        modes += _interpolate(candidates, offsets, centres[more], gathered[more])
         distinct = _distinct(np.stack([mode.points_3d[:JOINTS] for mode in modes]))[:count]
         if len(distinct) == count or len(centres) < looked_at:
             break

@@ -84,8 +84,9 @@ class NearestVectors:
         rough, numbers = self._coarse.search(queries, listed)
         exact = self._exact(queries, numbers)
         nearest, kept = _nearest_of(exact, numbers, k)
-        if not _nothing_missed(rough, exact, nearest[:, -1:]):
-            return cast(Found, self._flat.search(queries, k))
+        doubted = np.flatnonzero(_may_miss(rough, exact, nearest[:, -1:]))
+        if len(doubted):
+            nearest[doubted], kept[doubted] = self._flat.search(queries[doubted], k)
         return nearest, kept
 
     def _exact(
@@ -114,14 +115,14 @@ def _nearest_of(distances: NDArray[np.float32], numbers: NDArray[np.int64], k: i
     return near, named
 
 
-def _nothing_missed(
+def _may_miss(
     rough: NDArray[np.float32], exact: NDArray[np.float32], farthest: NDArray[np.float32]
-) -> bool:
-    """Whether the nearest of every list ``(B, L)`` may pass for the nearest of all vectors."""
+) -> NDArray[np.bool_]:
+    """Which lists ``(B, L)`` may lack one of the nearest of all vectors, ``(B,)``."""
     rough, exact, farthest = (np.sqrt(np.maximum(d, 0)) for d in (rough, exact, farthest))
     # Those left out look at least as far off as the last of the list.
     margin = rough.max(axis=1) - farthest[:, 0]
-    return bool((margin > (rough - exact).max(axis=1)).all())
+    return np.asarray(margin <= (rough - exact).max(axis=1))
 
 
 def _coarse(flat: faiss.IndexFlatL2) -> Any:

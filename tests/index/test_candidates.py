@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.candidates import find_candidates
+from index.candidates import find_candidates, find_candidates_of_each
 from index.skeleton import POINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 
@@ -77,3 +77,15 @@ def test_no_more_than_all_entries_and_their_mirror_images(toy_index: PoseIndex) 
     assert len(found) == 2 * len(toy_index)
     assert_array_equal(np.bincount(found.numbers), 2)
     assert found.points_3d.shape == (len(found), POINTS, 3)
+
+
+def test_several_at_once_get_what_each_gets(toy_index: PoseIndex) -> None:
+    silhouettes = toy_index.silhouettes(np.array([3, 50, 120]))
+    for ours, silhouette in zip(
+        find_candidates_of_each(toy_index, silhouettes, 20), silhouettes, strict=True
+    ):
+        alone = find_candidates(toy_index, silhouette, 20)
+        assert_array_equal(ours.numbers, alone.numbers)
+        assert_array_equal(ours.mirrored, alone.mirrored)
+        assert_allclose(ours.distances, alone.distances, atol=1e-5)
+        assert_allclose(ours.points_normalised, alone.points_normalised)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.candidates import find_candidates
-from index.leans import find_leaning_candidates, turned
+from index.leans import Leaning, find_leaning_candidates, turned
 from index.skeleton import JOINTS
 from index.store import PoseIndex
 
@@ -43,10 +44,14 @@ class TestTurned:
         assert both / either > 0.8
 
 
+def leanings(silhouette: NDArray[np.uint8], *leans_deg: float) -> list[Leaning]:
+    return [Leaning.of(silhouette, lean) for lean in leans_deg]
+
+
 def test_a_leaning_person_is_found(toy_index: PoseIndex) -> None:
     number, lean = 40, 15.0
     leaning, back = turned(toy_index.silhouette(number), lean)
-    found = find_leaning_candidates(toy_index, leaning, 20, (-15.0, 0.0, 15.0))
+    found = find_leaning_candidates(toy_index, leanings(leaning, -15.0, 0.0, 15.0), 20)
     assert (found.numbers[0], found.lean_deg[0]) == (number, lean)
     entry = toy_index.entry(number)
     expected = (entry.points_normalised[:JOINTS] - back[:, 2]) @ np.linalg.inv(back[:, :2]).T
@@ -61,7 +66,7 @@ def test_a_leaning_person_is_found(toy_index: PoseIndex) -> None:
 
 def test_without_a_lean_the_candidates_are_the_same(toy_index: PoseIndex) -> None:
     silhouette = toy_index.silhouette(100)
-    ours = find_leaning_candidates(toy_index, silhouette, 30, (0.0,))
+    ours = find_leaning_candidates(toy_index, leanings(silhouette, 0.0), 30)
     theirs = find_candidates(toy_index, silhouette, 30)
     assert_array_equal(ours.numbers, theirs.numbers)
     assert_array_equal(ours.points_3d, theirs.points_3d)
@@ -69,7 +74,8 @@ def test_without_a_lean_the_candidates_are_the_same(toy_index: PoseIndex) -> Non
 
 
 def test_all_leans_come_together_in_ascending_distance(toy_index: PoseIndex) -> None:
-    found = find_leaning_candidates(toy_index, toy_index.silhouette(7), 10, (-20.0, 0.0, 20.0))
+    some = leanings(toy_index.silhouette(7), -20.0, 0.0, 20.0)
+    found = find_leaning_candidates(toy_index, some, 10)
     assert len(found) == 30
     assert (np.diff(found.distances) >= 0).all()
     assert set(found.lean_deg) == {-20.0, 0.0, 20.0}
