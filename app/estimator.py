@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain, pairwise
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -182,6 +183,29 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class Look:
+    """What is asked about a person, while the photograph is looked at.
+
+    Parameters
+    ----------
+    silhouette : Silhouette
+    normalised : (128, 48) uint8 array
+    placement : Placement
+        From the silhouette's crop to the normalised frame.
+    maps : Future of JointMaps, optional
+        Where joints are, where they are read.
+    belief : Future of AzimuthBelief or None
+        Which way the person faces, if anything shows it.
+    """
+
+    silhouette: Silhouette
+    normalised: NDArray[np.uint8]
+    placement: Placement
+    maps: Future[JointMaps] | None
+    belief: Future[AzimuthBelief | None]
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A decoded frame, its persons ordered left to right, and where the time went."""
 
@@ -306,10 +330,12 @@ class Estimator:
         """
         watch = Stopwatch()
         scene = self.find_people(upload, check, watch)
+        # While one person is matched, the next is looked at already.
+        looks = (self._look_at(scene, found, watch) for found in scene.people)
         persons = []
-        for found in scene.people:
+        for found, (look, _) in zip(scene.people, pairwise(chain(looks, [None])), strict=True):
             check()
-            persons.append(self.with_hypotheses(scene, found, n, watch))
+            persons.append(self._person(found, look, n, watch))
         with watch.stage("decode"):
             frame = scene.frame
         return Estimate(frame, tuple(persons), {**watch.milliseconds, "total": watch.total()})
@@ -411,18 +437,31 @@ class Estimator:
 
     def with_hypotheses(self, scene: Scene, found: Found, n: int, watch: Stopwatch) -> Person:
         """Find the poses that fit a person's silhouette, ordered by what the photograph shows."""
+        return self._person(found, self._look_at(scene, found, watch), n, watch)
+
+    def _look_at(self, scene: Scene, found: Found, watch: Stopwatch) -> Look | None:
+        """Begin to look at the photograph of a person whose silhouette is known."""
         silhouette = found.silhouette
         if silhouette is None:
-            return Person(found, None, ())
+            return None
         with watch.stage("describe"):
             normalised, placement = normalise(silhouette.crop)
-            origin = np.array([silhouette.left, silhouette.top])
-            look = self._aside.submit(self._read_facing, scene, silhouette)
-            maps = self._read_joints(scene, found, placement)
-        with watch.stage("search"):
-            candidates = match_with_spares(self.index, normalised, n, maps)
+            reader, maps = self._joint_reader, None
+            if reader is not None and found.source != "mask":
+                maps = self._aside.submit(reader.read, scene.frame, silhouette, placement)
+            belief = self._aside.submit(self._read_facing, scene, silhouette)
+        return Look(silhouette, normalised, placement, maps, belief)
+
+    def _person(self, found: Found, look: Look | None, n: int, watch: Stopwatch) -> Person:
+        if look is None:
+            return Person(found, None, ())
+        origin = np.array([look.silhouette.left, look.silhouette.top])
         with watch.stage("describe"):
-            belief = look.result()
+            maps = None if look.maps is None else look.maps.result()
+        with watch.stage("search"):
+            candidates = match_with_spares(self.index, look.normalised, n, maps)
+        with watch.stage("describe"):
+            belief = look.belief.result()
         with watch.stage("search"):
             if belief is None and maps is None:
                 weighed = weigh(candidates, n)
@@ -432,7 +471,7 @@ class Estimator:
                 PlacedHypothesis(
                     hypothesis,
                     self._label(hypothesis),
-                    placement.to_image(hypothesis.points_normalised) + origin,
+                    look.placement.to_image(hypothesis.points_normalised) + origin,
                 )
                 for hypothesis in weighed.hypotheses
             ]
@@ -441,12 +480,6 @@ class Estimator:
     def _label(self, hypothesis: Hypothesis) -> Label:
         label = self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
         return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
-
-    def _read_joints(self, scene: Scene, found: Found, placement: Placement) -> JointMaps | None:
-        reader, silhouette = self._joint_reader, found.silhouette
-        if reader is None or silhouette is None or found.source == "mask":
-            return None
-        return reader.read(scene.frame, silhouette, placement)
 
     def _read_facing(self, scene: Scene, silhouette: Silhouette) -> AzimuthBelief | None:
         reader = self._facing_reader
