@@ -283,9 +283,10 @@ class Estimator:
         network = load_network(settings.segmentation_model, workers)
         segmenter = make_segmenter(network, workers)
         reader = JointReader(workers=workers)
+        smallest = settings.min_person_px
         return cls(
             PoseIndex.load(settings.index),
-            make_detector(network, segmenter, reader, min_person_px=settings.min_person_px),
+            make_detector(network, segmenter, reader, min_person_px=smallest, workers=workers),
             segmenter,
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,

@@ -60,7 +60,7 @@ def benchmark(index_path: Path, requests: int) -> str:
             for what, files, count in (
                 ("768x576 with a mask of one", {"frame": frame, "mask": mask}, requests),
                 ("768x576, nobody found in it", {"frame": frame}, requests // 5),
-                ("298x320, three walkers found", {"frame": WALKERS.read_bytes()}, requests // 5),
+                ("298x320, four walkers found", {"frame": WALKERS.read_bytes()}, requests // 5),
             )
         ]
         memory_mb = server.memory_mb()

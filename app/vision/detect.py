@@ -16,6 +16,7 @@ from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.presence import PresenceMap, presence_maps
 from app.vision.resampling import resize
+from app.vision.workers import Workers
 
 # Frames are searched at most this large: time and memory stay bounded whatever is sent, and
 # people under a 25th of a large frame's side are not looked for.
@@ -104,19 +105,27 @@ class CascadeDetector:
     network : PersonNetwork
     min_person_px, min_score : float
         As in :class:`HogDetector`.
+    workers : Workers, optional
+        Who searches for people of several sizes; by default the caller's thread.
     """
 
     def __init__(
-        self, network: PersonNetwork, *, min_person_px: float = 50, min_score: float = 0.3
+        self,
+        network: PersonNetwork,
+        *,
+        min_person_px: float = 50,
+        min_score: float = 0.3,
+        workers: Workers | None = None,
     ) -> None:
         self._network = network
+        self._workers = workers or Workers()
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
         small, factor, person_px = _searched(frame, self._min_person_px)
-        boxes, features = candidates(self._network, small, person_px)
+        boxes, features = candidates(self._network, small, person_px, self._workers)
         if len(boxes) == 0:
             return []
         odds = features @ _WEIGHTS + _OFFSET
@@ -137,7 +146,10 @@ _PRESENCE_GAIN = 3.0
 
 
 def candidates(
-    network: PersonNetwork, frame: NDArray[np.uint8], min_person_px: float
+    network: PersonNetwork,
+    frame: NDArray[np.uint8],
+    min_person_px: float,
+    workers: Workers | None = None,
 ) -> tuple[Boxes, NDArray[np.float64]]:
     """Boxes that may hold a person, several for each, with the features that judge them.
 
@@ -148,6 +160,8 @@ def candidates(
         BGR, at the resolution to search.
     min_person_px : float
         Height of the smallest person wanted, in pixels.
+    workers : Workers, optional
+        See :func:`app.vision.hog.person_windows`.
 
     Returns
     -------
@@ -163,7 +177,9 @@ def candidates(
         cells = [anybody[one.side] for one in suited(maps, person_px)]
         return np.asarray(np.any(cells, axis=0))
 
-    windows, scores = person_windows(frame, min_person_px, _PROPOSAL_THRESHOLD, worth_searching)
+    windows, scores = person_windows(
+        frame, min_person_px, _PROPOSAL_THRESHOLD, worth_searching, workers
+    )
     boxes = _proposed_by_gradients(maps, windows, scores) + _proposed_by_presence(
         maps, 0.6 * min_person_px
     )

@@ -149,8 +149,9 @@ def evidence(
     for row, box in enumerate(boxes):
         fitting = by_fitness(maps, box[3])
         best, other = fitting[0], fitting[min(1, len(fitting) - 1)]
-        features[row, :7] = _presence_features(_sample(best.probability, box))
-        features[row, 7:11] = _presence_features(_sample(other.probability, box))[:4]
+        patch = _sample(best.probability, box)
+        features[row, :7] = _surroundings(patch) + _body(patch)
+        features[row, 7:11] = _surroundings(_sample(other.probability, box))
     if len(boxes) and len(windows):
         overlaps = iou_matrix(boxes, windows)
         # A window counts by how well it agrees with the box; 0 where none does.
@@ -164,23 +165,34 @@ def evidence(
 @lru_cache(maxsize=256)
 def _expected(
     columns: int,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the usual body in a box, where its trunk is, and where nobody is."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the usual body in a box, and weights that take the mean on its trunk and beside it."""
     prior = body_prior(_ROWS, columns)
-    return prior, prior > 0.6, prior < 0.2
+    trunk, beside = prior > 0.6, prior < 0.2
+    return prior, _mean_over(trunk), _mean_over(beside)
 
 
-def _presence_features(patch: _Patch) -> list[float]:
-    """Presence on the trunk, beside, above, below; of head and feet; likeness to a body."""
-    inner = patch.inner
-    prior, trunk, beside = _expected(patch.columns)
-    middle = slice(max(0, patch.columns // 2 - 5), patch.columns // 2 + 5)
+def _mean_over(region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    return (region / max(1, int(np.count_nonzero(region)))).astype(np.float32)
+
+
+def _surroundings(patch: _Patch) -> list[float]:
+    """Presence on the trunk, beside it, above and below the box."""
+    _, trunk, beside = _expected(patch.columns)
     columns = slice(_ASIDE, _ASIDE + patch.columns)
     return [
-        float(inner[trunk].mean()) if trunk.any() else 0.0,
-        float(inner[beside].mean()) if beside.any() else 0.0,
+        float(np.vdot(patch.inner, trunk)),
+        float(np.vdot(patch.inner, beside)),
         float(patch.values[: _ABOVE - 2, columns].max(axis=1).mean()),
         float(patch.values[_ABOVE + _ROWS + 2 :, columns].max(axis=1).mean()),
+    ]
+
+
+def _body(patch: _Patch) -> list[float]:
+    """Presence of head and feet, and likeness to a body."""
+    inner, prior = patch.inner, _expected(patch.columns)[0]
+    middle = slice(max(0, patch.columns // 2 - 5), patch.columns // 2 + 5)
+    return [
         float(inner[: round(0.12 * _ROWS), middle].mean()),
         float(inner[round(0.9 * _ROWS) :].max(axis=1).mean()),
         float(np.minimum(inner, prior).sum() / np.maximum(inner, prior).sum()),

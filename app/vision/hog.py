@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from app.vision.box_arrays import Boxes
 from app.vision.resampling import resize
+from app.vision.workers import Workers
 
 _PERSON_PX = 96
 _WINDOW = (64, 128)
@@ -52,6 +53,7 @@ def person_windows(
     min_person_px: float,
     threshold: float,
     worth_searching: Callable[[float], NDArray[np.bool_]] | None = None,
+    workers: Workers | None = None,
 ) -> tuple[Boxes, NDArray[np.float64]]:
     """Windows that look like a person, many for each.
 
@@ -66,6 +68,8 @@ def person_windows(
     worth_searching : callable, optional
         The height of people in pixels to where such may be, by :func:`as_cells`; windows
         elsewhere are not looked at. None searches everywhere.
+    workers : Workers, optional
+        Who searches for people of several sizes; by default the caller's thread.
 
     Returns
     -------
@@ -75,17 +79,15 @@ def person_windows(
         Signed distance from the classifier's border.
     """
     height = frame.shape[0]
-    boxes: list[Boxes] = [np.zeros((0, 4))]
-    scores: list[NDArray[np.float64]] = [np.zeros(0)]
+    tasks: list[tuple[_Area, float]] = []
     factor = _PERSON_PX / min_person_px
     while _PERSON_PX / factor <= 1.15 * height:
         person_px = _PERSON_PX / factor
         worth = None if worth_searching is None else worth_searching(person_px)
-        for area in _areas(frame.shape, worth, person_px):
-            found, values = _search(frame, area, factor, threshold)
-            boxes.append(found)
-            scores.append(values)
+        tasks += [(area, factor) for area in _areas(frame.shape, worth, person_px)]
         factor /= _PYRAMID_STEP
+    found = (workers or Workers()).map(lambda task: _search(frame, *task, threshold), tasks)
+    boxes, scores = zip((np.zeros((0, 4)), np.zeros(0)), *found, strict=True)
     return np.vstack(boxes), np.concatenate(scores)
 
 

@@ -16,6 +16,7 @@ from app.vision.joints import JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.segment import NetworkSegmenter, Segmenter
+from app.vision.workers import Workers
 from descriptor.silhouette import normalise
 
 DOUBTED = (0.06, 0.45)
@@ -117,9 +118,12 @@ def make_detector(
     reader: JointReader,
     *,
     min_person_px: float = 50,
+    workers: Workers | None = None,
 ) -> Detector:
     """The cascade and a second look if there is a network, else gradients alone."""
     if network is None or not isinstance(segmenter, NetworkSegmenter):
         return HogDetector(min_person_px=min_person_px)
-    cascade = CascadeDetector(network, min_person_px=min_person_px, min_score=DOUBTED[0])
+    cascade = CascadeDetector(
+        network, min_person_px=min_person_px, min_score=DOUBTED[0], workers=workers
+    )
     return SecondLook(cascade, segmenter, reader)
