@@ -145,7 +145,7 @@ def _bones(keypoints: KeypointSet) -> list[schemas.Bone]:
 def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point3D | None]:
     """Tenths of millimetres are kept; a point the entry lacks is NaN there and null here."""
     return [
-        schemas.Point3D(x=x, y=y, z=z) if math.isfinite(x + y + z) else None
+        {"x": x, "y": y, "z": z} if math.isfinite(x + y + z) else None
         for x, y, z in np.round(points[list(keypoints.indices)], 4).tolist()
     ]
 
@@ -153,6 +153,6 @@ def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
 def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point2D | None]:
     """Hundredths of pixels are kept; a point the entry lacks is NaN there and null here."""
     return [
-        schemas.Point2D(x=x, y=y) if math.isfinite(x + y) else None
+        {"x": x, "y": y} if math.isfinite(x + y) else None
         for x, y in np.round(points[list(keypoints.indices)], 2).tolist()
     ]

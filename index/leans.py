@@ -14,8 +14,6 @@ from index.candidates import Candidates, find_candidates_of_each
 from index.store import PoseIndex
 
 _FINER = 2
-# A canvas on which a silhouette can be turned any way.
-_SIDE = _FINER * (HEIGHT + WIDTH)
 
 
 @dataclass(frozen=True)
@@ -78,12 +76,17 @@ def turned(
     back : (2, 3) float64 array
         From its pixels to those of the silhouette as it came.
     """
+    sine, cosine = abs(np.sin(np.deg2rad(angle_deg))), abs(np.cos(np.deg2rad(angle_deg)))
+    # Room for all of it, of even size.
+    size = 2 * np.ceil(
+        _FINER / 2 * np.array([WIDTH * cosine + HEIGHT * sine, WIDTH * sine + HEIGHT * cosine])
+    )
     # Pixel p of the silhouette lies at _FINER * p + corner on the canvas.
-    corner = (_SIDE - 1 - _FINER * np.array([WIDTH - 1, HEIGHT - 1])) / 2
+    corner = (size - 1 - _FINER * np.array([WIDTH - 1, HEIGHT - 1])) / 2
     # OpenCV turns counterclockwise.
-    turn = cv2.getRotationMatrix2D(((_SIDE - 1) / 2, (_SIDE - 1) / 2), -angle_deg, 1.0)
+    turn = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), -angle_deg, 1.0)
     drawn = np.column_stack([_FINER * turn[:, :2], turn[:, :2] @ corner + turn[:, 2]])
-    canvas = cv2.warpAffine(silhouette.astype(np.float32), drawn, (_SIDE, _SIDE))
+    canvas = cv2.warpAffine(silhouette.astype(np.float32), drawn, size.astype(int).tolist())
     # A thin silhouette must not vanish: what covers most stays.
     upright, placement = normalise(canvas >= min(0.5, float(canvas.max())))
     offset = np.array([placement.offset_x, placement.offset_y])
