@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimator import Estimate, Scene
+from app.estimates import Estimate, Scene
 from index.skeleton import KeypointSet
 
 COLOURS = ((66, 165, 255), (80, 220, 100), (255, 120, 80), (230, 110, 230), (90, 230, 240))

@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
-from app.estimator import UploadError
+from app.estimates import UploadError
 from app.observation import note_rejection
 from app.pool import ClientGoneError, DeadlineError, OverloadedError
 from app.schemas import Problem

@@ -13,7 +13,7 @@ from prometheus_client import (
     generate_latest,
 )
 
-from app.estimator import Person
+from app.estimates import Person
 
 # A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.
 _MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 500, 1000, 5000)

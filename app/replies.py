@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import schemas
-from app.estimator import Estimate, Person, PlacedHypothesis
+from app.estimates import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
 from app.vision.people import Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet

@@ -25,7 +25,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from app.drawing import draw_skeleton
-from app.estimator import Estimator, Person
+from app.estimates import Person
+from app.estimator import Estimator
 from app.settings import Settings
 from app.vision.people import Box, Silhouette
 from descriptor.silhouette import normalise

@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from app.auth import RequireKey
 from app.drawing import draw_labels, draw_overlay, encode_png
 from app.errors import documented
-from app.estimator import Stopwatch
+from app.estimates import Stopwatch
 from app.pool import Watch
 from app.replies import pose_reply
 from app.routes.uploads import HypothesisCount, KeypointSetQuery, UploadForm

@@ -8,7 +8,7 @@ from fastapi import Depends, File, Form, Query, UploadFile
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
 from app.errors import ProblemError
-from app.estimator import Upload
+from app.estimates import Upload
 from app.schemas import KeypointSetName
 from app.vision.people import Box
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimator import Estimator, Found, Person, Scene, Stopwatch
+from app.estimates import Found, Person, Scene, Stopwatch
+from app.estimator import Estimator
 from app.vision.people import Box, Silhouette
 from app.vision.segment import Segmenter
 from descriptor.silhouette import normalise

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.estimator import Estimator, Person, Upload
+from app.estimates import Person, Upload
+from app.estimator import Estimator
 from app.vision.joints import JointReader
 from app.vision.people import Box
 from tests.conftest import Photo

@@ -14,7 +14,8 @@ from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 from pydantic import ValidationError
 
-from app.estimator import Estimator, Upload
+from app.estimates import Upload
+from app.estimator import Estimator
 from app.logs import JsonFormatter
 from app.main import create_app
 from app.settings import Settings
