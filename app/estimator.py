@@ -142,7 +142,7 @@ class Estimator:
             PoseIndex.load(settings.index),
             make_detector(network, segmenter, reader, min_person_px=smallest, workers=workers),
             segmenter,
-            min_person_px=settings.min_person_px,
+            min_person_px=smallest,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
             facing_reader=FacingReader(),

@@ -30,7 +30,7 @@ from app.estimator import Estimator
 from app.settings import Settings
 from app.vision.people import Box, Silhouette
 from descriptor.silhouette import normalise
-from index.leans import turned
+from index.leans import Leaning
 from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
 from scripts.experiments.real_data import read_pennfudan, read_pose2sim, read_vtest
@@ -114,7 +114,7 @@ def _nearest(estimator: Estimator, person: Person, window: Box, scale: float) ->
     entry = estimator.index.silhouette(first.entry)
     entry = np.ascontiguousarray(entry[:, ::-1]) if first.mirrored else entry
     normalised, placement = normalise(found.crop)
-    back = turned(normalised, -first.lean_deg)[1] if first.lean_deg else np.eye(2, 3)
+    back = Leaning.of(normalised, first.lean_deg).back
     shift = np.array([found.left - window.x, found.top - window.y])
     corner = placement.to_image(np.zeros(2)) + shift
     factor = scale / placement.scale

@@ -118,7 +118,7 @@ class CascadeDetector:
         workers: Workers | None = None,
     ) -> None:
         self._network = network
-        self._workers = workers or Workers()
+        self._workers = workers
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
@@ -272,6 +272,11 @@ _WEIGHTS = np.array(
 _OFFSET = -5.290
 _CALIBRATION_SLOPE, _CALIBRATION_OFFSET = 0.991, -0.136
 _HOG_SLOPE, _HOG_OFFSET = 2.967, -3.715
+
+
+def log_odds(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probabilities between 0 and 1 to the logarithms of their odds."""
+    return np.asarray(np.log(probabilities / (1 - probabilities)))
 
 
 def probability(odds: NDArray[np.float64]) -> NDArray[np.float64]:

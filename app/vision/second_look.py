@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.detect import CascadeDetector, Detector, HogDetector, probability
+from app.vision.detect import CascadeDetector, Detector, HogDetector, log_odds, probability
 from app.vision.joints import JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
@@ -59,33 +59,27 @@ class SecondLook:
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find the people; see :class:`app.vision.detect.Detector`."""
         found = self._detector.detect(frame)
-        sure = [one for one in found if one.score > DOUBTED[1]]
-        doubted = [one for one in found if one.score <= DOUBTED[1]][:MOST]
-        clear = clarities(
-            self._segmenter, self._reader, frame, [d.box for d in doubted], [d.box for d in sure]
-        )
-        odds = [
-            _ODDS * np.log(one.score / (1 - one.score)) + _CLARITY * clarity + _OFFSET
-            for one, clarity in zip(doubted, clear, strict=True)
+        boxes, scores = [one.box for one in found], np.array([one.score for one in found])
+        clarity = look_again(self._segmenter, self._reader, frame, boxes, scores)
+        looked = ~np.isnan(clarity)
+        odds = _ODDS * log_odds(scores[looked]) + _CLARITY * clarity[looked] + _OFFSET
+        believed = looked | (scores > DOUBTED[1])
+        scores[looked] = probability(odds)
+        kept = [
+            Detection(boxes[row], float(scores[row]))
+            for row in np.flatnonzero(believed & (scores >= self._min_score))
         ]
-        again = [
-            Detection(one.box, float(score))
-            for one, score in zip(doubted, probability(np.array(odds)), strict=True)
-        ]
-        return sorted(
-            (one for one in sure + again if one.score >= self._min_score),
-            key=lambda one: -one.score,
-        )
+        return sorted(kept, key=lambda one: -one.score)
 
 
-def clarities(
+def look_again(
     segmenter: NetworkSegmenter,
     reader: JointReader,
     frame: NDArray[np.uint8],
     boxes: Sequence[Box],
-    beside: Sequence[Box],
-) -> list[float]:
-    """How clearly joints show in some boxes; see :meth:`index.joint_maps.JointMaps.clarity`.
+    scores: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """How clearly joints show in the boxes that are doubted.
 
     Parameters
     ----------
@@ -94,22 +88,26 @@ def clarities(
     frame : (H, W, 3) uint8 array
         BGR.
     boxes : sequence of Box
-    beside : sequence of Box
-        Of people known; they are kept out.
+    scores : (N,) float64 array
+        Probability that each holds a person.
 
     Returns
     -------
-    list of float
-        Minus infinity where the network sees nobody.
+    (N,) float64 array
+        :meth:`index.joint_maps.JointMaps.clarity`; minus infinity where the network sees nobody,
+        NaN where nobody looked.
     """
-    found = []
-    for silhouette in segmenter.segment(frame, boxes, beside):
-        if silhouette is None or silhouette.segmenter != "network":
-            found.append(-np.inf)
-        else:
+    sure = [boxes[row] for row in np.flatnonzero(scores > DOUBTED[1]).tolist()]
+    doubted = np.flatnonzero((scores >= DOUBTED[0]) & (scores <= DOUBTED[1]))
+    doubted = doubted[np.argsort(-scores[doubted], kind="stable")][:MOST]
+    clarity = np.full(len(boxes), np.nan)
+    silhouettes = segmenter.segment(frame, [boxes[row] for row in doubted.tolist()], sure)
+    for row, silhouette in zip(doubted, silhouettes, strict=True):
+        clarity[row] = -np.inf
+        if silhouette is not None and silhouette.segmenter == "network":
             _, placement = normalise(silhouette.crop)
-            found.append(reader.read(frame, silhouette, placement).clarity())
-    return found
+            clarity[row] = reader.read(frame, silhouette, placement).clarity()
+    return clarity
 
 
 def make_detector(

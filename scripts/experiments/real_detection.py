@@ -20,7 +20,7 @@ from app.vision.evidence import NAMES
 from app.vision.joints import JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Box
-from app.vision.second_look import DOUBTED, MOST, clarities
+from app.vision.second_look import look_again
 from app.vision.segment import NetworkSegmenter
 from scripts.experiments.real_data import Photograph, as_array
 
@@ -89,14 +89,8 @@ def look_by(segmenter: NetworkSegmenter, reader: JointReader) -> LookAgain:
     """How the service looks again: NaN where it does not, minus infinity where nobody shows."""
 
     def look(photograph: Photograph, found: Scored) -> NDArray[np.float64]:
-        boxes, scores = [Box(*box.tolist()) for box in found[0]], found[1]
-        sure = [box for box, score in zip(boxes, scores, strict=True) if score > DOUBTED[1]]
-        doubted = np.flatnonzero((scores >= DOUBTED[0]) & (scores <= DOUBTED[1]))
-        doubted = doubted[np.argsort(-scores[doubted], kind="stable")][:MOST]
-        clarity = np.full(len(boxes), np.nan)
-        some = [boxes[i] for i in doubted]
-        clarity[doubted] = clarities(segmenter, reader, photograph.frame, some, sure)
-        return clarity
+        boxes = [Box(*box.tolist()) for box in found[0]]
+        return look_again(segmenter, reader, photograph.frame, boxes, found[1])
 
     return look
 
@@ -228,11 +222,6 @@ def as_probabilities(found: Sequence[Scored], slope: float, offset: float) -> li
     return [(boxes, 1 / (1 + np.exp(-slope * odds - offset))) for boxes, odds in found]
 
 
-def logits(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probabilities to the logarithms of odds."""
-    return np.asarray(np.log(scores / (1 - scores)))
-
-
 def fitted_look(
     found: Sequence[Scored], looked: Sequence[NDArray[np.float64]], truths: Sequence[Boxes]
 ) -> tuple[NDArray[np.float64], float]:
@@ -240,7 +229,7 @@ def fitted_look(
     features, right = [], []
     for one, clarity, truth in zip(found, looked, truths, strict=True):
         doubted = np.isfinite(clarity)
-        features.append(np.stack([logits(one[1]), clarity], axis=1)[doubted])
+        features.append(np.stack([detection.log_odds(one[1][doubted]), clarity[doubted]], axis=1))
         right.append(rightness(one, truth)[doubted])
     return fit_logistic(np.concatenate(features), np.concatenate(right), ridge=0.1)
 
@@ -264,17 +253,19 @@ def looked_again(
         Of the folds.
     """
     fold = folds(len(found), seed)
-    result = []
-    for index, ((boxes, scores), clarity) in enumerate(zip(found, looked, strict=True)):
-        others = np.flatnonzero(fold != fold[index]).tolist()
+    result = list(found)
+    for held in range(FOLDS):
+        others = np.flatnonzero(fold != held).tolist()
         weights, offset = fitted_look(
             [found[i] for i in others], [looked[i] for i in others], [truths[i] for i in others]
         )
-        doubted = ~np.isnan(clarity)
-        features = np.stack([logits(scores), clarity], axis=1)[doubted]
-        again = scores.copy()
-        again[doubted] = detection.probability(features @ weights + offset)
-        result.append((boxes, again))
+        for index in np.flatnonzero(fold == held).tolist():
+            (boxes, scores), clarity = found[index], looked[index]
+            doubted = ~np.isnan(clarity)
+            features = np.stack([detection.log_odds(scores[doubted]), clarity[doubted]], axis=1)
+            again = scores.copy()
+            again[doubted] = detection.probability(features @ weights + offset)
+            result[index] = boxes, again
     return result
 
 
