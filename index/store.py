@@ -357,7 +357,7 @@ class PoseIndex:
                 for name, array in arrays.items()
                 if name.startswith("descriptor-")
             }
-            flat = faiss.deserialize_index(files["descriptors.faiss"].astype(np.uint8))
+            flat = faiss.deserialize_index(np.asarray(files["descriptors.faiss"], np.uint8))
             if type(flat) is not faiss.IndexFlatL2:
                 raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
             vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d)

@@ -2,7 +2,7 @@
 
 The network is MediaPipe's selfie segmentation (Apache-2.0), which ships inside the wheel
 ``mediapipe==0.10.21``. The wheel is only unpacked, never installed: its dependencies come
-close to 1 GB and the service runs the network through OpenCV.
+close to 1 GB and the service runs the network through LiteRT alone.
 
     python scripts/fetch_model.py [--output models/selfie_segmentation.tflite]
 """

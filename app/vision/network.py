@@ -1,4 +1,4 @@
-"""The segmentation network, run by OpenCV: windows of a frame to person probabilities."""
+"""The segmentation network: windows of a frame to person probabilities."""
 
 from __future__ import annotations
 
@@ -9,15 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.network_pool import NetworkPool
 from app.vision.resampling import Window, cut, resize
+from app.vision.tflite import TfliteError, TfliteNetwork
 from app.vision.workers import Workers
 
 SIZE = 256
-
-
-class NetworkError(RuntimeError):
-    """The model file is missing or is not the expected network."""
 
 
 class PersonNetwork:
@@ -34,23 +30,13 @@ class PersonNetwork:
 
     Raises
     ------
-    NetworkError
+    TfliteError
         If the file cannot be read or is another network.
     """
 
     def __init__(self, model_path: Path, workers: Workers | None = None) -> None:
-        try:
-            model = np.frombuffer(model_path.read_bytes(), np.uint8)
-        except OSError as error:
-            raise NetworkError(f"cannot read the segmentation model: {error}") from error
         self._workers = workers or Workers()
-        self._pool = NetworkPool(lambda: cv2.dnn.readNetFromTFLite(model))
-        try:
-            shape = self._of_image(np.zeros((SIZE, SIZE, 3), np.uint8)).shape
-        except cv2.error as error:
-            raise NetworkError(f"{model_path} is not a network OpenCV can run") from error
-        if shape != (SIZE, SIZE):
-            raise NetworkError(f"expected a network with output (256, 256), got {shape}")
+        self._network = TfliteNetwork(model_path, (SIZE, SIZE, 3), (SIZE, SIZE, 1))
 
     def probabilities(
         self, frame: NDArray[np.uint8], windows: Sequence[Window]
@@ -88,10 +74,8 @@ class PersonNetwork:
         return np.array(answers, np.float32).reshape(len(images), SIZE, SIZE)
 
     def _of_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        pixels = resize(image, SIZE, SIZE)
-        blob = np.asarray(cv2.dnn.blobFromImage(pixels, 1 / 255, swapRB=True), np.float32)
-        probability: NDArray[np.float32] = self._pool.run(blob)[0]
-        return probability
+        pixels = cv2.cvtColor(resize(image, SIZE, SIZE), cv2.COLOR_BGR2RGB)
+        return self._network.run(pixels * np.float32(1 / 255))[..., 0]
 
 
 def load_network(model_path: Path | None, workers: Workers | None = None) -> PersonNetwork | None:
@@ -100,5 +84,5 @@ def load_network(model_path: Path | None, workers: Workers | None = None) -> Per
         return None
     try:
         return PersonNetwork(model_path, workers)
-    except NetworkError:
+    except TfliteError:
         return None

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.network_pool import NetworkPool
+from app.vision.copies import Copies
 
 
 class OnnxError(RuntimeError):
@@ -52,7 +52,8 @@ class OnnxNetwork:
             net.enableWinograd(winograd)
             return net
 
-        self._pool = NetworkPool(read)
+        # OpenCV's networks keep their layers' outputs inside: each serves one call at a time.
+        self._copies = Copies(read)
         try:
             shape = self.run(np.zeros(entering, np.uint8)).shape
         except cv2.error as error:
@@ -62,4 +63,8 @@ class OnnxNetwork:
 
     def run(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Show it planes ``(C, H, W)``, of which 255 is 1."""
-        return self._pool.run(planes[None].astype(np.float32) / np.float32(255))
+        blob = planes[None].astype(np.float32) / np.float32(255)
+        with self._copies.one() as net:
+            net.setInput(blob)
+            # The output lies in the network's memory, which the next pass overwrites.
+            return np.array(net.forward()[0], np.float32)

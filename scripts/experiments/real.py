@@ -28,11 +28,12 @@ from app.vision.detect import Detector
 from app.vision.facing_evidence import FacingReader
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.joints import JointReader
-from app.vision.network import NetworkError, PersonNetwork
+from app.vision.network import PersonNetwork
 from app.vision.people import silhouette_from_mask
 from app.vision.refine import Refiner
 from app.vision.second_look import make_detector
 from app.vision.segment import NetworkSegmenter
+from app.vision.tflite import TfliteError
 from index.store import DEFAULT_PATH, PoseIndex
 from scripts.experiments.real_confidence import (
     calibration_error,
@@ -122,7 +123,7 @@ def run(options: argparse.Namespace) -> None:
     cv2.setNumThreads(1)
     try:
         network = PersonNetwork(options.model)
-    except NetworkError as error:
+    except TfliteError as error:
         raise FileNotFoundError(f"{error}; python scripts/fetch_model.py fetches it") from None
     segmenter, reader = NetworkSegmenter(network, Refiner()), JointReader()
     detector = make_detector(network, segmenter, reader)

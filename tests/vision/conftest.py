@@ -29,7 +29,12 @@ def walkers() -> list[Box]:
 
 
 @pytest.fixture(scope="session")
-def network() -> PersonNetwork:
+def model_path() -> Path:
     if not MODEL.is_file():
         pytest.skip(f"{MODEL} is not there; scripts/fetch_model.py fetches it")
-    return PersonNetwork(MODEL)
+    return MODEL
+
+
+@pytest.fixture(scope="session")
+def network(model_path: Path) -> PersonNetwork:
+    return PersonNetwork(model_path)

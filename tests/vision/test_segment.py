@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from app.vision.body_shape import body_prior
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
-from app.vision.network import NetworkError, PersonNetwork, load_network
+from app.vision.network import PersonNetwork, load_network
 from app.vision.people import Box
 from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter, make_segmenter, silhouettes_from_labels
+from app.vision.tflite import TfliteError
 
 
 def figure(frame: NDArray[np.uint8], left: int, colour: tuple[int, int, int]) -> np.ndarray:
@@ -139,7 +140,7 @@ def test_without_a_network_grabcut_serves(tmp_path: Path) -> None:
     broken = tmp_path / "broken.tflite"
     broken.write_bytes(b"not a network" * 100)
     assert make_segmenter(load_network(broken)).name == "grabcut"
-    with pytest.raises(NetworkError):
+    with pytest.raises(TfliteError):
         PersonNetwork(broken)
 
 
