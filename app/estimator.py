@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -115,9 +114,13 @@ class Estimator:
         self._joint_reader = joint_reader
         self._concurrency = concurrency
         # What one request can do at the same time: the photograph is decoded and looked at while
-        # its mask is decoded and matched. Images and search let go of the interpreter.
+        # its mask is decoded and matched; several people are matched. Images, search and much of
+        # the arithmetic let go of the interpreter.
         self._aside = ThreadPoolExecutor(
             concurrency, thread_name_prefix="photograph", initializer=give_way
+        )
+        self._matchers = ThreadPoolExecutor(
+            concurrency, thread_name_prefix="matcher", initializer=give_way
         )
 
     @classmethod
@@ -185,15 +188,10 @@ class Estimator:
         """
         watch = Stopwatch()
         scene = self.find_people(upload, check, watch)
-        # While one person is matched, the next is looked at already.
-        looks = (self._look_at(scene, found, watch) for found in scene.people)
-        persons = []
-        for found, (look, _) in zip(scene.people, pairwise(chain(looks, [None])), strict=True):
-            check()
-            persons.append(self._person(found, look, n, watch))
+        persons = self.with_hypotheses(scene, n, check, watch)
         with watch.stage("decode"):
             frame = scene.frame
-        return Estimate(frame, tuple(persons), {**watch.milliseconds, "total": watch.total()})
+        return Estimate(frame, persons, {**watch.milliseconds, "total": watch.total()})
 
     def find_people(self, upload: Upload, check: Check, watch: Stopwatch) -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
@@ -290,46 +288,65 @@ class Estimator:
         _check_size("background", background, frame)
         return BackgroundSegmenter(background, min_person_px=self._min_person_px)
 
-    def with_hypotheses(self, scene: Scene, found: Found, n: int, watch: Stopwatch) -> Person:
-        """Find the poses that fit a person's silhouette, ordered by what the photograph shows."""
-        return self._person(found, self._look_at(scene, found, watch), n, watch)
+    def with_hypotheses(
+        self, scene: Scene, n: int, check: Check, watch: Stopwatch
+    ) -> tuple[Person, ...]:
+        """Find the poses that fit people's silhouettes, ordered by what the photograph shows."""
+        with watch.stage("describe"):
+            looks = [self._look_at(scene, found, check) for found in scene.people]
+            for look in looks:
+                check()
+                if look is not None and look.maps is not None:
+                    wait([look.maps])
 
-    def _look_at(self, scene: Scene, found: Found, watch: Stopwatch) -> Look | None:
+        def person(found: Found, look: Look | None) -> Person:
+            check()
+            return self._person(found, look, n)
+
+        with watch.stage("search"):
+            # One is matched here: another thread would only begin later.
+            each = self._matchers.map if len(looks) > 1 else map
+            return tuple(each(person, scene.people, looks))
+
+    def _look_at(self, scene: Scene, found: Found, check: Check) -> Look | None:
         """Begin to look at the photograph of a person whose silhouette is known."""
         silhouette = found.silhouette
         if silhouette is None:
             return None
-        with watch.stage("describe"):
-            normalised, placement = normalise(silhouette.crop)
-            reader, maps = self._joint_reader, None
-            if reader is not None and found.source != "mask":
-                maps = self._aside.submit(reader.read, scene.frame, silhouette, placement)
-            belief = self._aside.submit(self._read_facing, scene, silhouette)
+        normalised, placement = normalise(silhouette.crop)
+
+        def aside(read: Callable[..., T], *arguments: object) -> Future[T]:
+            def work() -> T:
+                check()
+                return read(*arguments)
+
+            return self._aside.submit(work)
+
+        reader, maps = self._joint_reader, None
+        if reader is not None and found.source != "mask":
+            maps = aside(reader.read, scene.frame, silhouette, placement)
+        belief = aside(self._read_facing, scene, silhouette)
         return Look(silhouette, normalised, placement, maps, belief)
 
-    def _person(self, found: Found, look: Look | None, n: int, watch: Stopwatch) -> Person:
+    def _person(self, found: Found, look: Look | None, n: int) -> Person:
         if look is None:
             return Person(found, None, ())
+        maps = None if look.maps is None else look.maps.result()
+        candidates = match_with_spares(self.index, look.normalised, n, maps)
+        belief = look.belief.result()
+        if belief is None and maps is None:
+            weighed = weigh(candidates, n)
+        else:
+            weighed = weigh_by_image(candidates, belief, n)
         origin = np.array([look.silhouette.left, look.silhouette.top])
-        with watch.stage("describe"):
-            maps = None if look.maps is None else look.maps.result()
-        with watch.stage("search"):
-            candidates = match_with_spares(self.index, look.normalised, n, maps)
-        with watch.stage("describe"):
-            belief = look.belief.result()
-        with watch.stage("search"):
-            if belief is None and maps is None:
-                weighed = weigh(candidates, n)
-            else:
-                weighed = weigh_by_image(candidates, belief, n)
-            hypotheses = [
-                PlacedHypothesis(
-                    hypothesis,
-                    self._label(hypothesis),
-                    look.placement.to_image(hypothesis.points_normalised) + origin,
-                )
-                for hypothesis in weighed.hypotheses
-            ]
+        hypotheses = [
+            PlacedHypothesis(
+                hypothesis,
+                self._label(hypothesis),
+                look.placement.to_image(hypothesis.points_normalised) + origin,
+            )
+            for hypothesis in weighed.hypotheses
+        ]
         return Person(found, weighed.facing, tuple(hypotheses))
 
     def _label(self, hypothesis: Hypothesis) -> Label:

@@ -90,24 +90,23 @@ class JointMaps:
         object.__setattr__(self, "_moments", self._smooth())
 
     def _smooth(self) -> NDArray[np.float32]:
-        """Probability about each cell, and its first moments: ``(3, P, H, W)``."""
+        """Probability about each cell, and its first moments: ``(P, H, W, 3)``."""
         _, height, width = self.maps.shape
         y, x = np.mgrid[:height, :width].astype(np.float32)
         spread = self.spread_cells
         peak = 2 * np.pi * spread**2
-        planes = np.stack([self.maps, self.maps * x, self.maps * y]).reshape(-1, height, width)
+        planes = np.stack([self.maps, self.maps * x, self.maps * y], axis=-1)
         smooth = [
-            cv2.GaussianBlur(plane, (0, 0), spread, borderType=cv2.BORDER_CONSTANT) * peak
-            for plane in planes
+            cv2.GaussianBlur(one, (0, 0), spread, borderType=cv2.BORDER_CONSTANT) for one in planes
         ]
-        return np.stack(smooth).reshape(3, -1, height, width).astype(np.float32)
+        return np.stack(smooth).astype(np.float32) * np.float32(peak)
 
     def clarity(self) -> float:
         """How clearly the points show: mean log likelihood of each at its map's highest peak.
 
         At most 0, where every map has one sharp peak; where there is no body there is none.
         """
-        peaks = self._moments[0].max(axis=(1, 2))
+        peaks = self._moments[..., 0].max(axis=(1, 2))
         return float(np.log((peaks + DOUBT) / (1 + DOUBT)).mean())
 
     def look(self, points_normalised: NDArray[np.floating]) -> Look:
@@ -135,15 +134,16 @@ class JointMaps:
         trust = (mass / (mass + DOUBT))[..., None]
         return log_likelihood, trust * (middle - cells) / self.scale
 
-    def _sampled(self, cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _sampled(self, cells: NDArray[np.float64]) -> NDArray[np.float32]:
         """Smoothed mass and moments at cells ``(K, P, 2)``, bilinearly: ``(3, K, P)``."""
-        _, count, height, width = self._moments.shape
-        x = np.clip(cells[..., 0], 0, width - 1.001)
-        y = np.clip(cells[..., 1], 0, height - 1.001)
-        left, top = x.astype(int), y.astype(int)
-        across, down = x - left, y - top
-        corner = (np.arange(count) * height + top) * width + left
-        flat = self._moments.reshape(3, -1)
-        upper = flat[:, corner] * (1 - across) + flat[:, corner + 1] * across
-        lower = flat[:, corner + width] * (1 - across) + flat[:, corner + width + 1] * across
-        return np.asarray(upper * (1 - down) + lower * down, np.float64)
+        count, height, width = self.maps.shape
+        x = np.clip(cells[..., 0], 0, width - 1)
+        # The maps lie one below the other.
+        y = np.clip(cells[..., 1], 0, height - 1) + height * np.arange(count)
+        sampled: NDArray[np.float32] = cv2.remap(
+            self._moments.reshape(count * height, width, 3),
+            x.astype(np.float32),
+            y.astype(np.float32),
+            cv2.INTER_LINEAR,
+        ).astype(np.float32, copy=False)
+        return sampled.transpose(2, 0, 1)

@@ -87,7 +87,8 @@ def estimate(
 ) -> Person:
     """Hypotheses of one silhouette."""
     found = Found(silhouette.box, "boxes", None, silhouette)
-    return estimator.with_hypotheses(Scene(lambda: frame, (found,)), found, n, Stopwatch())
+    scene = Scene(lambda: frame, (found,))
+    return estimator.with_hypotheses(scene, n, lambda: None, Stopwatch())[0]
 
 
 def judge(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from index.joint_maps import DOUBT, JointMaps
 from index.skeleton import POINTS, exchange_sides
@@ -48,6 +49,25 @@ def test_likelihood_falls_as_a_point_moves_away() -> None:
     maps = maps_about(PEAKS)
     steps = [maps.look(skeleton(PEAKS + [[d, 0]] * 3)).log_likelihood[0] for d in range(0, 20, 4)]
     assert (np.diff(steps) < 0).all()
+
+
+def test_between_cells_maps_are_interpolated() -> None:
+    maps = maps_about(PEAKS, spread_cells=2.0)
+    far = np.full((3, 2), 1e6)
+    nowhere = maps.look(skeleton(far)).log_likelihood[0] / 3
+    rng = np.random.default_rng(0)
+    for row in range(3):
+        smooth = ndimage.gaussian_filter(
+            maps.maps[row].astype(np.float64), maps.spread_cells, mode="constant"
+        )
+        for _ in range(20):
+            places = far.copy()
+            places[row] = PEAKS[row] + rng.normal(0, 4, 2)
+            cell = (SCALE * places[row] + OFFSET)[::-1, None]
+            mass = ndimage.map_coordinates(smooth, cell, order=1)[0]
+            mass *= 2 * np.pi * maps.spread_cells**2
+            expected = np.log((mass + DOUBT) / (1 + DOUBT)) + 2 * nowhere
+            assert_allclose(maps.look(skeleton(places)).log_likelihood[0], expected, atol=0.03)
 
 
 def test_one_bad_point_costs_no_more_than_the_doubt() -> None:
