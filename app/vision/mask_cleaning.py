@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -92,30 +92,35 @@ def guided_filter(
     .. [1] K. He, J. Sun, X. Tang, "Guided image filtering", ECCV 2010.
     """
     size = (2 * radius + 1, 2 * radius + 1)
-    image = guide.astype(np.float32) / np.float32(255)
 
-    def mean(array: NDArray[Any]) -> NDArray[np.float32]:
-        return np.asarray(cv2.blur(array, size), np.float32)
+    def mean(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.blur(plane, size), np.float32)
 
-    image_mean, value_mean = mean(image), mean(values)
-    covariance = mean(image * values[..., None]) - image_mean * value_mean[..., None]
-    pairs = mean(image[..., [0, 0, 0]] * image)
-    others = mean(image[..., [1, 1, 2]] * image[..., [1, 2, 2]])
+    # Plane by plane: much sooner done than with the three channels of a pixel side by side.
+    image = [guide[..., i] * np.float32(1 / 255) for i in range(3)]
+    image_means, value_mean = [mean(plane) for plane in image], mean(values)
+    covariance = [
+        mean(plane * values) - plane_mean * value_mean
+        for plane, plane_mean in zip(image, image_means, strict=True)
+    ]
     # The symmetric matrix (a b c; b d e; c e f) of every window, inverted by its adjugate.
-    a, b, c = (pairs[..., i] - image_mean[..., 0] * image_mean[..., i] for i in range(3))
-    d, e, f = (
-        others[..., k] - image_mean[..., i] * image_mean[..., j]
-        for k, (i, j) in enumerate(((1, 1), (1, 2), (2, 2)))
+    a, b, c, d, e, f = (
+        mean(image[i] * image[j]) - image_means[i] * image_means[j]
+        for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     )
-    a, d, f = a + smoothness, d + smoothness, f + smoothness
-    adjugate = np.empty((*values.shape, 3, 3), np.float32)
-    adjugate[..., 0, 0] = d * f - e * e
-    adjugate[..., 0, 1] = adjugate[..., 1, 0] = c * e - b * f
-    adjugate[..., 0, 2] = adjugate[..., 2, 0] = b * e - c * d
-    adjugate[..., 1, 1] = a * f - c * c
-    adjugate[..., 1, 2] = adjugate[..., 2, 1] = b * c - a * e
-    adjugate[..., 2, 2] = a * d - b * b
-    determinant = a * adjugate[..., 0, 0] + b * adjugate[..., 0, 1] + c * adjugate[..., 0, 2]
-    slope = np.einsum("...ij,...j->...i", adjugate, covariance) / determinant[..., None]
-    offset = value_mean - (slope * image_mean).sum(axis=-1)
-    return np.asarray((mean(slope) * image).sum(axis=-1) + mean(offset), np.float32)
+    for variance in (a, d, f):
+        variance += np.float32(smoothness)
+    first = (d * f - e * e, c * e - b * f, b * e - c * d)
+    second = (first[1], a * f - c * c, b * c - a * e)
+    third = (first[2], second[2], a * d - b * b)
+    determinant = _dot((a, b, c), first)
+    slopes = [_dot(row, covariance) / determinant for row in (first, second, third)]
+    offset = value_mean - _dot(slopes, image_means)
+    return _dot([mean(slope) for slope in slopes], image) + mean(offset)
+
+
+def _dot(
+    some: Sequence[NDArray[np.float32]], others: Sequence[NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """Sum of the products of three planes each."""
+    return np.asarray(some[0] * others[0] + some[1] * others[1] + some[2] * others[2], np.float32)
