@@ -50,7 +50,8 @@ from scripts.experiments.real_data import (
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import fit_detector, look_by, measure_detection
+from scripts.experiments.real_detection import measure_detection
+from scripts.experiments.real_detection_fit import fit_detector, look_by
 from scripts.experiments.real_peer import why_absent
 from scripts.experiments.real_poses import (
     LIMBS_RIGHT_BELOW_PX,

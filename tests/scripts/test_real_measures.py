@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.vision.people import Box
-from scripts.experiments.real_detection import average_precision, figures, matches
+from scripts.experiments.real_detection_scores import average_precision, figures, matches
 from scripts.experiments.real_peer import why_absent
 from scripts.experiments.real_poses import procrustes
 from scripts.experiments.real_vtest import Marks, compare, read_marks
