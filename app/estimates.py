@@ -82,12 +82,15 @@ class Found:
         None where nothing was detected because the caller said where people are.
     silhouette : Silhouette or None
         None where a caller's box holds none.
+    turns : int
+        Quarter turns that set the person upright; see :class:`app.vision.people.Detection`.
     """
 
     box: Box
     source: Source
     detection_score: float | None
     silhouette: Silhouette | None
+    turns: int = 0
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,10 @@ class Scene:
 
     decoded: Callable[[], NDArray[np.uint8]]
     people: tuple[Found, ...]
+
+    def turned(self, turns: int) -> Scene:
+        """The same scene turned counterclockwise by so many quarters, without the people."""
+        return Scene(lambda: np.rot90(self.frame, turns), ())
 
     @property
     def frame(self) -> NDArray[np.uint8]:

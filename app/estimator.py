@@ -28,15 +28,17 @@ from app.vision.decode import ImageError, ImageTooLargeError, decode_image, deco
 from app.vision.detect import Detector
 from app.vision.facing_evidence import AzimuthBelief, FacingReader
 from app.vision.joints import JointReader
+from app.vision.lying import segment_people
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
-from app.vision.second_look import make_detector
+from app.vision.people_detector import make_detector
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
+from app.vision.turning import turned_points, turned_shape, turned_silhouette
 from app.vision.workers import Workers
 from app.weighing import weigh, weigh_by_image
 from descriptor.silhouette import Placement, normalise
 from index.joint_maps import JointMaps
-from index.matching import Hypothesis, match, match_with_spares
+from index.matching import Hypothesis, leaning_further, match, match_with_spares
 from index.store import Label, PoseIndex
 
 T = TypeVar("T")
@@ -51,6 +53,7 @@ class Look:
     Parameters
     ----------
     silhouette : Silhouette
+        In the frame turned so that the person is upright.
     normalised : (128, 48) uint8 array
     placement : Placement
         From the silhouette's crop to the normalised frame.
@@ -232,10 +235,10 @@ class Estimator:
             detections = detector.detect(frame)[: self._max_persons]
         check()
         with watch.stage("segment"):
-            silhouettes = segmenter.segment(frame, [d.box for d in detections])
+            silhouettes = segment_people(segmenter, frame, detections)
         # Where no silhouette is found in a detection, it was hardly a person.
         return [
-            Found(detection.box, source, detection.score, silhouette)
+            Found(detection.box, source, detection.score, silhouette, detection.turns)
             for detection, silhouette in zip(detections, silhouettes, strict=True)
             if silhouette is not None
         ]
@@ -301,7 +304,7 @@ class Estimator:
 
         def person(found: Found, look: Look | None) -> Person:
             check()
-            return self._person(found, look, n)
+            return self._person(scene, found, look, n)
 
         with watch.stage("search"):
             # One is matched here: another thread would only begin later.
@@ -313,6 +316,9 @@ class Estimator:
         silhouette = found.silhouette
         if silhouette is None:
             return None
+        if found.turns:
+            silhouette = turned_silhouette(silhouette, scene.frame.shape, found.turns)
+            scene = scene.turned(found.turns)
         normalised, placement = normalise(silhouette.crop)
 
         def aside(read: Callable[..., T], *arguments: object) -> Future[T]:
@@ -328,7 +334,7 @@ class Estimator:
         belief = aside(self._read_facing, scene, silhouette)
         return Look(silhouette, normalised, placement, maps, belief)
 
-    def _person(self, found: Found, look: Look | None, n: int) -> Person:
+    def _person(self, scene: Scene, found: Found, look: Look | None, n: int) -> Person:
         if look is None:
             return Person(found, None, ())
         maps = None if look.maps is None else look.maps.result()
@@ -339,14 +345,14 @@ class Estimator:
         else:
             weighed = weigh_by_image(candidates, belief, n)
         origin = np.array([look.silhouette.left, look.silhouette.top])
-        hypotheses = [
-            PlacedHypothesis(
-                hypothesis,
-                self._label(hypothesis),
-                look.placement.to_image(hypothesis.points_normalised) + origin,
-            )
-            for hypothesis in weighed.hypotheses
-        ]
+        hypotheses = []
+        for hypothesis in weighed.hypotheses:
+            points = look.placement.to_image(hypothesis.points_normalised) + origin
+            if found.turns:
+                shape = turned_shape(scene.frame.shape, found.turns)
+                points = turned_points(points, shape, -found.turns)
+                hypothesis = leaning_further(hypothesis, 90.0 if found.turns == 1 else -90.0)
+            hypotheses.append(PlacedHypothesis(hypothesis, self._label(hypothesis), points))
         return Person(found, weighed.facing, tuple(hypotheses))
 
     def _label(self, hypothesis: Hypothesis) -> Label:

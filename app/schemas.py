@@ -159,7 +159,8 @@ class Camera(Model):
         description="Degrees; height angle of the camera above the person.", examples=[15.0]
     )
     roll_deg: FiniteFloat = Field(
-        description="Degrees; turn about the optical axis, positive turns the picture clockwise.",
+        description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
+        "About 90 or -90 for somebody who lies.",
         examples=[0.0],
     )
 

@@ -98,12 +98,18 @@ def turned(
 def _turned_back(candidates: Candidates, leaning: Leaning) -> Candidates:
     if leaning.lean_deg == 0:
         return candidates
-    angle, back = np.deg2rad(leaning.lean_deg), leaning.back
-    cosine, sine = np.cos(angle), np.sin(angle)
-    clockwise = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    back = leaning.back
     return replace(
         candidates,
         lean_deg=np.full(len(candidates), leaning.lean_deg),
-        points_3d=candidates.points_3d @ clockwise.T,
+        points_3d=turned_clockwise(candidates.points_3d, leaning.lean_deg),
         points_normalised=candidates.points_normalised @ back[:, :2].T + back[:, 2],
     )
+
+
+def turned_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+    """Turn points ``(..., 3)`` in camera axes about the optical axis, clockwise in the picture."""
+    angle = np.deg2rad(angle_deg)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    return np.asarray(points_3d @ turn)

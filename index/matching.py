@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from index.bending import bend
 from index.candidates import Candidates
 from index.confidence import RIGHT_BELOW_PX, Calibration
 from index.joint_maps import JointMaps
-from index.leans import Leaning, find_leaning_candidates
+from index.leans import Leaning, find_leaning_candidates, turned_clockwise
 from index.modes import Mode, candidate_weights, find_modes
 from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
@@ -80,6 +80,15 @@ class Hypothesis:
                 f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
                 f"got {self.points_3d.shape} and {self.points_normalised.shape}"
             )
+
+
+def leaning_further(hypothesis: Hypothesis, angle_deg: float) -> Hypothesis:
+    """Turn a hypothesis clockwise in the picture; its normalised frame stays upright."""
+    return replace(
+        hypothesis,
+        points_3d=turned_clockwise(hypothesis.points_3d, angle_deg),
+        lean_deg=hypothesis.lean_deg + angle_deg,
+    )
 
 
 def match(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypothesis]:

@@ -14,7 +14,7 @@ from app.vision.evidence import by_fitness, evidence, suited, tightened
 from app.vision.hog import as_cells, person_windows
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
-from app.vision.presence import PresenceMap, presence_maps
+from app.vision.presence import Presence, PresenceMap, presence_maps
 from app.vision.resampling import resize
 from app.vision.workers import Workers
 
@@ -124,14 +124,20 @@ class CascadeDetector:
 
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
+        return self.look(frame)[0]
+
+    def look(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], Presence]:
+        """Find the people, and tell where the network saw somebody."""
         small, factor, person_px = _searched(frame, self._min_person_px)
-        boxes, features = candidates(self._network, small, person_px, self._workers)
+        maps = presence_maps(self._network, small, person_px)
+        presence = Presence(maps, factor, person_px)
+        boxes, features = candidates(maps, small, person_px, self._workers)
         if len(boxes) == 0:
-            return []
+            return [], presence
         odds = features @ _WEIGHTS + _OFFSET
         means, kept = merge(boxes, odds)
         scores = probability(_CALIBRATION_SLOPE * odds[kept] + _CALIBRATION_OFFSET)
-        return _detections(means, scores, frame.shape, factor, self._min_score)
+        return _detections(means, scores, frame.shape, factor, self._min_score), presence
 
 
 # Overlap from which two boxes are one person: two people walking together reach 0.3.
@@ -146,7 +152,7 @@ _PRESENCE_GAIN = 3.0
 
 
 def candidates(
-    network: PersonNetwork,
+    maps: Sequence[PresenceMap],
     frame: NDArray[np.uint8],
     min_person_px: float,
     workers: Workers | None = None,
@@ -155,7 +161,8 @@ def candidates(
 
     Parameters
     ----------
-    network : PersonNetwork
+    maps : sequence of PresenceMap
+        Of the frame.
     frame : (H, W, 3) uint8 array
         BGR, at the resolution to search.
     min_person_px : float
@@ -170,7 +177,6 @@ def candidates(
     features : (N, 14) float64 array
         See :data:`app.vision.evidence.NAMES`.
     """
-    maps = presence_maps(network, frame, min_person_px)
     anybody = {one.side: as_cells(one.probability > _SLIGHTEST_PRESENCE) for one in maps}
 
     def worth_searching(person_px: float) -> NDArray[np.bool_]:

@@ -102,14 +102,20 @@ class Detection:
         Tight around the visible person.
     score : float
         Probability that the box holds a person, 0 to 1.
+    turns : int
+        Quarter turns counterclockwise that set the person upright: 0, or 1 for somebody who lies
+        with the head on the right of the picture, and 3 with it on the left.
     """
 
     box: Box
     score: float
+    turns: int = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.score <= 1:
             raise ValueError(f"expected a score from 0 to 1, got {self.score}")
+        if self.turns not in (0, 1, 3):
+            raise ValueError(f"expected 0, 1 or 3 quarter turns, got {self.turns}")
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,25 @@ class PresenceMap:
     side: float
 
 
+@dataclass(frozen=True)
+class Presence:
+    """Where the network saw somebody in a frame.
+
+    Parameters
+    ----------
+    maps : list of PresenceMap
+        From coarse to fine.
+    factor : float
+        By which the frame was resized before the network looked.
+    min_person_px : float
+        Height of the smallest person that was looked for, in pixels of the maps.
+    """
+
+    maps: list[PresenceMap]
+    factor: float
+    min_person_px: float
+
+
 def presence_maps(
     network: PersonNetwork, frame: NDArray[np.uint8], min_person_px: float
 ) -> list[PresenceMap]:

@@ -11,12 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.detect import CascadeDetector, Detector, HogDetector, log_odds, probability
+from app.vision.detect import log_odds, probability
 from app.vision.joints import JointReader
-from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
-from app.vision.segment import NetworkSegmenter, Segmenter
-from app.vision.workers import Workers
+from app.vision.segment import NetworkSegmenter
 from descriptor.silhouette import normalise
 
 DOUBTED = (0.06, 0.45)
@@ -30,46 +28,37 @@ who is found."""
 _ODDS, _CLARITY, _OFFSET = 1.21, 4.47, 3.77
 
 
-class SecondLook:
-    """A detector whose doubtful boxes are cut out and searched for joints before they count.
+def believed(
+    segmenter: NetworkSegmenter,
+    reader: JointReader,
+    frame: NDArray[np.uint8],
+    found: Sequence[Detection],
+    min_score: float,
+) -> list[Detection]:
+    """Look again at whom the detector doubts, and leave those who are likely enough, best first.
 
     Parameters
     ----------
-    detector : Detector
-        Reports boxes from a score of :data:`DOUBTED` on.
     segmenter : NetworkSegmenter
     reader : JointReader
+    frame : (H, W, 3) uint8 array
+        BGR.
+    found : sequence of Detection
+        Those of a score from :data:`DOUBTED` on.
     min_score : float
-        Least probability reported.
+        Least probability of those who are left.
     """
-
-    def __init__(
-        self,
-        detector: Detector,
-        segmenter: NetworkSegmenter,
-        reader: JointReader,
-        *,
-        min_score: float = 0.3,
-    ) -> None:
-        self._detector = detector
-        self._segmenter = segmenter
-        self._reader = reader
-        self._min_score = min_score
-
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
-        """Find the people; see :class:`app.vision.detect.Detector`."""
-        found = self._detector.detect(frame)
-        boxes, scores = [one.box for one in found], np.array([one.score for one in found])
-        clarity = look_again(self._segmenter, self._reader, frame, boxes, scores)
-        looked = ~np.isnan(clarity)
-        odds = _ODDS * log_odds(scores[looked]) + _CLARITY * clarity[looked] + _OFFSET
-        believed = looked | (scores > DOUBTED[1])
-        scores[looked] = probability(odds)
-        kept = [
-            Detection(boxes[row], float(scores[row]))
-            for row in np.flatnonzero(believed & (scores >= self._min_score))
-        ]
-        return sorted(kept, key=lambda one: -one.score)
+    boxes, scores = [one.box for one in found], np.array([one.score for one in found])
+    clarity = look_again(segmenter, reader, frame, boxes, scores)
+    looked = ~np.isnan(clarity)
+    odds = _ODDS * log_odds(scores[looked]) + _CLARITY * clarity[looked] + _OFFSET
+    likely = looked | (scores > DOUBTED[1])
+    scores[looked] = probability(odds)
+    kept = [
+        Detection(boxes[row], float(scores[row]))
+        for row in np.flatnonzero(likely & (scores >= min_score))
+    ]
+    return sorted(kept, key=lambda one: -one.score)
 
 
 def look_again(
@@ -108,20 +97,3 @@ def look_again(
             _, placement = normalise(silhouette.crop)
             clarity[row] = reader.read(frame, silhouette, placement).clarity()
     return clarity
-
-
-def make_detector(
-    network: PersonNetwork | None,
-    segmenter: Segmenter,
-    reader: JointReader,
-    *,
-    min_person_px: float = 50,
-    workers: Workers | None = None,
-) -> Detector:
-    """The cascade and a second look if there is a network, else gradients alone."""
-    if network is None or not isinstance(segmenter, NetworkSegmenter):
-        return HogDetector(min_person_px=min_person_px)
-    cascade = CascadeDetector(
-        network, min_person_px=min_person_px, min_score=DOUBTED[0], workers=workers
-    )
-    return SecondLook(cascade, segmenter, reader)

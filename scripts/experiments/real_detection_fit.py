@@ -16,6 +16,7 @@ from app.vision.evidence import NAMES
 from app.vision.joints import JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Box
+from app.vision.presence import presence_maps
 from app.vision.second_look import look_again
 from app.vision.segment import NetworkSegmenter
 from scripts.experiments.real_data import Photograph, as_array
@@ -53,7 +54,8 @@ def all_candidates(photographs: Sequence[Photograph], network: PersonNetwork) ->
     result = []
     for photograph in tqdm(photographs, desc="candidates", unit="photograph"):
         started = time.perf_counter()
-        boxes, features = detection.candidates(network, photograph.frame, MIN_PERSON_PX)
+        maps = presence_maps(network, photograph.frame, MIN_PERSON_PX)
+        boxes, features = detection.candidates(maps, photograph.frame, MIN_PERSON_PX)
         spent = 1000 * (time.perf_counter() - started)
         overlap = iou_matrix(boxes, as_array(photograph.boxes)).max(axis=1, initial=0)
         result.append(Candidates(boxes, features, overlap, spent))

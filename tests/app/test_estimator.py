@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from app.estimates import Person, Upload
+from app.estimates import Found, Person, Scene, Stopwatch, Upload
 from app.estimator import Estimator
 from app.vision.joints import JointReader
-from app.vision.people import Box
+from app.vision.people import Box, silhouette_from_mask
+from app.vision.turning import turned_points, turned_silhouette
 from tests.conftest import Photo
 
 BOXES = (Box(145, 35, 60, 140),)
@@ -62,3 +65,30 @@ def test_the_camera_of_somebody_who_leans_is_turned(
         one = placed.hypothesis
         label = pair[0].index.label(one.entry, mirrored=one.mirrored)
         assert placed.label.roll_deg == pytest.approx(label.roll_deg + one.lean_deg)
+
+
+@pytest.mark.parametrize("turns", [1, 3])
+def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
+    pair: tuple[Estimator, Estimator], photo: Photo, turns: int
+) -> None:
+    estimator, shape = pair[0], photo.frame.shape
+    silhouette = silhouette_from_mask(photo.mask > 0, segmenter="network", truncated=False)
+    assert silhouette is not None
+    standing = Found(silhouette.box, "hog", 0.9, silhouette)
+    lies = turned_silhouette(silhouette, shape, -turns)
+    lying = Found(lies.box, "hog", 0.9, lies, turns)
+    upright, turned = (
+        estimator.with_hypotheses(
+            Scene(lambda frame=frame: frame, (found,)), 5, lambda: None, Stopwatch()
+        )[0]
+        for frame, found in ((photo.frame, standing), (np.rot90(photo.frame, -turns), lying))
+    )
+    assert upright.facing == turned.facing
+    for one, other in zip(upright.hypotheses, turned.hypotheses, strict=True):
+        assert one.hypothesis.entry == other.hypothesis.entry
+        assert other.hypothesis.lean_deg - one.hypothesis.lean_deg == (90 if turns == 1 else -90)
+        assert_allclose(turned_points(one.points_2d, shape, -turns), other.points_2d, atol=1e-6)
+        # The bodies turn as their pictures do; depth stays.
+        x, y, z = one.hypothesis.points_3d.T
+        sign = 1 if turns == 1 else -1
+        assert_allclose(other.hypothesis.points_3d.T, [-sign * y, sign * x, z], atol=1e-9)

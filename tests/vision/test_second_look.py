@@ -14,23 +14,14 @@ from app.vision.grabcut import GrabCutSegmenter
 from app.vision.joints import JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
+from app.vision.people_detector import PeopleDetector, make_detector
 from app.vision.refine import Refiner
-from app.vision.second_look import DOUBTED, MOST, SecondLook, make_detector
+from app.vision.second_look import DOUBTED, MOST, believed
 from app.vision.segment import NetworkSegmenter
 from scripts.experiments.real_data import read_pose2sim
 
 ROOT = Path(__file__).resolve().parents[2]
 BALANCING = Path(os.environ.get("SHARED", ROOT / ".." / "shared")) / "real" / "pose2sim"
-
-
-class Told:
-    """A detector that says what it was told to."""
-
-    def __init__(self, detections: list[Detection]) -> None:
-        self._detections = detections
-
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
-        return self._detections
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +46,7 @@ def test_a_person_is_believed_and_what_is_none_is_not(
     empty = Box(5.0, 200.0, 40.0, 100.0)
     told = [Detection(walkers[0], DOUBT), Detection(empty, DOUBT)]
     assert all(walkers[0].iou(other) == 0 for other in [empty, *walkers[1:]])
-    found = SecondLook(Told(told), segmenter, reader).detect(street)
+    found = believed(segmenter, reader, street, told, 0.3)
     assert [one.box for one in found] == [walkers[0]]
     assert found[0].score > DOUBT
 
@@ -64,8 +55,8 @@ def test_the_sure_ones_are_left_alone(
     segmenter: NetworkSegmenter, reader: JointReader, street: NDArray[np.uint8]
 ) -> None:
     sure = [Detection(Box(5.0, 5.0, 20.0, 50.0), score) for score in (0.9, DOUBTED[1] + 0.01)]
-    assert SecondLook(Told(sure), segmenter, reader).detect(street) == sure
-    assert SecondLook(Told(sure), segmenter, reader, min_score=0.5).detect(street) == sure[:1]
+    assert believed(segmenter, reader, street, sure, 0.3) == sure
+    assert believed(segmenter, reader, street, sure, 0.5) == sure[:1]
 
 
 def test_few_are_looked_at(
@@ -75,13 +66,13 @@ def test_few_are_looked_at(
     walkers: list[Box],
 ) -> None:
     told = [Detection(walkers[0], DOUBT)] * (MOST + 3)
-    assert len(SecondLook(Told(told), segmenter, reader, min_score=0).detect(street)) == MOST
+    assert len(believed(segmenter, reader, street, told, 0.0)) == MOST
 
 
 def test_the_detector_fits_what_there_is(
     network: PersonNetwork, segmenter: NetworkSegmenter, reader: JointReader
 ) -> None:
-    assert isinstance(make_detector(network, segmenter, reader), SecondLook)
+    assert isinstance(make_detector(network, segmenter, reader), PeopleDetector)
     assert isinstance(make_detector(None, GrabCutSegmenter(), reader), HogDetector)
 
 

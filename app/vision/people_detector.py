@@ -1,0 +1,69 @@
+"""The detector that serves: people who stand, bend and lie."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.detect import CascadeDetector, Detector, HogDetector
+from app.vision.joints import JointReader
+from app.vision.lying import find_lying
+from app.vision.network import PersonNetwork
+from app.vision.people import Detection
+from app.vision.second_look import DOUBTED, believed
+from app.vision.segment import NetworkSegmenter, Segmenter
+from app.vision.workers import Workers
+
+
+class PeopleDetector:
+    """Gradients and presence, a second look at whom they doubt, and a look for people who lie.
+
+    Safe under several threads.
+
+    Parameters
+    ----------
+    cascade : CascadeDetector
+        Reports boxes from a score of :data:`app.vision.second_look.DOUBTED` on.
+    segmenter : NetworkSegmenter
+    reader : JointReader
+    min_score : float
+        Least probability reported.
+    """
+
+    def __init__(
+        self,
+        cascade: CascadeDetector,
+        segmenter: NetworkSegmenter,
+        reader: JointReader,
+        *,
+        min_score: float = 0.3,
+    ) -> None:
+        self._cascade = cascade
+        self._segmenter = segmenter
+        self._reader = reader
+        self._min_score = min_score
+
+    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
+        """Find the people; see :class:`app.vision.detect.Detector`."""
+        found, presence = self._cascade.look(frame)
+        upright = believed(self._segmenter, self._reader, frame, found, self._min_score)
+        boxes = [one.box for one in upright]
+        lying = find_lying(self._reader, frame, presence, boxes, self._min_score)
+        return sorted([*upright, *lying], key=lambda one: -one.score)
+
+
+def make_detector(
+    network: PersonNetwork | None,
+    segmenter: Segmenter,
+    reader: JointReader,
+    *,
+    min_person_px: float = 50,
+    workers: Workers | None = None,
+) -> Detector:
+    """The service's detector if there is a network, else gradients alone."""
+    if network is None or not isinstance(segmenter, NetworkSegmenter):
+        return HogDetector(min_person_px=min_person_px)
+    cascade = CascadeDetector(
+        network, min_person_px=min_person_px, min_score=DOUBTED[0], workers=workers
+    )
+    return PeopleDetector(cascade, segmenter, reader)

@@ -1,0 +1,133 @@
+"""People who lie, as far as street photographs show them: turned by a quarter.
+
+Light and shadow come from a side then, and the ground stands upright; what is measured is whether
+bodies are found that lie, and whether anything else is taken for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from app.vision.detect import CascadeDetector, probability
+from app.vision.joints import JointReader
+from app.vision.lying import lying_parts, which_way_up
+from app.vision.network import PersonNetwork
+from app.vision.people import Box
+from app.vision.second_look import DOUBTED, believed
+from app.vision.segment import NetworkSegmenter
+from app.vision.turning import turned_box
+from scripts.experiments.real_data import Photograph
+from scripts.experiments.real_detection_fit import fit_logistic, folds
+
+FOUND_FROM = 0.5
+"""Overlap (IoU) of boxes from which somebody counts as found."""
+
+MIN_SCORE = 0.3
+"""Least score that the service reports."""
+
+RIDGE = 0.01
+
+RARITY = 0.2
+"""How much rarer people who lie are in use than where every second photograph is turned."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What may be somebody who lies.
+
+    Parameters
+    ----------
+    clarity : float
+        How clearly joints show.
+    right : bool
+        Whether it overlaps somebody by half or more.
+    right_way_up : bool
+        Whether it is taken to be turned as the photograph is.
+    """
+
+    clarity: float
+    right: bool
+    right_way_up: bool
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Parts of one photograph as it is, and turned by a quarter; and how many people it shows."""
+
+    upright: list[Part]
+    turned: list[Part]
+    people: int
+
+
+def lying_trials(
+    photographs: Sequence[Photograph],
+    network: PersonNetwork,
+    segmenter: NetworkSegmenter,
+    reader: JointReader,
+) -> list[Trial]:
+    """Look for people who lie in photographs, and in the same turned to the left or the right."""
+    cascade = CascadeDetector(network, min_score=DOUBTED[0])
+
+    def parts(frame: NDArray[np.uint8], people: Sequence[Box], turns: int) -> list[Part]:
+        found, presence = cascade.look(frame)
+        boxes = [one.box for one in believed(segmenter, reader, frame, found, MIN_SCORE)]
+        looked = [
+            (part, *which_way_up(reader, frame, part)) for part in lying_parts(presence, boxes)
+        ]
+        return [
+            Part(
+                clarity,
+                max((part.box.iou(box) for box in people), default=0.0) >= FOUND_FROM,
+                (guessed + turns) % 4 == 0,
+            )
+            for part, clarity, guessed in looked
+        ]
+
+    trials = []
+    for photograph in tqdm(photographs, desc="lying", unit="photograph"):
+        frame, turns = photograph.frame, 1 if photograph.odd else 3
+        boxes = [turned_box(box, frame.shape, turns) for box in photograph.boxes]
+        turned = np.ascontiguousarray(np.rot90(frame, turns))
+        trials.append(Trial(parts(frame, [], 0), parts(turned, boxes, turns), len(boxes)))
+    return trials
+
+
+def fitted_lying(trials: Sequence[Trial]) -> tuple[float, float]:
+    """Weight of the clarity, and offset, that tell people who lie from all else."""
+    parts = [part for trial in trials for part in [*trial.upright, *trial.turned]]
+    clarity = np.array([[part.clarity] for part in parts])
+    weights, offset = fit_logistic(clarity, np.array([part.right for part in parts]), ridge=RIDGE)
+    return float(weights[0]), offset + float(np.log(RARITY))
+
+
+def lying_figures(trials: Sequence[Trial]) -> dict[str, float]:
+    """Who is found, and what else is, by weights that were fitted to other photographs."""
+    fold = folds(len(trials), 0)
+    found = wrong_way = false_turned = false_upright = 0
+    for held in range(fold.max() + 1):
+        weight, offset = fitted_lying([trials[i] for i in np.flatnonzero(fold != held).tolist()])
+
+        def likely(part: Part, weight: float = weight, offset: float = offset) -> bool:
+            return float(probability(np.array(weight * part.clarity + offset))) >= MIN_SCORE
+
+        for index in np.flatnonzero(fold == held).tolist():
+            reported = [part for part in trials[index].turned if likely(part)]
+            found += sum(part.right for part in reported)
+            wrong_way += sum(part.right and not part.right_way_up for part in reported)
+            false_turned += sum(not part.right for part in reported)
+            false_upright += sum(map(likely, trials[index].upright))
+    people = sum(trial.people for trial in trials)
+    return {
+        "photographs": len(trials),
+        "people": people,
+        "reachable": sum(part.right for one in trials for part in one.turned) / people,
+        "found": found / people,
+        "wrong_way": wrong_way / max(1, found),
+        "false_turned": false_turned / len(trials),
+        "false_upright": false_upright / len(trials),
+    }
