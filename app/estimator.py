@@ -28,7 +28,7 @@ from app.vision.decode import ImageError, ImageTooLargeError, decode_image, deco
 from app.vision.detect import Detector
 from app.vision.facing_evidence import AzimuthBelief, FacingReader
 from app.vision.joints import JointReader
-from app.vision.lying import segment_people
+from app.vision.lying import is_wide, segment_either_way, segment_people, which_way_up
 from app.vision.network import load_network
 from app.vision.people import Box, Silhouette
 from app.vision.people_detector import make_detector
@@ -236,12 +236,13 @@ class Estimator:
         check()
         with watch.stage("segment"):
             silhouettes = segment_people(segmenter, frame, detections)
-        # Where no silhouette is found in a detection, it was hardly a person.
-        return [
-            Found(detection.box, source, detection.score, silhouette, detection.turns)
-            for detection, silhouette in zip(detections, silhouettes, strict=True)
-            if silhouette is not None
-        ]
+            # Where no silhouette is found in a detection, it was hardly a person.
+            found = [
+                Found(detection.box, source, detection.score, silhouette, detection.turns)
+                for detection, silhouette in zip(detections, silhouettes, strict=True)
+                if silhouette is not None
+            ]
+            return [self._either_way(one, lambda: frame, segmenter) for one in found]
 
     def _in_boxes(
         self,
@@ -255,10 +256,10 @@ class Estimator:
         inside = [_clip(box, width, height, position) for position, box in enumerate(boxes)]
         with watch.stage("segment"):
             silhouettes = segmenter.segment(frame, inside)
-        return [
-            Found(box, "boxes", None, silhouette)
-            for box, silhouette in zip(inside, silhouettes, strict=True)
-        ]
+            return [
+                self._either_way(Found(box, "boxes", None, silhouette), lambda: frame, segmenter)
+                for box, silhouette in zip(inside, silhouettes, strict=True)
+            ]
 
     def _from_mask(self, frame_data: bytes, mask_data: bytes, watch: Stopwatch) -> Scene:
         """Find people without waiting for the frame, which is decoded meanwhile."""
@@ -279,7 +280,27 @@ class Estimator:
             _check_size("mask", labels, frame)
             return frame
 
-        return Scene(decoded, _left_to_right([Found(s.box, "mask", None, s) for s in silhouettes]))
+        found = [Found(s.box, "mask", None, s) for s in silhouettes]
+        with watch.stage("segment"):
+            found = [self._either_way(one, decoded) for one in found]
+        return Scene(decoded, _left_to_right(found))
+
+    def _either_way(
+        self,
+        found: Found,
+        frame: Callable[[], NDArray[np.uint8]],
+        segmenter: Segmenter | None = None,
+    ) -> Found:
+        """Tell which way up somebody is whose box is wide."""
+        reader, silhouette = self._joint_reader, found.silhouette
+        if reader is None or silhouette is None or found.turns or not is_wide(found.box):
+            return found
+        if segmenter is self.segmenter:
+            silhouette, turns = segment_either_way(segmenter, reader, frame(), found.box)
+        else:
+            # A mask, and what differs from the empty scene, are the same whichever way.
+            _, turns = which_way_up(reader, frame(), silhouette)
+        return replace(found, silhouette=silhouette, turns=turns)
 
     def _background(
         self, data: bytes | None, frame: NDArray[np.uint8], watch: Stopwatch

@@ -20,7 +20,7 @@ from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
 from app.vision.presence import Presence, PresenceMap
 from app.vision.resampling import resize_mask
 from app.vision.segment import Segmenter
-from app.vision.turning import turned_box, turned_shape, turned_silhouette
+from app.vision.turning import turned_box, turned_silhouette
 from descriptor.silhouette import normalise
 
 MOST = 2
@@ -64,7 +64,7 @@ def find_lying(
     """
     detections = []
     for part in lying_parts(presence, found):
-        clarity, turns = which_way_up(reader, frame, part)
+        clarity, turns = which_way_up(reader, frame, part, (1, 3))
         score = float(probability(np.array(_CLARITY * clarity + _OFFSET)))
         if score >= min_score:
             detections.append(Detection(part.box, score, turns))
@@ -118,37 +118,68 @@ def _enlarged(own: NDArray[np.bool_], x: int, y: int, factor: float) -> Silhouet
     return silhouette_from_mask(mask, **place, segmenter="network", truncated=False)
 
 
+def is_wide(box: Box) -> bool:
+    """Whether somebody in a box may lie."""
+    return box.width >= _WIDE[0] * box.height
+
+
 def which_way_up(
-    reader: JointReader, frame: NDArray[np.uint8], silhouette: Silhouette
+    reader: JointReader,
+    frame: NDArray[np.uint8],
+    silhouette: Silhouette,
+    ways: Sequence[int] = (0, 1, 3),
 ) -> tuple[float, int]:
-    """How clearly joints show in a body that lies, and the turns that set it upright.
+    """How clearly joints show in a wide silhouette, and the turns that set it upright.
 
     See :meth:`index.joint_maps.JointMaps.clarity` and :class:`app.vision.people.Detection`.
     """
-    looks = []
-    for turns in (1, 3):
-        upright = turned_silhouette(silhouette, frame.shape, turns)
-        _, placement = normalise(upright.crop)
-        looks.append((reader.read(np.rot90(frame, turns), upright, placement).clarity(), turns))
-    return max(looks)
+    return max((_clarity(reader, frame, silhouette, turns), turns) for turns in ways)
+
+
+def _clarity(
+    reader: JointReader, frame: NDArray[np.uint8], silhouette: Silhouette, turns: int
+) -> float:
+    upright = turned_silhouette(silhouette, frame.shape, turns)
+    _, placement = normalise(upright.crop)
+    return reader.read(np.rot90(frame, turns), upright, placement).clarity()
 
 
 def segment_people(
     segmenter: Segmenter, frame: NDArray[np.uint8], detections: Sequence[Detection]
 ) -> list[Silhouette | None]:
     """Cut out people, those who lie in a frame turned so that they are upright."""
-    standing = [one.box for one in detections if not one.turns]
-    upright = iter(segmenter.segment(frame, standing))
+    upright = iter(segmenter.segment(frame, [one.box for one in detections if not one.turns]))
     return [
-        _segment_turned(segmenter, frame, one) if one.turns else next(upright) for one in detections
+        _segment_turned(segmenter, frame, one.box, one.turns) if one.turns else next(upright)
+        for one in detections
     ]
 
 
+def segment_either_way(
+    segmenter: Segmenter, reader: JointReader, frame: NDArray[np.uint8], box: Box
+) -> tuple[Silhouette | None, int]:
+    """Cut somebody out of a wide box, upright or lying as joints show more clearly.
+
+    Returns
+    -------
+    silhouette : Silhouette or None
+    turns : int
+        That set the person upright.
+    """
+    looks: list[tuple[float, int, Silhouette]] = []
+    for turns in (0, 1, 3):
+        silhouette = _segment_turned(segmenter, frame, box, turns)
+        if silhouette is not None:
+            looks.append((_clarity(reader, frame, silhouette, turns), turns, silhouette))
+    if not looks:
+        return None, 0
+    _, turns, silhouette = max(looks, key=lambda look: look[0])
+    return silhouette, turns
+
+
 def _segment_turned(
-    segmenter: Segmenter, frame: NDArray[np.uint8], lying: Detection
+    segmenter: Segmenter, frame: NDArray[np.uint8], box: Box, turns: int
 ) -> Silhouette | None:
-    box = turned_box(lying.box, frame.shape, lying.turns)
-    (found,) = segmenter.segment(np.ascontiguousarray(np.rot90(frame, lying.turns)), [box])
-    if found is None:
-        return None
-    return turned_silhouette(found, turned_shape(frame.shape, lying.turns), -lying.turns)
+    upright = np.ascontiguousarray(np.rot90(frame, turns))
+    (found,) = segmenter.segment(upright, [turned_box(box, frame.shape, turns)])
+    return None if found is None else turned_silhouette(found, upright.shape, -turns)

@@ -15,14 +15,14 @@ from tqdm import tqdm
 
 from app.vision.detect import CascadeDetector, probability
 from app.vision.joints import JointReader
-from app.vision.lying import lying_parts, which_way_up
+from app.vision.lying import lying_parts, segment_either_way, which_way_up
 from app.vision.network import PersonNetwork
-from app.vision.people import Box
+from app.vision.people import Box, silhouette_from_mask
 from app.vision.second_look import DOUBTED, believed
 from app.vision.segment import NetworkSegmenter
-from app.vision.turning import turned_box
 from scripts.experiments.real_data import Photograph
 from scripts.experiments.real_detection_fit import fit_logistic, folds
+from scripts.experiments.real_silhouettes import overlap
 
 FOUND_FROM = 0.5
 """Overlap (IoU) of boxes from which somebody counts as found."""
@@ -77,23 +77,23 @@ def lying_trials(
         found, presence = cascade.look(frame)
         boxes = [one.box for one in believed(segmenter, reader, frame, found, MIN_SCORE)]
         looked = [
-            (part, *which_way_up(reader, frame, part)) for part in lying_parts(presence, boxes)
+            (part, *which_way_up(reader, frame, part, (1, 3)))
+            for part in lying_parts(presence, boxes)
         ]
         return [
             Part(
                 clarity,
                 max((part.box.iou(box) for box in people), default=0.0) >= FOUND_FROM,
-                (guessed + turns) % 4 == 0,
+                guessed == turns,
             )
             for part, clarity, guessed in looked
         ]
 
     trials = []
     for photograph in tqdm(photographs, desc="lying", unit="photograph"):
-        frame, turns = photograph.frame, 1 if photograph.odd else 3
-        boxes = [turned_box(box, frame.shape, turns) for box in photograph.boxes]
-        turned = np.ascontiguousarray(np.rot90(frame, turns))
-        trials.append(Trial(parts(frame, [], 0), parts(turned, boxes, turns), len(boxes)))
+        upright, turned = parts(photograph.frame, [], 0), _turned(photograph)
+        lying = parts(turned.frame, turned.boxes, _back(photograph))
+        trials.append(Trial(upright, lying, len(turned.boxes)))
     return trials
 
 
@@ -131,3 +131,41 @@ def lying_figures(trials: Sequence[Trial]) -> dict[str, float]:
         "false_turned": false_turned / len(trials),
         "false_upright": false_upright / len(trials),
     }
+
+
+def way_up_figures(
+    photographs: Sequence[Photograph], segmenter: NetworkSegmenter, reader: JointReader
+) -> dict[str, float]:
+    """Share of the people in turned photographs whose way up is told, and how they are cut out.
+
+    From their true boxes, and from their true masks.
+    """
+    by_box, by_mask, overlaps = [], [], []
+    for photograph in tqdm(photographs, desc="way up", unit="photograph"):
+        turned = _turned(photograph)
+        for label, box in enumerate(turned.boxes, start=1):
+            truth = turned.labels == label
+            silhouette, turns = segment_either_way(segmenter, reader, turned.frame, box)
+            by_box.append(turns == _back(photograph))
+            overlaps.append(overlap(silhouette.mask(truth.shape), truth) if silhouette else 0.0)
+            mask = silhouette_from_mask(truth, segmenter="mask", truncated=False)
+            assert mask is not None
+            by_mask.append(which_way_up(reader, turned.frame, mask)[1] == _back(photograph))
+    return {
+        "by_box": float(np.mean(by_box)),
+        "by_mask": float(np.mean(by_mask)),
+        "overlap_mean": float(np.mean(overlaps)),
+        "overlap_median": float(np.median(overlaps)),
+    }
+
+
+def _turned(photograph: Photograph) -> Photograph:
+    """An odd photograph turned to the left, another to the right."""
+    turns = -_back(photograph)
+    frame = np.ascontiguousarray(np.rot90(photograph.frame, turns))
+    return Photograph(photograph.name, frame, np.rot90(photograph.labels, turns))
+
+
+def _back(photograph: Photograph) -> int:
+    """Quarter turns that set people in the turned photograph upright."""
+    return 3 if photograph.odd else 1

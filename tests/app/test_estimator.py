@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,10 +13,11 @@ from app.estimates import Found, Person, Scene, Stopwatch, Upload
 from app.estimator import Estimator
 from app.vision.joints import JointReader
 from app.vision.people import Box, silhouette_from_mask
-from app.vision.turning import turned_points, turned_silhouette
-from tests.conftest import Photo
+from app.vision.turning import turned_box, turned_points, turned_silhouette
+from tests.conftest import ROOT, Photo, png
 
 BOXES = (Box(145, 35, 60, 140),)
+WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +94,20 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
         x, y, z = one.hypothesis.points_3d.T
         sign = 1 if turns == 1 else -1
         assert_allclose(other.hypothesis.points_3d.T, [-sign * y, sign * x, z], atol=1e-9)
+
+
+def test_wide_boxes_and_masks_are_looked_at_either_way(
+    pair: tuple[Estimator, Estimator],
+) -> None:
+    street = cv2.imread(str(WALKERS))
+    walker = Box(135, 162, 40, 105)
+    lying, box = np.rot90(street), turned_box(walker, street.shape, 1)
+    by_box = [persons(one, Upload(png(lying), boxes=(box,)))[0].found for one in pair]
+    assert [one.turns for one in by_box] == [3, 0], "only joints tell which way up somebody is"
+    silhouette = by_box[0].silhouette
+    assert silhouette is not None
+    upload = Upload(png(lying), mask=png(silhouette.mask(lying.shape).astype(np.uint8)))
+    by_mask = [persons(one, upload)[0].found for one in pair]
+    assert [one.turns for one in by_mask] == [3, 0]
+    (upright,) = persons(pair[0], Upload(png(street), boxes=(walker,)))
+    assert upright.found.turns == 0

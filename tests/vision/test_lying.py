@@ -9,7 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.joints import JointReader
-from app.vision.lying import MOST, find_lying, lying_parts, segment_people, which_way_up
+from app.vision.lying import (
+    MOST,
+    find_lying,
+    is_wide,
+    lying_parts,
+    segment_either_way,
+    segment_people,
+    which_way_up,
+)
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.people_detector import make_detector
@@ -113,3 +121,20 @@ def test_somebody_who_lies_is_detected(
     assert all(one.turns == 3 for one in found)
     assert all(max(one.box.iou(truth) for truth in truths) > 0.5 for one in found)
     assert not any(one.turns for one in detector.detect(street))
+
+
+@pytest.mark.parametrize("turns", [0, 1, 3])
+def test_a_wide_box_is_looked_at_either_way(
+    turns: int,
+    segmenter: NetworkSegmenter,
+    reader: JointReader,
+    street: NDArray[np.uint8],
+    walkers: list[Box],
+) -> None:
+    frame = np.ascontiguousarray(np.rot90(street, -turns))
+    box = turned_box(walkers[1], street.shape, -turns)
+    silhouette, told = segment_either_way(segmenter, reader, frame, box)
+    assert told == turns
+    assert silhouette is not None and silhouette.box.iou(box) > 0.7
+    assert which_way_up(reader, frame, silhouette)[1] == turns
+    assert is_wide(box) == (turns != 0)
