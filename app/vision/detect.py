@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -240,12 +239,10 @@ def _proposed_by_presence(
     """Boxes of connected presence, at several levels, that stand upright."""
     boxes = []
     for presence in maps:
-        for level in (0.3, 0.6, 0.9):
-            region = (presence.probability > level).astype(np.uint8)
-            parts = cv2.connectedComponentsWithStats(region)[2][1:, :4].astype(np.float64)
-            width, height = parts[:, 2], parts[:, 3]
-            upright = parts[(height > least_height) & (width < 1.2 * height)]
-            boxes += list(upright - (0.5, 0.5, 0, 0))
+        windows = np.array([one.window for one in presence.pieces], np.float64).reshape(-1, 4)
+        width, height = windows[:, 2], windows[:, 3]
+        upright = windows[(height > least_height) & (width < 1.2 * height)]
+        boxes += list(upright - (0.5, 0.5, 0, 0))
     return boxes
 
 

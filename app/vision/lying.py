@@ -7,20 +7,21 @@ joints where a body has them, whichever end is up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.box_arrays import suppress
 from app.vision.detect import probability
 from app.vision.joints import JointReader
+from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
-from app.vision.presence import Presence, PresenceMap
-from app.vision.resampling import resize_mask
+from app.vision.presence import Piece, Presence, PresenceMap
+from app.vision.resampling import cut, resize, resize_mask
 from app.vision.segment import Segmenter
 from app.vision.turning import turned_box, turned_silhouette
+from app.vision.views import view_of, with_grey_surroundings
 from descriptor.silhouette import normalise
 
 MOST = 2
@@ -31,17 +32,19 @@ MOST = 2
 _WIDE = (1.2, 4.5)
 _LEAST_FILL = 0.25
 _MOST_FOUND = 0.3
+# Turned upright and seen close, all of it must be this likely: what is nobody seldom is.
+_SEEN_UPRIGHT = 0.5
 # A presence map tells of people of these shares of its windows' side.
 _SUITED = (0.2, 1.0)
-_LEVELS = (0.3, 0.6, 0.9)
 # Overlap from which two parts are one.
 _SAME = 0.3
 
 # Fitted to real/pennfudan, upright and turned, by `python -m scripts.evaluate real --fit-detector`.
-_CLARITY, _OFFSET = 4.83, 3.40
+_CLARITY, _OFFSET = 4.63, 3.30
 
 
 def find_lying(
+    network: PersonNetwork,
     reader: JointReader,
     frame: NDArray[np.uint8],
     presence: Presence,
@@ -52,6 +55,7 @@ def find_lying(
 
     Parameters
     ----------
+    network : PersonNetwork
     reader : JointReader
     frame : (H, W, 3) uint8 array
         BGR.
@@ -63,7 +67,7 @@ def find_lying(
         Least probability reported.
     """
     detections = []
-    for part in lying_parts(presence, found):
+    for part in seen_upright(network, frame, lying_parts(presence, found)):
         clarity, turns = which_way_up(reader, frame, part, (1, 3))
         score = float(probability(np.array(_CLARITY * clarity + _OFFSET)))
         if score >= min_score:
@@ -79,43 +83,59 @@ def lying_parts(presence: Presence, found: Sequence[Box]) -> list[Silhouette]:
         people[top:bottom, left:right] = True
     parts, boxes, ranks = [], [], []
     for one in presence.maps:
-        for (x, y, width, height), own in _wide_pieces(one, 0.8 * presence.min_person_px):
-            area = np.s_[y : y + height, x : x + width]
-            if np.count_nonzero(own & people[area]) <= _MOST_FOUND * np.count_nonzero(own):
-                parts.append((own, x, y))
-                boxes.append((x, y, width, height))
-                ranks.append(one.probability[area][own].sum() / np.sqrt(width * height))
+        for piece in one.pieces:
+            if not (_may_lie(piece, 0.8 * presence.min_person_px) and _suits(one, piece)):
+                continue
+            own = piece.mask()
+            taken = np.count_nonzero(own & people[piece.place]) > _MOST_FOUND * piece.area
+            if not taken:
+                parts.append(piece)
+                boxes.append(piece.window)
+                ranks.append(one.probability[piece.place][own].sum() / np.sqrt(own.size))
     chosen = suppress(np.array(boxes, float).reshape(-1, 4), np.array(ranks), _SAME)[:MOST]
-    enlarged = [_enlarged(*parts[i], presence.factor) for i in chosen]
+    enlarged = [_enlarged(parts[i], presence.factor) for i in chosen]
     return [part for part in enlarged if part is not None]
 
 
-def _wide_pieces(
-    presence: PresenceMap, least_px: float
-) -> Iterator[tuple[tuple[int, int, int, int], NDArray[np.bool_]]]:
-    """Column, row, width and height of what may lie, and its pixels there."""
-    for level in _LEVELS:
-        region = (presence.probability > level).astype(np.uint8)
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(region)
-        width, height, area = stats[:, 2:].T
-        wide = (width >= _WIDE[0] * height) & (width <= _WIDE[1] * height) & (width >= least_px)
-        share = width / presence.side
-        suited = (share >= _SUITED[0]) & (share <= _SUITED[1])
-        filled = area >= _LEAST_FILL * width * height
-        # The first is what lies about all others.
-        for label in np.flatnonzero((wide & suited & filled)[1:]) + 1:
-            left, top, columns, rows = stats[label, :4].tolist()
-            yield (
-                (left, top, columns, rows),
-                labels[top : top + rows, left : left + columns] == label,
-            )
+def _may_lie(piece: Piece, least_px: float) -> bool:
+    _, _, width, height = piece.window
+    return (
+        _WIDE[0] * height <= width <= _WIDE[1] * height
+        and width >= least_px
+        and piece.area >= _LEAST_FILL * width * height
+    )
 
 
-def _enlarged(own: NDArray[np.bool_], x: int, y: int, factor: float) -> Silhouette | None:
-    rows, columns = own.shape
-    mask = resize_mask(own, max(1, round(columns / factor)), max(1, round(rows / factor)))
-    place = {"left": round(x / factor), "top": round(y / factor)}
+def _suits(presence: PresenceMap, piece: Piece) -> bool:
+    return _SUITED[0] <= piece.window[2] / presence.side <= _SUITED[1]
+
+
+def _enlarged(piece: Piece, factor: float) -> Silhouette | None:
+    left, top, width, height = (round(length / factor) for length in piece.window)
+    mask = resize_mask(piece.mask(), max(1, width), max(1, height))
+    place = {"left": left, "top": top}
     return silhouette_from_mask(mask, **place, segmenter="network", truncated=False)
+
+
+def seen_upright(
+    network: PersonNetwork, frame: NDArray[np.uint8], parts: Sequence[Silhouette]
+) -> list[Silhouette]:
+    """Those parts that the network still takes for somebody when they are turned upright."""
+    turned = [
+        (np.rot90(frame, turns), turned_silhouette(part, frame.shape, turns))
+        for part in parts
+        for turns in (1, 3)
+    ]
+    views = [view_of(upright, part.box) for upright, part in turned]
+    answers = network.of_images([with_grey_surroundings(view) for view in views])
+    means = []
+    for (_, part), view, answer in zip(turned, views, answers, strict=True):
+        left, top, width, height = view.window
+        within = (left - part.left, top - part.top, width, height)
+        own = resize(cut(part.crop.astype(np.uint8), within), *answer.shape) > 0
+        means.append(float(answer[own].mean()) if own.any() else 0.0)
+    likelier = np.array(means).reshape(-1, 2).max(axis=1)
+    return [part for part, mean in zip(parts, likelier, strict=True) if mean >= _SEEN_UPRIGHT]
 
 
 def is_wide(box: Box) -> bool:

@@ -22,6 +22,7 @@ class PeopleDetector:
 
     Parameters
     ----------
+    network : PersonNetwork
     cascade : CascadeDetector
         Reports boxes from a score of :data:`app.vision.second_look.DOUBTED` on.
     segmenter : NetworkSegmenter
@@ -32,12 +33,14 @@ class PeopleDetector:
 
     def __init__(
         self,
+        network: PersonNetwork,
         cascade: CascadeDetector,
         segmenter: NetworkSegmenter,
         reader: JointReader,
         *,
         min_score: float = 0.3,
     ) -> None:
+        self._network = network
         self._cascade = cascade
         self._segmenter = segmenter
         self._reader = reader
@@ -48,7 +51,7 @@ class PeopleDetector:
         found, presence = self._cascade.look(frame)
         upright = believed(self._segmenter, self._reader, frame, found, self._min_score)
         boxes = [one.box for one in upright]
-        lying = find_lying(self._reader, frame, presence, boxes, self._min_score)
+        lying = find_lying(self._network, self._reader, frame, presence, boxes, self._min_score)
         return sorted([*upright, *lying], key=lambda one: -one.score)
 
 
@@ -66,4 +69,4 @@ def make_detector(
     cascade = CascadeDetector(
         network, min_person_px=min_person_px, min_score=DOUBTED[0], workers=workers
     )
-    return PeopleDetector(cascade, segmenter, reader)
+    return PeopleDetector(network, cascade, segmenter, reader)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +17,43 @@ _LEAST_SHARE = 0.25
 # Next finer windows are at least a fourth as large: people of all sizes between fit one of two.
 _FINER = 4.0
 _OVERLAP = 0.2
+LEVELS = (0.3, 0.6, 0.9)
+"""Of probability, from which what hangs together may be somebody."""
+
 # Within this share of a window's side from its edge its answer counts less than the next's.
 _EDGE = 1 / 6
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A connected part of a presence map.
+
+    Parameters
+    ----------
+    window : (left, top, width, height)
+        About it, in whole pixels.
+    area : int
+        Pixels.
+    labels : (H, W) int32 array
+        Of the map that it is part of.
+    label : int
+        Its own.
+    """
+
+    window: Window
+    area: int
+    labels: NDArray[np.int32]
+    label: int
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Rows and columns of its window."""
+        left, top, width, height = self.window
+        return slice(top, top + height), slice(left, left + width)
+
+    def mask(self) -> NDArray[np.bool_]:
+        """Its pixels in its window."""
+        return np.asarray(self.labels[self.place] == self.label)
 
 
 @dataclass(frozen=True)
@@ -33,6 +70,19 @@ class PresenceMap:
 
     probability: NDArray[np.float32]
     side: float
+
+    @cached_property
+    def pieces(self) -> list[Piece]:
+        """What hangs together, where somebody is likelier than each of :data:`LEVELS`."""
+        found = []
+        for level in LEVELS:
+            region = (self.probability > level).astype(np.uint8)
+            _, numbers, stats, _ = cv2.connectedComponentsWithStats(region)
+            labels = np.asarray(numbers, np.int32)
+            # The first is what lies about all others.
+            for label, (left, top, width, height, area) in enumerate(stats[1:].tolist(), start=1):
+                found.append(Piece((left, top, width, height), area, labels, label))
+        return found
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from app.vision.detect import CascadeDetector, probability
 from app.vision.joints import JointReader
-from app.vision.lying import lying_parts, segment_either_way, which_way_up
+from app.vision.lying import lying_parts, seen_upright, segment_either_way, which_way_up
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, silhouette_from_mask
 from app.vision.second_look import DOUBTED, believed
@@ -78,7 +78,7 @@ def lying_trials(
         boxes = [one.box for one in believed(segmenter, reader, frame, found, MIN_SCORE)]
         looked = [
             (part, *which_way_up(reader, frame, part, (1, 3)))
-            for part in lying_parts(presence, boxes)
+            for part in seen_upright(network, frame, lying_parts(presence, boxes))
         ]
         return [
             Part(

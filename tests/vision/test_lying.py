@@ -14,6 +14,7 @@ from app.vision.lying import (
     find_lying,
     is_wide,
     lying_parts,
+    seen_upright,
     segment_either_way,
     segment_people,
     which_way_up,
@@ -78,10 +79,12 @@ def test_few_are_searched() -> None:
     assert len(lying_parts(presence_of(rows), [])) == MOST
 
 
-def test_nothing_is_nobody(reader: JointReader) -> None:
+def test_nothing_is_nobody(network: PersonNetwork, reader: JointReader) -> None:
     frame = np.full((*SHAPE, 3), 127, np.uint8)
     assert lying_parts(presence_of([]), []) == []
-    assert find_lying(reader, frame, presence_of([(20, 30, 120, 40)]), [], 0.3) == []
+    mistaken = presence_of([(20, 30, 120, 40)])
+    assert seen_upright(network, frame, lying_parts(mistaken, [])) == []
+    assert find_lying(network, reader, frame, mistaken, [], 0.0) == []
 
 
 @pytest.mark.parametrize("turns", [1, 3])
