@@ -32,7 +32,7 @@ MIN_SCORE = 0.3
 
 RIDGE = 0.01
 
-RARITY = 0.2
+RARITY = 0.1
 """How much rarer people who lie are in use than where every second photograph is turned."""
 
 
