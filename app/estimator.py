@@ -296,7 +296,9 @@ class Estimator:
         if reader is None or silhouette is None or found.turns or not is_wide(found.box):
             return found
         if segmenter is self.segmenter:
-            silhouette, turns = segment_either_way(segmenter, reader, frame(), found.box)
+            silhouette, turns = segment_either_way(
+                segmenter, reader, frame(), found.box, silhouette
+            )
         else:
             # A mask, and what differs from the empty scene, are the same whichever way.
             _, turns = which_way_up(reader, frame(), silhouette)

@@ -48,7 +48,7 @@ def give_back_freed_memory() -> None:
 
 
 def give_back_what_loading_took() -> None:
-    """Give back at once what loading needed for a while: a tenth of all memory."""
+    """Give back at once what loading needed for a while; nothing happens without glibc."""
     malloc_trim = _of_glibc("malloc_trim")
     if malloc_trim is not None:
         malloc_trim(0)

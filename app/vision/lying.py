@@ -67,7 +67,7 @@ def find_lying(
         Least probability reported.
     """
     detections = []
-    for part in seen_upright(network, frame, lying_parts(presence, found)):
+    for part in seen_upright(network, frame, lying_parts(presence, found, frame.shape)):
         clarity, turns = which_way_up(reader, frame, part, (1, 3))
         score = float(probability(np.array(_CLARITY * clarity + _OFFSET)))
         if score >= min_score:
@@ -75,8 +75,10 @@ def find_lying(
     return detections
 
 
-def lying_parts(presence: Presence, found: Sequence[Box]) -> list[Silhouette]:
-    """Wide parts of the presence in one piece, in pixels of the frame, the most likely first."""
+def lying_parts(
+    presence: Presence, found: Sequence[Box], shape: tuple[int, ...]
+) -> list[Silhouette]:
+    """Wide parts of the presence in one piece, in pixels of a frame, the most likely first."""
     people: NDArray[np.bool_] = np.zeros(presence.maps[0].probability.shape, bool)
     for box in found:
         left, top, right, bottom = (max(0, edge) for edge in box.scaled(presence.factor).pixels())
@@ -93,7 +95,7 @@ def lying_parts(presence: Presence, found: Sequence[Box]) -> list[Silhouette]:
                 boxes.append(piece.window)
                 ranks.append(one.probability[piece.place][own].sum() / np.sqrt(own.size))
     chosen = suppress(np.array(boxes, float).reshape(-1, 4), np.array(ranks), _SAME)[:MOST]
-    enlarged = [_enlarged(parts[i], presence.factor) for i in chosen]
+    enlarged = [_enlarged(parts[i], presence.factor, shape) for i in chosen]
     return [part for part in enlarged if part is not None]
 
 
@@ -110,11 +112,14 @@ def _suits(presence: PresenceMap, piece: Piece) -> bool:
     return _SUITED[0] <= piece.window[2] / presence.side <= _SUITED[1]
 
 
-def _enlarged(piece: Piece, factor: float) -> Silhouette | None:
-    left, top, width, height = (round(length / factor) for length in piece.window)
-    mask = resize_mask(piece.mask(), max(1, width), max(1, height))
-    place = {"left": left, "top": top}
-    return silhouette_from_mask(mask, **place, segmenter="network", truncated=False)
+def _enlarged(piece: Piece, factor: float, shape: tuple[int, ...]) -> Silhouette | None:
+    left, top, width, height = piece.window
+    box = Box(left - 0.5, top - 0.5, width, height).scaled(1 / factor).clip(shape[1], shape[0])
+    if box is None:
+        return None
+    left, top, right, bottom = box.pixels()
+    mask = resize_mask(piece.mask(), right - left, bottom - top)
+    return silhouette_from_mask(mask, left=left, top=top, segmenter="network", truncated=False)
 
 
 def seen_upright(
@@ -176,25 +181,36 @@ def segment_people(
 
 
 def segment_either_way(
-    segmenter: Segmenter, reader: JointReader, frame: NDArray[np.uint8], box: Box
-) -> tuple[Silhouette | None, int]:
-    """Cut somebody out of a wide box, upright or lying as joints show more clearly.
+    segmenter: Segmenter,
+    reader: JointReader,
+    frame: NDArray[np.uint8],
+    box: Box,
+    upright: Silhouette,
+) -> tuple[Silhouette, int]:
+    """Cut somebody out of a wide box as joints show most clearly, upright or lying.
+
+    Parameters
+    ----------
+    segmenter : Segmenter
+    reader : JointReader
+    frame : (H, W, 3) uint8 array
+        BGR.
+    box : Box
+    upright : Silhouette
+        As if the person were upright.
 
     Returns
     -------
-    silhouette : Silhouette or None
+    silhouette : Silhouette
     turns : int
         That set the person upright.
     """
-    looks: list[tuple[float, int, Silhouette]] = []
-    for turns in (0, 1, 3):
+    ways = [(upright, 0)]
+    for turns in (1, 3):
         silhouette = _segment_turned(segmenter, frame, box, turns)
         if silhouette is not None:
-            looks.append((_clarity(reader, frame, silhouette, turns), turns, silhouette))
-    if not looks:
-        return None, 0
-    _, turns, silhouette = max(looks, key=lambda look: look[0])
-    return silhouette, turns
+            ways.append((silhouette, turns))
+    return max(ways, key=lambda way: _clarity(reader, frame, *way))
 
 
 def _segment_turned(

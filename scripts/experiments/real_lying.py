@@ -78,7 +78,7 @@ def lying_trials(
         boxes = [one.box for one in believed(segmenter, reader, frame, found, MIN_SCORE)]
         looked = [
             (part, *which_way_up(reader, frame, part, (1, 3)))
-            for part in seen_upright(network, frame, lying_parts(presence, boxes))
+            for part in seen_upright(network, frame, lying_parts(presence, boxes, frame.shape))
         ]
         return [
             Part(
@@ -145,9 +145,11 @@ def way_up_figures(
         turned = _turned(photograph)
         for label, box in enumerate(turned.boxes, start=1):
             truth = turned.labels == label
-            silhouette, turns = segment_either_way(segmenter, reader, turned.frame, box)
+            (upright,) = segmenter.segment(turned.frame, [box])
+            assert upright is not None
+            silhouette, turns = segment_either_way(segmenter, reader, turned.frame, box, upright)
             by_box.append(turns == _back(photograph))
-            overlaps.append(overlap(silhouette.mask(truth.shape), truth) if silhouette else 0.0)
+            overlaps.append(overlap(silhouette.mask(truth.shape), truth))
             mask = silhouette_from_mask(truth, segmenter="mask", truncated=False)
             assert mask is not None
             by_mask.append(which_way_up(reader, turned.frame, mask)[1] == _back(photograph))

@@ -25,7 +25,7 @@ from app.vision.people_detector import make_detector
 from app.vision.presence import Presence, PresenceMap
 from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter
-from app.vision.turning import turned_box
+from app.vision.turning import turned_box, turned_silhouette
 
 SHAPE = (200, 300)
 
@@ -49,14 +49,24 @@ def segmenter(network: PersonNetwork) -> NetworkSegmenter:
 
 
 def test_what_is_wide_and_in_one_piece_may_lie() -> None:
-    (part,) = lying_parts(presence_of([(20, 30, 120, 40), (200, 20, 40, 120)]), [])
+    (part,) = lying_parts(presence_of([(20, 30, 120, 40), (200, 20, 40, 120)]), [], SHAPE)
     assert part.box == Box(19.5, 29.5, 120, 40)
     assert part.crop.all()
 
 
 def test_pixels_are_those_of_the_whole_frame() -> None:
-    (part,) = lying_parts(presence_of([(20, 30, 120, 40)], factor=0.5), [])
+    (part,) = lying_parts(presence_of([(20, 30, 120, 40)], factor=0.5), [], (400, 600))
     assert part.box == Box(39.5, 59.5, 240, 80)
+
+
+@pytest.mark.parametrize("shape", [(601, 901), (599, 899), (600, 900)])
+def test_what_reaches_the_borders_stays_within_the_frame(shape: tuple[int, int]) -> None:
+    # A resized frame is rounded to whole pixels.
+    presence = presence_of([(100, 130, 200, 70)], factor=1 / 3)
+    (part,) = lying_parts(presence, [], shape)
+    for turns in (1, 3):
+        turned = turned_silhouette(part, shape, turns)
+        assert (turned.mask(shape[::-1]) == np.rot90(part.mask(shape), turns)).all()
 
 
 @pytest.mark.parametrize(
@@ -65,25 +75,25 @@ def test_pixels_are_those_of_the_whole_frame() -> None:
 def test_too_small_too_square_too_long_and_too_large_is_nobody(
     box: tuple[int, int, int, int],
 ) -> None:
-    assert lying_parts(presence_of([box]), []) == []
+    assert lying_parts(presence_of([box]), [], SHAPE) == []
 
 
 def test_people_who_are_found_are_not_found_again() -> None:
     presence = presence_of([(20, 30, 120, 40)])
-    assert lying_parts(presence, [Box(10, 20, 140, 60)]) == []
-    assert len(lying_parts(presence, [Box(10, 20, 30, 60)])) == 1
+    assert lying_parts(presence, [Box(10, 20, 140, 60)], SHAPE) == []
+    assert len(lying_parts(presence, [Box(10, 20, 30, 60)], SHAPE)) == 1
 
 
 def test_few_are_searched() -> None:
     rows = [(20 + 140 * (i % 2), 5 + 50 * (i // 2), 100, 35) for i in range(6)]
-    assert len(lying_parts(presence_of(rows), [])) == MOST
+    assert len(lying_parts(presence_of(rows), [], SHAPE)) == MOST
 
 
 def test_nothing_is_nobody(network: PersonNetwork, reader: JointReader) -> None:
     frame = np.full((*SHAPE, 3), 127, np.uint8)
-    assert lying_parts(presence_of([]), []) == []
+    assert lying_parts(presence_of([]), [], SHAPE) == []
     mistaken = presence_of([(20, 30, 120, 40)])
-    assert seen_upright(network, frame, lying_parts(mistaken, [])) == []
+    assert seen_upright(network, frame, lying_parts(mistaken, [], SHAPE)) == []
     assert find_lying(network, reader, frame, mistaken, [], 0.0) == []
 
 
@@ -136,8 +146,10 @@ def test_a_wide_box_is_looked_at_either_way(
 ) -> None:
     frame = np.ascontiguousarray(np.rot90(street, -turns))
     box = turned_box(walkers[1], street.shape, -turns)
-    silhouette, told = segment_either_way(segmenter, reader, frame, box)
+    (upright,) = segmenter.segment(frame, [box])
+    assert upright is not None
+    silhouette, told = segment_either_way(segmenter, reader, frame, box, upright)
     assert told == turns
-    assert silhouette is not None and silhouette.box.iou(box) > 0.7
+    assert silhouette.box.iou(box) > 0.7
     assert which_way_up(reader, frame, silhouette)[1] == turns
     assert is_wide(box) == (turns != 0)
