@@ -120,7 +120,7 @@ class FacingReader:
     """
 
     def __init__(self, path: Path = WEIGHTS_PATH) -> None:
-        self._network = OnnxNetwork(path, (CHANNELS, SIZE, SIZE), (2,))
+        self._network = OnnxNetwork(path, (CHANNELS, SIZE, SIZE), (2,), winograd=False)
         self._faces = FaceFinder()
 
     def read(self, frame: NDArray[np.uint8], silhouette: Silhouette) -> AzimuthBelief | None:
