@@ -122,9 +122,7 @@ class Estimator:
         self._aside = ThreadPoolExecutor(
             concurrency, thread_name_prefix="photograph", initializer=give_way
         )
-        self._matchers = ThreadPoolExecutor(
-            concurrency, thread_name_prefix="matcher", initializer=give_way
-        )
+        self._matchers = Workers(concurrency)
 
     @classmethod
     def load(cls, settings: Settings) -> Estimator:
@@ -325,14 +323,14 @@ class Estimator:
                 if look is not None and look.maps is not None:
                     wait([look.maps])
 
-        def person(found: Found, look: Look | None) -> Person:
+        def person(pair: tuple[Found, Look | None]) -> Person:
             check()
-            return self._person(scene, found, look, n)
+            return self._person(scene, *pair, n)
 
         with watch.stage("search"):
             # One is matched here: another thread would only begin later.
-            each = self._matchers.map if len(looks) > 1 else map
-            return tuple(each(person, scene.people, looks))
+            workers = self._matchers if len(looks) > 1 else Workers()
+            return tuple(workers.map(person, zip(scene.people, looks, strict=True)))
 
     def _look_at(self, scene: Scene, found: Found, check: Check) -> Look | None:
         """Begin to look at the photograph of a person whose silhouette is known."""

@@ -13,7 +13,7 @@ from app.vision.evidence import by_fitness, evidence, suited, tightened
 from app.vision.hog import as_cells, person_windows
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection
-from app.vision.presence import Presence, PresenceMap, presence_maps
+from app.vision.presence import WIDE, Presence, PresenceMap, presence_maps
 from app.vision.resampling import resize
 from app.vision.workers import Workers
 
@@ -241,7 +241,7 @@ def _proposed_by_presence(
     for presence in maps:
         windows = np.array([one.window for one in presence.pieces], np.float64).reshape(-1, 4)
         width, height = windows[:, 2], windows[:, 3]
-        upright = windows[(height > least_height) & (width < 1.2 * height)]
+        upright = windows[(height > least_height) & (width < WIDE * height)]
         boxes += list(upright - (0.5, 0.5, 0, 0))
     return boxes
 

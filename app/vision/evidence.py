@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.vision.body_shape import body_prior
 from app.vision.box_arrays import Boxes, iou_matrix
-from app.vision.presence import PresenceMap
+from app.vision.presence import SUITED, PresenceMap
 
 # Boxes are sampled at this many rows, with a margin in shares of their height.
 _ROWS = 64
@@ -20,8 +20,6 @@ _ASIDE = round(0.3 * _ROWS)
 _ABOVE = round(0.15 * _ROWS)
 # A presence map judges best the people of this share of its windows' side.
 _BEST_SHARE = 0.6
-# Of other shares than these it tells little.
-_SUITED = (0.2, 1.0)
 
 NAMES = (
     "trunk", "beside", "above", "below", "head", "feet", "shape",
@@ -75,7 +73,7 @@ def suited(maps: Sequence[PresenceMap], person_px: float) -> list[PresenceMap]:
 
     What windows too large for such people make of them is of no use.
     """
-    chosen = [one for one in maps if _SUITED[0] < person_px / one.side < _SUITED[1]]
+    chosen = [one for one in maps if SUITED[0] < person_px / one.side < SUITED[1]]
     return chosen or by_fitness(maps, person_px)[:1]
 
 

@@ -16,7 +16,7 @@ from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box, Silhouette
 from app.vision.resampling import Window, cut, resize
 from app.vision.workers import Workers
-from descriptor.silhouette import Placement
+from descriptor.silhouette import Placement, normalise
 from index.joint_maps import JointMaps
 from index.skeleton import LIMBS, POINT_NAMES, POINTS, exchange_sides
 
@@ -143,3 +143,8 @@ class JointReader:
             cells_per_px / placement.scale,
             (origin + 0.5) * cells_per_px - 0.5,
         )
+
+    def clarity(self, frame: NDArray[np.uint8], silhouette: Silhouette) -> float:
+        """How clearly a person's joints show; see :meth:`index.joint_maps.JointMaps.clarity`."""
+        _, placement = normalise(silhouette.crop)
+        return self.read(frame, silhouette, placement).clarity()

@@ -17,25 +17,22 @@ from app.vision.detect import probability
 from app.vision.joints import JointReader
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
-from app.vision.presence import Piece, Presence, PresenceMap
+from app.vision.presence import SUITED, WIDE, Piece, Presence, PresenceMap
 from app.vision.resampling import cut, resize, resize_mask
 from app.vision.segment import Segmenter
 from app.vision.turning import turned_box, turned_silhouette
 from app.vision.views import view_of, with_grey_surroundings
-from descriptor.silhouette import normalise
 
 MOST = 2
 """Parts of a frame that are searched, the most likely first."""
 
-# A body that lies is so many times as wide as high, fills so much of its box, and is mostly no
-# part of people who are found already.
-_WIDE = (1.2, 4.5)
+# A body that lies is at most so many times as wide as high, fills so much of its box, and is mostly
+# no part of people who are found already.
+_WIDEST = 4.5
 _LEAST_FILL = 0.25
 _MOST_FOUND = 0.3
 # Turned upright and seen close, all of it must be this likely: what is nobody seldom is.
 _SEEN_UPRIGHT = 0.5
-# A presence map tells of people of these shares of its windows' side.
-_SUITED = (0.2, 1.0)
 # Overlap from which two parts are one.
 _SAME = 0.3
 
@@ -102,14 +99,14 @@ def lying_parts(
 def _may_lie(piece: Piece, least_px: float) -> bool:
     _, _, width, height = piece.window
     return (
-        _WIDE[0] * height <= width <= _WIDE[1] * height
+        WIDE * height <= width <= _WIDEST * height
         and width >= least_px
         and piece.area >= _LEAST_FILL * width * height
     )
 
 
 def _suits(presence: PresenceMap, piece: Piece) -> bool:
-    return _SUITED[0] <= piece.window[2] / presence.side <= _SUITED[1]
+    return SUITED[0] <= piece.window[2] / presence.side <= SUITED[1]
 
 
 def _enlarged(piece: Piece, factor: float, shape: tuple[int, ...]) -> Silhouette | None:
@@ -145,7 +142,7 @@ def seen_upright(
 
 def is_wide(box: Box) -> bool:
     """Whether somebody in a box may lie."""
-    return box.width >= _WIDE[0] * box.height
+    return box.width >= WIDE * box.height
 
 
 def which_way_up(
@@ -165,8 +162,7 @@ def _clarity(
     reader: JointReader, frame: NDArray[np.uint8], silhouette: Silhouette, turns: int
 ) -> float:
     upright = turned_silhouette(silhouette, frame.shape, turns)
-    _, placement = normalise(upright.crop)
-    return reader.read(np.rot90(frame, turns), upright, placement).clarity()
+    return reader.clarity(np.rot90(frame, turns), upright)
 
 
 def segment_people(

@@ -14,6 +14,9 @@ from app.vision.second_look import DOUBTED, believed
 from app.vision.segment import NetworkSegmenter, Segmenter
 from app.vision.workers import Workers
 
+MIN_SCORE = 0.3
+"""Least probability that is reported where nothing else is asked for."""
+
 
 class PeopleDetector:
     """Gradients and presence, a second look at whom they doubt, and a look for people who lie.
@@ -38,7 +41,7 @@ class PeopleDetector:
         segmenter: NetworkSegmenter,
         reader: JointReader,
         *,
-        min_score: float = 0.3,
+        min_score: float = MIN_SCORE,
     ) -> None:
         self._network = network
         self._cascade = cascade

@@ -17,6 +17,13 @@ _LEAST_SHARE = 0.25
 # Next finer windows are at least a fourth as large: people of all sizes between fit one of two.
 _FINER = 4.0
 _OVERLAP = 0.2
+SUITED = (0.2, 1.0)
+"""Shares of a window's side: of people of other sizes a map tells little."""
+
+WIDE = 1.2
+"""What hangs together and is so many times as wide as high may be somebody who lies, else somebody
+who stands."""
+
 LEVELS = (0.3, 0.6, 0.9)
 """Of probability, from which what hangs together may be somebody."""
 

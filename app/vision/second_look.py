@@ -15,7 +15,6 @@ from app.vision.detect import log_odds, probability
 from app.vision.joints import JointReader
 from app.vision.people import Box, Detection
 from app.vision.segment import NetworkSegmenter
-from descriptor.silhouette import normalise
 
 DOUBTED = (0.06, 0.45)
 """Scores of the boxes that are looked at again. More than the last is believed at once."""
@@ -94,6 +93,5 @@ def look_again(
     for row, silhouette in zip(doubted, silhouettes, strict=True):
         clarity[row] = -np.inf
         if silhouette is not None and silhouette.segmenter == "network":
-            _, placement = normalise(silhouette.crop)
-            clarity[row] = reader.read(frame, silhouette, placement).clarity()
+            clarity[row] = reader.clarity(frame, silhouette)
     return clarity

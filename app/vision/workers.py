@@ -1,4 +1,4 @@
-"""Threads among which the pictures of a frame are divided.
+"""Threads among which the pictures and the people of a frame are divided.
 
 OpenCV's own threads divide each layer of a network, and wait for one another after each. Where
 there are several pictures to look at, a thread that takes one after the other from start to end

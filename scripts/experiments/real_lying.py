@@ -18,17 +18,13 @@ from app.vision.joints import JointReader
 from app.vision.lying import lying_parts, seen_upright, segment_either_way, which_way_up
 from app.vision.network import PersonNetwork
 from app.vision.people import Box, silhouette_from_mask
+from app.vision.people_detector import MIN_SCORE
 from app.vision.second_look import DOUBTED, believed
 from app.vision.segment import NetworkSegmenter
 from scripts.experiments.real_data import Photograph
 from scripts.experiments.real_detection_fit import fit_logistic, folds
 from scripts.experiments.real_silhouettes import overlap
-
-FOUND_FROM = 0.5
-"""Overlap (IoU) of boxes from which somebody counts as found."""
-
-MIN_SCORE = 0.3
-"""Least score that the service reports."""
+from scripts.experiments.real_vtest import FOUND_FROM
 
 RIDGE = 0.01
 
