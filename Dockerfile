@@ -1,5 +1,5 @@
 # syntax=docker/dockerfile:1
-# Two stages: the first has pip and fetches the segmentation network, the second only serves.
+# Two stages: the first has pip and fetches the segmentation networks, the second only serves.
 
 FROM python:3.11-slim AS build
 WORKDIR /srv
@@ -8,9 +8,9 @@ COPY pyproject.toml ./
 COPY app app
 COPY descriptor descriptor
 COPY index index
-COPY scripts/fetch_model.py scripts/fetch_model.py
+COPY scripts/body_mask.py scripts/fetch_models.py scripts/
 RUN /srv/.venv/bin/pip install --no-cache-dir -e . \
- && /srv/.venv/bin/python scripts/fetch_model.py \
+ && /srv/.venv/bin/python -m scripts.fetch_models \
  && rm -rf scripts
 
 FROM python:3.11-slim

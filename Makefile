@@ -16,8 +16,8 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 .PHONY: run test test-all check index evaluate bench openapi clean
 
 run: $(RUN)/.stamp
-	@$(RUN)/bin/python scripts/fetch_model.py \
-	  || echo "make run: serving without the segmentation network, with GrabCut instead" >&2
+	@$(RUN)/bin/python -m scripts.fetch_models \
+	  || echo "make run: serving without the segmentation networks, with GrabCut instead" >&2
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
 
 test: $(DEV)/.stamp

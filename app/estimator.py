@@ -29,7 +29,7 @@ from app.vision.detect import Detector
 from app.vision.facing_evidence import AzimuthBelief, FacingReader
 from app.vision.joints import JointReader
 from app.vision.lying import is_wide, segment_either_way, segment_people, which_way_up
-from app.vision.network import load_network
+from app.vision.networks import load_networks
 from app.vision.people import Box, Silhouette
 from app.vision.people_detector import make_detector
 from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
@@ -126,7 +126,7 @@ class Estimator:
 
     @classmethod
     def load(cls, settings: Settings) -> Estimator:
-        """Load index and network.
+        """Load index and networks.
 
         Raises
         ------
@@ -138,13 +138,13 @@ class Estimator:
             If OpenCV lacks its cascade for faces.
         """
         workers = Workers(settings.concurrency)
-        network = load_network(settings.segmentation_model, workers)
-        segmenter = make_segmenter(network, workers)
+        networks = load_networks(settings.models, workers)
+        segmenter = make_segmenter(networks, workers)
         reader = JointReader(workers=workers)
         smallest = settings.min_person_px
         return cls(
             PoseIndex.load(settings.index),
-            make_detector(network, segmenter, reader, min_person_px=smallest, workers=workers),
+            make_detector(networks, segmenter, reader, min_person_px=smallest, workers=workers),
             segmenter,
             min_person_px=smallest,
             max_pixels=settings.max_pixels,
@@ -291,12 +291,14 @@ class Estimator:
     ) -> Found:
         """Tell which way up somebody is whose box is wide."""
         reader, silhouette = self._joint_reader, found.silhouette
-        if reader is None or silhouette is None or found.turns or not is_wide(found.box):
+        if reader is None or found.turns or not is_wide(found.box):
             return found
         if segmenter is self.segmenter:
             silhouette, turns = segment_either_way(
                 segmenter, reader, frame(), found.box, silhouette
             )
+        elif silhouette is None:
+            return found
         else:
             # A mask, and what differs from the empty scene, are the same whichever way.
             _, turns = which_way_up(reader, frame(), silhouette)

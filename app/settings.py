@@ -11,7 +11,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from index.store import DEFAULT_PATH
 
-DEFAULT_MODEL = Path(__file__).resolve().parent.parent / "models" / "selfie_segmentation.tflite"
+DEFAULT_MODELS = Path(__file__).resolve().parent.parent / "models"
 
 
 def _cores() -> int:
@@ -25,9 +25,10 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="POSE_", frozen=True)
 
     index: Path = Field(default=DEFAULT_PATH, description="Folder of the index artefact.")
-    segmentation_model: Path = Field(
-        default=DEFAULT_MODEL,
-        description="Segmentation network (TFLite); where the file is missing, GrabCut serves.",
+    models: Path = Field(
+        default=DEFAULT_MODELS,
+        description="Folder of the segmentation networks (TFLite); where one is missing, "
+        "GrabCut serves.",
     )
     min_person_px: int = Field(
         default=50,

@@ -195,8 +195,8 @@ def photo(tiny_index: PoseIndex) -> Photo:
 
 @pytest.fixture(scope="session")
 def settings(index_path: Path) -> Settings:
-    """Settings for the tiny index, without a segmentation network."""
-    return Settings(index=index_path, segmentation_model=Path("none"))
+    """Settings for the tiny index, without segmentation networks."""
+    return Settings(index=index_path, models=Path("none"))
 
 
 @pytest.fixture(scope="session")
@@ -238,7 +238,7 @@ def start_server(index: Path, root: Path = ROOT, **environment: str) -> Server:
             "HOST": "127.0.0.1",
             "PORT": str(port),
             "POSE_INDEX": str(index),
-            "POSE_SEGMENTATION_MODEL": "none",
+            "POSE_MODELS": "none",
             **environment,
         },
     )

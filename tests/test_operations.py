@@ -62,5 +62,5 @@ def test_every_field_of_a_log_line_is_described(
 
 
 def test_named_files_exist() -> None:
-    for name in ("compose.yaml", "deploy/silhouette-pose.service", "scripts/fetch_model.py"):
+    for name in ("compose.yaml", "deploy/silhouette-pose.service", "scripts/fetch_models.py"):
         assert (ROOT / name).exists()

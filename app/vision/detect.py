@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from app.vision.box_arrays import Boxes, averaged, drop_parts, suppress
 from app.vision.evidence import by_fitness, evidence, suited, tightened
 from app.vision.hog import as_cells, person_windows
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.presence import WIDE, Presence, PresenceMap, presence_maps
 from app.vision.resampling import resize

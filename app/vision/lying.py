@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from app.vision.box_arrays import suppress
 from app.vision.detect import probability
 from app.vision.joints import JointReader
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
 from app.vision.presence import SUITED, WIDE, Piece, Presence, PresenceMap
 from app.vision.resampling import cut, resize, resize_mask
@@ -181,8 +181,8 @@ def segment_either_way(
     reader: JointReader,
     frame: NDArray[np.uint8],
     box: Box,
-    upright: Silhouette,
-) -> tuple[Silhouette, int]:
+    upright: Silhouette | None,
+) -> tuple[Silhouette | None, int]:
     """Cut somebody out of a wide box as joints show most clearly, upright or lying.
 
     Parameters
@@ -192,21 +192,19 @@ def segment_either_way(
     frame : (H, W, 3) uint8 array
         BGR.
     box : Box
-    upright : Silhouette
+    upright : Silhouette or None
         As if the person were upright.
 
     Returns
     -------
-    silhouette : Silhouette
+    silhouette : Silhouette or None
+        None where nobody is seen either way.
     turns : int
         That set the person upright.
     """
-    ways = [(upright, 0)]
-    for turns in (1, 3):
-        silhouette = _segment_turned(segmenter, frame, box, turns)
-        if silhouette is not None:
-            ways.append((silhouette, turns))
-    return max(ways, key=lambda way: _clarity(reader, frame, *way))
+    turned = [(_segment_turned(segmenter, frame, box, turns), turns) for turns in (1, 3)]
+    seen = [(one, turns) for one, turns in [(upright, 0), *turned] if one is not None]
+    return max(seen, key=lambda way: _clarity(reader, frame, *way), default=(None, 0))
 
 
 def _segment_turned(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from app.vision.detect import CascadeDetector, Detector, HogDetector
 from app.vision.joints import JointReader
 from app.vision.lying import find_lying
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks, PersonNetwork
 from app.vision.people import Detection
 from app.vision.second_look import DOUBTED, believed
 from app.vision.segment import NetworkSegmenter, Segmenter
@@ -59,17 +59,17 @@ class PeopleDetector:
 
 
 def make_detector(
-    network: PersonNetwork | None,
+    networks: Networks | None,
     segmenter: Segmenter,
     reader: JointReader,
     *,
     min_person_px: float = 50,
     workers: Workers | None = None,
 ) -> Detector:
-    """The service's detector if there is a network, else gradients alone."""
-    if network is None or not isinstance(segmenter, NetworkSegmenter):
+    """The service's detector if there are networks, else gradients alone."""
+    if networks is None or not isinstance(segmenter, NetworkSegmenter):
         return HogDetector(min_person_px=min_person_px)
     cascade = CascadeDetector(
-        network, min_person_px=min_person_px, min_score=DOUBTED[0], workers=workers
+        networks.person, min_person_px=min_person_px, min_score=DOUBTED[0], workers=workers
     )
-    return PeopleDetector(network, cascade, segmenter, reader)
+    return PeopleDetector(networks.person, cascade, segmenter, reader)

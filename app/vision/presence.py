@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from app.vision.resampling import Window, resize
 
 # The network finds people from about a quarter of its window's side up to all of it.

@@ -1,7 +1,7 @@
 """A small network that redraws a silhouette: limbs that the first one lost, edges, neighbours.
 
-It sees the photograph, what the segmentation network made of it at two looks, and where the
-person's box and the others' are. It was trained on simulated people before photographs
+It sees the photograph, what the body network made of it, and where the person's box and the
+others' are. It was trained on simulated people before photographs
 (``scripts/refinement/train.py``).
 """
 
@@ -19,9 +19,9 @@ from app.vision.people import Box
 from app.vision.resampling import Window, cut, resize
 
 ROWS, COLUMNS = 192, 128
-CHANNELS = 7
-PROBABILITIES = (3, 6)
-"""Planes of the input that hold what the first network saw, at a look and closer."""
+CHANNELS = 6
+PROBABILITY = 3
+"""Plane of the input that holds what the body network saw."""
 
 WEIGHTS_PATH = Path(__file__).parent / "refiner.onnx"
 
@@ -45,7 +45,7 @@ def refiner_input(
     window: Window,
     box: Box,
     others: Sequence[Box],
-    probabilities: NDArray[np.float32],
+    probability: NDArray[np.float32],
     seen: Window,
 ) -> NDArray[np.uint8]:
     """What the refiner looks at.
@@ -60,22 +60,22 @@ def refiner_input(
         The person's, in the frame.
     others : sequence of Box
         Other people's.
-    probabilities : (2, h, w) float32 array
-        Of a person, 0 to 1, as the first network sees it at a look, and closer.
+    probability : (h, w) float32 array
+        Of the person, 0 to 1, as the body network sees it.
     seen : (left, top, width, height)
-        The window of the frame that the first network saw.
+        The window of the frame that the body network saw.
 
     Returns
     -------
-    (7, 192, 128) uint8 array
-        Blue, green, red, probability, inside the box, inside others' boxes, probability closer.
+    (6, 192, 128) uint8 array
+        Blue, green, red, probability, inside the box, inside others' boxes.
     """
     left, top, width, height = window
     planes: NDArray[np.uint8] = np.zeros((CHANNELS, ROWS, COLUMNS), np.uint8)
     planes[:3] = resize(cut(frame, window), COLUMNS, ROWS).transpose(2, 0, 1)
-    # From a pixel of the refiner's window to the same place in the first network's answer.
-    across = (width / COLUMNS, probabilities.shape[2] / seen[2])
-    down = (height / ROWS, probabilities.shape[1] / seen[3])
+    # From a pixel of the refiner's window to the same place in the body network's answer.
+    across = (width / COLUMNS, probability.shape[1] / seen[2])
+    down = (height / ROWS, probability.shape[0] / seen[3])
     matrix = np.array(
         [
             [across[0] * across[1], 0, (0.5 * across[0] + left - seen[0]) * across[1] - 0.5],
@@ -83,9 +83,8 @@ def refiner_input(
         ]
     )
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    for plane, probability in zip(PROBABILITIES, probabilities, strict=True):
-        moved = cv2.warpAffine(probability, matrix, (COLUMNS, ROWS), flags=flags)
-        planes[plane] = np.rint(255 * np.clip(moved, 0, 1))
+    moved = cv2.warpAffine(probability, matrix, (COLUMNS, ROWS), flags=flags)
+    planes[PROBABILITY] = np.rint(255 * np.clip(moved, 0, 1))
     for plane, boxes in ((4, [box]), (5, others)):
         for one in boxes:
             x0 = round((one.x + 0.5 - left) / across[0])
@@ -118,7 +117,7 @@ class Refiner:
 
         Parameters
         ----------
-        planes : (7, 192, 128) uint8 array
+        planes : (6, 192, 128) uint8 array
             Of :func:`refiner_input`.
 
         Returns

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from app.vision.decode import labels_in
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
-from app.vision.network import PersonNetwork
+from app.vision.networks import BodyNetwork, Networks, body_window
 from app.vision.people import Box, SegmenterName, Silhouette, silhouette_from_mask
-from app.vision.refine import PROBABILITIES, Refiner, refiner_input, refiner_window
+from app.vision.refine import PROBABILITY, Refiner, refiner_input, refiner_window
 from app.vision.resampling import Window, resize, resize_mask
 from app.vision.truncation import with_truncation
-from app.vision.views import View, halves_of, joined, view_of, with_grey_surroundings
 from app.vision.workers import Workers
 
 
@@ -44,14 +43,14 @@ class Segmenter(Protocol):
         ...
 
 
-def make_segmenter(network: PersonNetwork | None, workers: Workers | None = None) -> Segmenter:
-    """The network's segmenter if there is a network, else GrabCut."""
-    if network is None:
+def make_segmenter(networks: Networks | None, workers: Workers | None = None) -> Segmenter:
+    """The networks' segmenter if there are networks, else GrabCut."""
+    if networks is None:
         return GrabCutSegmenter()
-    return NetworkSegmenter(network, Refiner(), workers)
+    return NetworkSegmenter(networks.body, Refiner(), workers)
 
 
-# How much the refiner's answer counts beside the first network's, which knows real people better:
+# How much the refiner's answer counts beside the body network's, which knows real people better:
 # less where it takes away than where it adds, for that is how lost limbs come back.
 _TAKEN_SHARE, _ADDED_SHARE = 0.6, 0.8
 # Window of the guided filter, in the refiner's pixels.
@@ -63,28 +62,28 @@ _LEAST_FILL = 0.12
 
 
 class NetworkSegmenter:
-    """Cut people out with the segmentation network.
+    """Cut people out with the segmentation networks.
 
-    The network marks whoever is in its window; the refiner redraws the person's own part. Where
-    nobody is seen (people under some 30 px), GrabCut takes over.
+    The body's network marks the person in the middle of its window; the refiner redraws what it
+    marked. Where nobody is seen (people under some 30 px), GrabCut takes over.
 
     Parameters
     ----------
-    network : PersonNetwork
+    body : BodyNetwork
     refiner : Refiner
     workers : Workers, optional
-        Who redraws several people; by default the caller's thread, one after the other.
+        Who cuts out several people; by default the caller's thread, one after the other.
     """
 
     name: SegmenterName = "network"
 
     def __init__(
         self,
-        network: PersonNetwork,
+        body: BodyNetwork,
         refiner: Refiner,
         workers: Workers | None = None,
     ) -> None:
-        self._network = network
+        self._body = body
         self._refiner = refiner
         self._workers = workers or Workers()
         self._fallback = GrabCutSegmenter()
@@ -98,13 +97,10 @@ class NetworkSegmenter:
         """
         height, width = frame.shape[:2]
         visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
-        views = [view_of(frame, box) for _, box in visible]
-        answers = two_looks(self._network, views)
 
         def drawn(position: int) -> Silhouette | None:
             others = [box for other, (_, box) in enumerate(visible) if other != position]
-            others += beside
-            return _redrawn(self._refiner, frame, views[position], others, answers[position])
+            return self._drawn(frame, visible[position][1], [*others, *beside])
 
         found: list[Silhouette | None] = [None] * len(boxes)
         silhouettes = self._workers.map(drawn, range(len(visible)))
@@ -117,36 +113,22 @@ class NetworkSegmenter:
                 found[i] = others[i]
         return with_truncation(found, boxes, frame.shape)
 
-
-def two_looks(network: PersonNetwork, views: Sequence[View]) -> NDArray[np.float32]:
-    """What the network sees of each view, and of its halves; ``(N, 2, 256, 256)``."""
-    images = [with_grey_surroundings(view) for view in views]
-    parts = [part for v, image in zip(views, images, strict=True) for part in halves_of(v, image)]
-    answers = network.of_images([*images, *parts])
-    whole, halves = answers[: len(views)], answers[len(views) :]
-    closer = [joined(v, whole[i], halves[2 * i : 2 * i + 2]) for i, v in enumerate(views)]
-    return np.stack([whole, np.array(closer, np.float32).reshape(whole.shape)], axis=1)
-
-
-def _redrawn(
-    refiner: Refiner,
-    frame: NDArray[np.uint8],
-    view: View,
-    others: Sequence[Box],
-    answers: NDArray[np.float32],
-) -> Silhouette | None:
-    """One person's silhouette as the refiner sees it; None if next to nothing was seen."""
-    window = refiner_window(view.whole)
-    planes = refiner_input(frame, window, view.whole, others, answers, view.window)
-    first = planes[PROBABILITIES[0]] / np.float32(255)
-    change = refiner.probability(planes) - first
-    soft = first + np.float32(_ADDED_SHARE) * np.maximum(change, 0)
-    soft += np.float32(_TAKEN_SHARE) * np.minimum(change, 0)
-    soft = guided_filter(planes[:3].transpose(1, 2, 0), soft, _REFINED_RADIUS)
-    _, _, width, height = window
-    scale = min(1.0, _REFINED_ROWS / height)
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return _silhouette(resize(soft, *size) >= 0.5, window, view.whole)
+    def _drawn(
+        self, frame: NDArray[np.uint8], box: Box, others: Sequence[Box]
+    ) -> Silhouette | None:
+        """One person's silhouette; None if next to nothing was seen."""
+        seen, window = body_window(box, len(frame)), refiner_window(box)
+        probability = self._body.probability(frame, seen)
+        planes = refiner_input(frame, window, box, others, probability, seen)
+        first = planes[PROBABILITY] / np.float32(255)
+        change = self._refiner.probability(planes) - first
+        soft = first + np.float32(_ADDED_SHARE) * np.maximum(change, 0)
+        soft += np.float32(_TAKEN_SHARE) * np.minimum(change, 0)
+        soft = guided_filter(planes[:3].transpose(1, 2, 0), soft, _REFINED_RADIUS)
+        _, _, width, height = window
+        scale = min(1.0, _REFINED_ROWS / height)
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        return _silhouette(resize(soft, *size) >= 0.5, window, box)
 
 
 def _silhouette(mask: NDArray[np.bool_], window: Window, box: Box) -> Silhouette | None:

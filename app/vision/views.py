@@ -1,4 +1,4 @@
-"""Windows about people, as the segmentation network is shown them."""
+"""Windows about people, as the network that looks for them is shown them."""
 
 from __future__ import annotations
 
@@ -18,25 +18,19 @@ _WINDOW_ASPECT = 0.8
 # people, and what it does not see it does not join.
 _SURROUNDINGS = 0.1
 _GREY = 127
-# Masks are drawn at no more than this height: finer than the network's own 256 rows.
+# Windows are shown at no more than this height: finer than the network's own 256 rows.
 _ROWS = 320
-
-# Upper and lower half of a view, and what they have in common, in shares of its height: seen
-# closer, limbs and edges show better.
-_HALVES = ((0.0, 0.6), (0.4, 1.0))
 
 
 @dataclass(frozen=True)
 class View:
-    """The window around one person, at the resolution at which the mask is drawn.
+    """The window around one person.
 
-    ``image`` is (h, w, 3) uint8; ``box`` is in its pixels, ``whole`` (the same box) and ``window``
-    in the frame's.
+    ``image`` is (h, w, 3) uint8; ``box`` is in its pixels, ``window`` in the frame's.
     """
 
     image: NDArray[np.uint8]
     box: Box
-    whole: Box
     window: Window
 
 
@@ -49,7 +43,7 @@ def view_of(frame: NDArray[np.uint8], box: Box) -> View:
     scale = min(1.0, _ROWS / height)
     image = resize(cut(frame, window), max(1, round(width * scale)), max(1, round(height * scale)))
     local = Box(box.x - window[0], box.y - window[1], box.width, box.height).scaled(scale)
-    return View(image, local, box, window)
+    return View(image, local, window)
 
 
 def with_grey_surroundings(view: View) -> NDArray[np.uint8]:
@@ -64,51 +58,3 @@ def with_grey_surroundings(view: View) -> NDArray[np.uint8]:
     blur = 2 * max(1, round(0.05 * rows)) + 1
     shown = cv2.blur(shown, (blur, blur)).astype(np.float32)[..., None]
     return (view.image * shown + _GREY * (1 - shown)).astype(np.uint8)
-
-
-def halves_of(view: View, image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
-    """Upper and lower half of a view's image, about as wide as high, to be looked at closer."""
-    rows = len(image)
-    columns = _middle(view)
-    return [image[round(a * rows) : round(b * rows), columns] for a, b in _HALVES]
-
-
-def joined(
-    view: View, whole: NDArray[np.float32], halves: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """What was seen of the halves, put in their places; beside them what was seen of the whole.
-
-    Parameters
-    ----------
-    view : View
-    whole : (S, S) float32 array
-        An answer to the view's image.
-    halves : (2, S, S) float32 array
-        Answers to :func:`halves_of`.
-
-    Returns
-    -------
-    (S, S) float32 array
-    """
-    rows, columns = whole.shape
-    scale = columns / view.image.shape[1]
-    middle = _middle(view)
-    left, right = round(middle.start * scale), round(middle.stop * scale)
-    (_, end), (start, _) = _HALVES
-    share = np.clip((end - (np.arange(rows) + 0.5) / rows) / (end - start), 0, 1)
-    result = whole.copy()
-    result[:, left:right] = 0
-    for half, (a, b), weights in zip(halves, _HALVES, (share, 1 - share), strict=True):
-        top, bottom = round(a * rows), round(b * rows)
-        seen = resize(half, right - left, bottom - top)
-        result[top:bottom, left:right] += weights[top:bottom, None].astype(np.float32) * seen
-    return result
-
-
-def _middle(view: View) -> slice:
-    """Columns of a view that its halves show: as many as they have rows, or all of the box."""
-    rows, columns = view.image.shape[:2]
-    share = _HALVES[0][1] - _HALVES[0][0]
-    width = min(columns, max(1, round(max(share * rows, view.box.width))))
-    left = (columns - width) // 2
-    return slice(left, left + width)

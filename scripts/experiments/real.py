@@ -23,12 +23,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from app.estimator import Estimator
-from app.settings import DEFAULT_MODEL
+from app.settings import DEFAULT_MODELS
 from app.vision.detect import Detector
 from app.vision.facing_evidence import FacingReader
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.joints import JointReader
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks
 from app.vision.people import silhouette_from_mask
 from app.vision.people_detector import make_detector
 from app.vision.refine import Refiner
@@ -84,7 +84,7 @@ Figures = dict[str, float]
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
     """Add this experiment's options to the command line."""
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
+    parser.add_argument("--models", type=Path, default=DEFAULT_MODELS, help="of fetch_models")
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH, help="index artefact to ask")
     parser.add_argument(
         "--mediapipe", type=Path, metavar="PYTHON", help="interpreter with mediapipe 0.10.21"
@@ -104,7 +104,6 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 class Tools:
     """What is measured, loaded once."""
 
-    network: PersonNetwork
     detector: Detector
     segmenter: NetworkSegmenter
     index: PoseIndex
@@ -129,19 +128,19 @@ def run(options: argparse.Namespace) -> None:
     """Run the experiment, or one of the fits, as the command line asks."""
     cv2.setNumThreads(1)
     try:
-        network = PersonNetwork(options.model)
+        networks = Networks.load(options.models)
     except TfliteError as error:
-        raise FileNotFoundError(f"{error}; python scripts/fetch_model.py fetches it") from None
-    segmenter, reader = NetworkSegmenter(network, Refiner()), JointReader()
-    detector = make_detector(network, segmenter, reader)
+        raise FileNotFoundError(f"{error}; python -m scripts.fetch_models fetches it") from None
+    segmenter, reader = NetworkSegmenter(networks.body, Refiner()), JointReader()
+    detector = make_detector(networks, segmenter, reader)
     index = PoseIndex.load(options.index)
-    tools = Tools(network, detector, segmenter, index, FacingReader(), reader)
+    tools = Tools(detector, segmenter, index, FacingReader(), reader)
     look = look_by(segmenter, reader)
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     if options.fit_detector:
-        print(fit_detector(photographs, network, look))
-        lying = lying_trials(photographs, network, segmenter, reader)
+        print(fit_detector(photographs, networks.person, look))
+        lying = lying_trials(photographs, networks.person, segmenter, reader)
         print("_CLARITY, _OFFSET = {:.2f}, {:.2f} (lying)".format(*fitted_lying(lying)))
         return
     people = read_street_people(folder / "pennfudan", photographs)
@@ -153,9 +152,9 @@ def run(options: argparse.Namespace) -> None:
     python = None if absent else options.mediapipe
     results: dict[str, Any] = {"command": COMMAND, "machine": machine()}
     results["mediapipe"] = absent or "0.10.21"
-    results["detection"] = measure_detection(photographs, network, look)
+    results["detection"] = measure_detection(photographs, networks.person, look)
     results["lying"] = {
-        **lying_figures(lying_trials(photographs, network, segmenter, reader)),
+        **lying_figures(lying_trials(photographs, networks.person, segmenter, reader)),
         **way_up_figures(photographs, segmenter, reader),
     }
     results["silhouettes"] = silhouettes(photographs, tools, python)

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from app.vision.box_arrays import iou_matrix
 from app.vision.detect import HogDetector
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from scripts.experiments.real_data import Photograph, as_array
 from scripts.experiments.real_detection_fit import (
     LookAgain,

@@ -14,7 +14,7 @@ from app.vision import detect as detection
 from app.vision.box_arrays import Boxes, iou_matrix
 from app.vision.evidence import NAMES
 from app.vision.joints import JointReader
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from app.vision.people import Box
 from app.vision.presence import presence_maps
 from app.vision.second_look import look_again

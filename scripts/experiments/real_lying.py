@@ -16,7 +16,7 @@ from tqdm import tqdm
 from app.vision.detect import CascadeDetector, probability
 from app.vision.joints import JointReader
 from app.vision.lying import lying_parts, seen_upright, segment_either_way, which_way_up
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from app.vision.people import Box, silhouette_from_mask
 from app.vision.people_detector import MIN_SCORE
 from app.vision.second_look import DOUBTED, believed
@@ -142,10 +142,11 @@ def way_up_figures(
         for label, box in enumerate(turned.boxes, start=1):
             truth = turned.labels == label
             (upright,) = segmenter.segment(turned.frame, [box])
-            assert upright is not None
             silhouette, turns = segment_either_way(segmenter, reader, turned.frame, box, upright)
             by_box.append(turns == _back(photograph))
-            overlaps.append(overlap(silhouette.mask(truth.shape), truth))
+            overlaps.append(
+                0.0 if silhouette is None else overlap(silhouette.mask(truth.shape), truth)
+            )
             mask = silhouette_from_mask(truth, segmenter="mask", truncated=False)
             assert mask is not None
             by_mask.append(which_way_up(reader, turned.frame, mask)[1] == _back(photograph))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.facing_evidence import WEIGHTS_PATH, AzimuthBelief, FacingReader, head_window
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks
 from app.vision.people import Silhouette
 from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter, Segmenter
@@ -126,7 +126,7 @@ def main() -> None:
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     folder = options.shared / "real"
-    segmenter = NetworkSegmenter(PersonNetwork(options.model), Refiner())
+    segmenter = NetworkSegmenter(Networks.load(options.models).body, Refiner())
     look = FacingReader(options.network).read
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)

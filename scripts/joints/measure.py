@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.joints import OTHER_SIDE, WEIGHTS_PATH, JointReader
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks
 from app.vision.people import Silhouette
 from app.vision.segment import Segmenter, make_segmenter
 from descriptor.silhouette import normalise
@@ -82,7 +82,7 @@ def main() -> None:
     """Command line."""
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
-    segmenter = make_segmenter(PersonNetwork(options.model))
+    segmenter = make_segmenter(Networks.load(options.models))
     reader = JointReader(options.network)
     found: dict[str, list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]] = {}
     everyone = people(options.shared / "real", segmenter, odd=options.odd, step=options.step)

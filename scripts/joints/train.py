@@ -4,7 +4,7 @@
     python -m scripts.joints.train --backgrounds /tmp/backgrounds
 
 writes ``app/vision/joints.onnx`` in about five hours on one core. It needs the extras
-build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
+build and train, and the segmentation networks (``scripts/fetch_models.py``). No photograph of
 ``../shared/real`` is seen but the empty street of ``vtest``.
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from app.vision.joints import CELL, CHANNELS, COLUMNS, OTHER_SIDE, ROWS, WEIGHTS_PATH
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks
 from app.vision.segment import make_segmenter
 from scripts.joints.model import JointReader
 from scripts.joints.samples import Samples, make_samples
@@ -111,7 +111,7 @@ def main() -> None:
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
     scenes = make_scenes(Casting(options.shared, photographs), photographs, generator)
-    segmenter = make_segmenter(PersonNetwork(options.model))
+    segmenter = make_segmenter(Networks.load(options.models))
     samples = make_samples(scenes, segmenter, options.samples)
     torch.manual_seed(options.seed)
     model = JointReader()

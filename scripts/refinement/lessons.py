@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from app.settings import DEFAULT_MODEL
+from app.settings import DEFAULT_MODELS
 
 ROOT = Path(__file__).resolve().parents[2]
 BATCH = 16
@@ -23,7 +23,7 @@ def read_options(description: str | None, *, samples: int, out: Path) -> argpars
     parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--backgrounds", type=Path, required=True, help="of .backgrounds")
-    parser.add_argument("--model", type=Path, default=DEFAULT_MODEL, help="segmentation network")
+    parser.add_argument("--models", type=Path, default=DEFAULT_MODELS, help="of fetch_models")
     parser.add_argument("--samples", type=int, default=samples)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=out)

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks
 from app.vision.people import Box
 from app.vision.refine import WEIGHTS_PATH, Refiner
 from app.vision.segment import NetworkSegmenter, Segmenter
@@ -73,7 +73,7 @@ def main() -> None:
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     folder = options.shared / "real"
-    segmenter = NetworkSegmenter(PersonNetwork(options.model), Refiner(options.network))
+    segmenter = NetworkSegmenter(Networks.load(options.models).body, Refiner(options.network))
     photographs = [one for one in read_pennfudan(folder / "pennfudan") if one.odd == options.odd]
     street = in_true_boxes(photographs, segmenter)
     found = {"street": {key: street[key] for key in ("people", "mean", "median", "milliseconds")}}

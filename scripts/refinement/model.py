@@ -43,7 +43,7 @@ class Residual(nn.Module):  # type: ignore[misc]
 
 
 class Refiner(nn.Module):  # type: ignore[misc]
-    """A U-Net: ``(N, 7, 192, 128)`` in 0..1 to probabilities ``(N, 1, 192, 128)``."""
+    """A U-Net: ``(N, 6, 192, 128)`` in 0..1 to probabilities ``(N, 1, 192, 128)``."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -4,8 +4,8 @@
     python -m scripts.refinement.train --backgrounds /tmp/backgrounds
 
 writes ``app/vision/refiner.onnx`` in about an hour and three quarters on one core. It needs the
-extras build and train, and the segmentation network (``scripts/fetch_model.py``). No photograph of
-``../shared/real`` is seen but the empty street of ``vtest``.
+extras build and train, and the segmentation networks (``scripts/fetch_models.py``). No photograph
+of ``../shared/real`` is seen but the empty street of ``vtest``.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from app.vision.network import PersonNetwork
-from app.vision.refine import CHANNELS, COLUMNS, PROBABILITIES, ROWS, WEIGHTS_PATH
+from app.vision.networks import Networks
+from app.vision.refine import CHANNELS, COLUMNS, PROBABILITY, ROWS, WEIGHTS_PATH
 from scripts.refinement.backgrounds import read_backgrounds
 from scripts.refinement.lessons import BATCH, descend, read_options
 from scripts.refinement.model import Refiner, export
@@ -39,7 +39,7 @@ class Lesson:
     rate : float
         Largest learning rate; it rises and falls once.
     helped, spoilt : float
-        How often the first network's answer is first completed by the truth, and how often it is
+        How often the body network's answer is first completed by the truth, and how often it is
         spoilt otherwise: it fails more often before simulated people than before real ones.
     severity : (float, float)
         Least and most severe faults.
@@ -56,7 +56,7 @@ LESSONS = (
     Lesson(5800, 4e-3, 0.5, 0.6, (1.0, 1.0)),
     Lesson(2500, 2e-3, 0.6, 0.6, (0.1, 0.8)),
 )
-"""First every fault there is; then those that the first network has, which is mostly right."""
+"""First every fault there is; then those that the body network has, which is mostly right."""
 
 UNKNOWN_SHARE = 0.25
 """How often nobody says where the neighbours are."""
@@ -69,19 +69,18 @@ def batch(
     lesson: Lesson,
     generator: np.random.Generator,
 ) -> tuple[Tensor, Tensor]:
-    """Some samples, varied: ``(N, 7, 192, 128)`` and ``(N, 1, 192, 128)`` in 0..1."""
+    """Some samples, varied: ``(N, 6, 192, 128)`` and ``(N, 1, 192, 128)`` in 0..1."""
     seen = inputs[rows].astype(np.float32) / 255
     wanted = targets[rows].astype(np.float32) / 255
     for number in range(len(rows)):
         severity = generator.uniform(*lesson.severity)
-        for plane in PROBABILITIES:
-            probability = inputs[rows[number], plane]
-            if generator.random() < lesson.helped:
-                probability = np.maximum(probability, targets[rows[number]])
-                probability = spoil(probability, generator, severity)
-            elif generator.random() < lesson.spoilt:
-                probability = spoil(probability, generator, severity)
-            seen[number, plane] = probability.astype(np.float32) / 255
+        probability = inputs[rows[number], PROBABILITY]
+        if generator.random() < lesson.helped:
+            probability = np.maximum(probability, targets[rows[number]])
+            probability = spoil(probability, generator, severity)
+        elif generator.random() < lesson.spoilt:
+            probability = spoil(probability, generator, severity)
+        seen[number, PROBABILITY] = probability.astype(np.float32) / 255
         gain = np.exp(generator.normal(0, 0.12, 3) + generator.normal(0, 0.15))
         seen[number, :3] *= gain.astype(np.float32)[:, None, None]
         seen[number, :3] += np.float32(generator.normal(0, 0.05))
@@ -126,7 +125,7 @@ def main() -> None:
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
     scenes = make_scenes(Casting(options.shared, photographs), photographs, generator)
-    samples = make_samples(scenes, PersonNetwork(options.model), options.samples)
+    samples = make_samples(scenes, Networks.load(options.models).body, options.samples)
     torch.manual_seed(options.seed)
     model = Refiner()
     model.to(memory_format=torch.channels_last)

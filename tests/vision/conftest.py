@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.network import PersonNetwork
+from app.vision.networks import BODY_FILE, PERSON_FILE, Networks, PersonNetwork
 from app.vision.people import Box
+from app.vision.refine import Refiner
+from app.vision.segment import NetworkSegmenter
 
 ROOT = Path(__file__).resolve().parents[2]
-MODEL = ROOT / "models" / "selfie_segmentation.tflite"
+MODELS = ROOT / "models"
 
 
 @pytest.fixture(scope="session")
@@ -29,12 +31,27 @@ def walkers() -> list[Box]:
 
 
 @pytest.fixture(scope="session")
-def model_path() -> Path:
-    if not MODEL.is_file():
-        pytest.skip(f"{MODEL} is not there; scripts/fetch_model.py fetches it")
-    return MODEL
+def models() -> Path:
+    if not all((MODELS / file).is_file() for file in (PERSON_FILE, BODY_FILE)):
+        pytest.skip(f"{MODELS} lacks a network; python -m scripts.fetch_models fetches it")
+    return MODELS
 
 
 @pytest.fixture(scope="session")
-def network(model_path: Path) -> PersonNetwork:
-    return PersonNetwork(model_path)
+def person_model(models: Path) -> Path:
+    return models / PERSON_FILE
+
+
+@pytest.fixture(scope="session")
+def networks(models: Path) -> Networks:
+    return Networks.load(models)
+
+
+@pytest.fixture(scope="session")
+def network(networks: Networks) -> PersonNetwork:
+    return networks.person
+
+
+@pytest.fixture(scope="session")
+def segmenter(networks: Networks) -> NetworkSegmenter:
+    return NetworkSegmenter(networks.body, Refiner())

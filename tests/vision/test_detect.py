@@ -13,7 +13,7 @@ from app.vision.box_arrays import averaged, drop_parts, iou_matrix, suppress
 from app.vision.detect import CascadeDetector, Detector, HogDetector
 from app.vision.evidence import suited
 from app.vision.hog import as_cells, person_windows
-from app.vision.network import PersonNetwork
+from app.vision.networks import PersonNetwork
 from app.vision.people import Box
 from app.vision.presence import PresenceMap
 

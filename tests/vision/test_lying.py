@@ -19,11 +19,10 @@ from app.vision.lying import (
     segment_people,
     which_way_up,
 )
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks, PersonNetwork
 from app.vision.people import Box, Detection
 from app.vision.people_detector import make_detector
 from app.vision.presence import Presence, PresenceMap
-from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter
 from app.vision.turning import turned_box, turned_silhouette
 
@@ -41,11 +40,6 @@ def presence_of(boxes: Sequence[tuple[int, int, int, int]], factor: float = 1.0)
 @pytest.fixture(scope="module")
 def reader() -> JointReader:
     return JointReader()
-
-
-@pytest.fixture(scope="module")
-def segmenter(network: PersonNetwork) -> NetworkSegmenter:
-    return NetworkSegmenter(network, Refiner())
 
 
 def test_what_is_wide_and_in_one_piece_may_lie() -> None:
@@ -120,13 +114,13 @@ def test_a_walker_in_a_turned_frame_lies(
 
 
 def test_somebody_who_lies_is_detected(
-    network: PersonNetwork,
+    networks: Networks,
     segmenter: NetworkSegmenter,
     reader: JointReader,
     street: NDArray[np.uint8],
     walkers: list[Box],
 ) -> None:
-    detector = make_detector(network, segmenter, reader)
+    detector = make_detector(networks, segmenter, reader)
     lying = np.ascontiguousarray(np.rot90(street, 1))
     found = [one for one in detector.detect(lying) if one.turns]
     assert found, "expected somebody who lies, found nobody"

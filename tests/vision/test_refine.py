@@ -15,7 +15,7 @@ from app.vision.people import Box
 from app.vision.refine import (
     CHANNELS,
     COLUMNS,
-    PROBABILITIES,
+    PROBABILITY,
     ROWS,
     WEIGHTS_PATH,
     Refiner,
@@ -35,10 +35,9 @@ def refiner() -> Refiner:
 def planes_of(
     frame: NDArray[np.uint8], box: Box, others: list[Box], probability: NDArray[np.float32]
 ) -> NDArray[np.uint8]:
-    """What the refiner sees where the first network saw the whole frame, twice the same."""
+    """What the refiner sees where the body network saw the whole frame."""
     seen = (0, 0, frame.shape[1], frame.shape[0])
-    looks = np.stack([probability, probability])
-    return refiner_input(frame, refiner_window(box), box, others, looks, seen)
+    return refiner_input(frame, refiner_window(box), box, others, probability, seen)
 
 
 @given(places, places, sides, sides)
@@ -59,7 +58,7 @@ def test_a_standing_person_fills_the_window() -> None:
 
 @pytest.mark.parametrize("side", [64, 256, 400])
 def test_probability_and_box_lie_on_each_other(side: int) -> None:
-    """A first network that marks exactly the box, at any resolution, marks it here too."""
+    """A body network that marks exactly the box, at any resolution, marks it here too."""
     frame = np.zeros((400, 400, 3), np.uint8)
     box = Box(99.5, 49.5, 120, 300)
     marked = np.zeros((400, 400), np.float32)
@@ -67,16 +66,15 @@ def test_probability_and_box_lie_on_each_other(side: int) -> None:
     answer = cv2.resize(marked, (side, side), interpolation=cv2.INTER_AREA)
     planes = planes_of(frame, box, [], answer)
     assert planes.shape == (CHANNELS, ROWS, COLUMNS) and planes.dtype == np.uint8
-    for plane in PROBABILITIES:
-        differs = (planes[plane] > 127) != (planes[4] > 127)
-        assert differs.mean() < (0.01 if side >= 256 else 0.04)
+    differs = (planes[PROBABILITY] > 127) != (planes[4] > 127)
+    assert differs.mean() < (0.01 if side >= 256 else 0.04)
     assert not planes[5].any()
 
 
-def test_what_is_beyond_the_first_networks_window_is_nobody() -> None:
+def test_what_is_beyond_the_body_networks_window_is_nobody() -> None:
     frame = np.full((100, 100, 3), 90, np.uint8)
     box = Box(9.5, 9.5, 40, 80)
-    everywhere = np.ones((2, 256, 256), np.float32)
+    everywhere = np.ones((256, 192), np.float32)
     window = refiner_window(box)
     planes = refiner_input(frame, window, box, [], everywhere, (30, 0, 70, 100))
     inside = planes[3] > 127
@@ -95,7 +93,7 @@ def test_mirrored_scenes_give_mirrored_planes() -> None:
         np.ascontiguousarray(probability[:, ::-1]),
     )  # fmt: skip
     difference = np.abs(planes.astype(int) - flipped[..., ::-1].astype(int))
-    assert difference[[0, 1, 2, 4, 5]].max() <= 1 and difference[list(PROBABILITIES)].max() < 16
+    assert difference[[0, 1, 2, 4, 5]].max() <= 1 and difference[PROBABILITY].max() < 16
 
 
 @pytest.mark.parametrize("box", [Box(-30, -20, 50, 60), Box(5, 5, 1, 1), Box(0, 0, 300, 2)])
@@ -119,7 +117,7 @@ def test_it_is_small() -> None:
 
 
 def test_a_lost_arm_and_a_lost_head_come_back(refiner: Refiner) -> None:
-    """A plain figure on a plain wall, of which the first network saw the trunk and legs alone."""
+    """A plain figure on a plain wall, of which the body network saw the trunk and legs alone."""
     frame = np.full((300, 300, 3), (150, 160, 155), np.uint8)
     body = np.zeros((300, 300), np.uint8)
     cv2.ellipse(body, (150, 110), (28, 55), 0, 0, 360, 1, -1)

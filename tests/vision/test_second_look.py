@@ -12,21 +12,15 @@ from numpy.typing import NDArray
 from app.vision.detect import CascadeDetector, HogDetector
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.joints import JointReader
-from app.vision.network import PersonNetwork
+from app.vision.networks import Networks
 from app.vision.people import Box, Detection
 from app.vision.people_detector import PeopleDetector, make_detector
-from app.vision.refine import Refiner
 from app.vision.second_look import DOUBTED, MOST, believed
 from app.vision.segment import NetworkSegmenter
 from scripts.experiments.real_data import read_pose2sim
 
 ROOT = Path(__file__).resolve().parents[2]
 BALANCING = Path(os.environ.get("SHARED", ROOT / ".." / "shared")) / "real" / "pose2sim"
-
-
-@pytest.fixture(scope="module")
-def segmenter(network: PersonNetwork) -> NetworkSegmenter:
-    return NetworkSegmenter(network, Refiner())
 
 
 @pytest.fixture(scope="module")
@@ -70,17 +64,17 @@ def test_few_are_looked_at(
 
 
 def test_the_detector_fits_what_there_is(
-    network: PersonNetwork, segmenter: NetworkSegmenter, reader: JointReader
+    networks: Networks, segmenter: NetworkSegmenter, reader: JointReader
 ) -> None:
-    assert isinstance(make_detector(network, segmenter, reader), PeopleDetector)
+    assert isinstance(make_detector(networks, segmenter, reader), PeopleDetector)
     assert isinstance(make_detector(None, GrabCutSegmenter(), reader), HogDetector)
 
 
 @pytest.mark.skipif(not BALANCING.is_dir(), reason=f"no {BALANCING}")
 def test_people_who_bend_are_found(
-    network: PersonNetwork, segmenter: NetworkSegmenter, reader: JointReader
+    networks: Networks, segmenter: NetworkSegmenter, reader: JointReader
 ) -> None:
-    detectors = (CascadeDetector(network), make_detector(network, segmenter, reader))
+    detectors = (CascadeDetector(networks.person), make_detector(networks, segmenter, reader))
     found = [0, 0]
     for frame in read_pose2sim(BALANCING, "cam03", 14):
         for number, detector in enumerate(detectors):

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from app.vision.body_shape import body_prior
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
-from app.vision.network import PersonNetwork, load_network
+from app.vision.networks import BODY_FILE, PERSON_FILE, Networks, load_networks
 from app.vision.people import Box
-from app.vision.refine import Refiner
 from app.vision.segment import NetworkSegmenter, make_segmenter, silhouettes_from_labels
 from app.vision.tflite import TfliteError
 
@@ -91,11 +90,6 @@ def test_grabcut_survives_odd_boxes_and_blank_walls(shape: tuple[int, ...]) -> N
     assert len(GrabCutSegmenter().segment(blank, ODD_BOXES)) == len(ODD_BOXES)
 
 
-@pytest.fixture
-def segmenter(network: PersonNetwork) -> NetworkSegmenter:
-    return NetworkSegmenter(network, Refiner())
-
-
 @pytest.mark.parametrize("shape", [(320, 298, 3), (1, 1, 3), (3, 900, 3)])
 def test_the_network_survives_odd_boxes_and_blank_walls(
     segmenter: NetworkSegmenter, shape: tuple[int, ...]
@@ -135,13 +129,19 @@ def test_threads_agree(
 
 
 def test_without_a_network_grabcut_serves(tmp_path: Path) -> None:
-    assert make_segmenter(load_network(None)).name == "grabcut"
-    assert make_segmenter(load_network(tmp_path / "missing.tflite")).name == "grabcut"
-    broken = tmp_path / "broken.tflite"
-    broken.write_bytes(b"not a network" * 100)
-    assert make_segmenter(load_network(broken)).name == "grabcut"
+    assert make_segmenter(load_networks(None)).name == "grabcut"
+    assert make_segmenter(load_networks(tmp_path)).name == "grabcut"
+    for file in (PERSON_FILE, BODY_FILE):
+        (tmp_path / file).write_bytes(b"not a network" * 100)
+    assert make_segmenter(load_networks(tmp_path)).name == "grabcut"
     with pytest.raises(TfliteError):
-        PersonNetwork(broken)
+        Networks.load(tmp_path)
+
+
+def test_without_one_of_the_networks_grabcut_serves(models: Path, tmp_path: Path) -> None:
+    for file in (PERSON_FILE, BODY_FILE):
+        (tmp_path / file).symlink_to(models / file)
+        assert (load_networks(tmp_path) is None) == (file == PERSON_FILE)
 
 
 def test_small_holes_are_filled_and_large_ones_kept() -> None:

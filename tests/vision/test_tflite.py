@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.network import SIZE, PersonNetwork
+from app.vision.networks import SIZE, PersonNetwork
 from app.vision.tflite import TfliteError, TfliteNetwork
 
 ENTERING, LEAVING = (SIZE, SIZE, 3), (SIZE, SIZE, 1)
 
 
 def test_opencv_sees_the_same(
-    model_path: Path, network: PersonNetwork, street: NDArray[np.uint8]
+    person_model: Path, network: PersonNetwork, street: NDArray[np.uint8]
 ) -> None:
-    net = cv2.dnn.readNetFromTFLite(str(model_path))
+    net = cv2.dnn.readNetFromTFLite(str(person_model))
     small = cv2.resize(street, (SIZE, SIZE))
     net.setInput(cv2.dnn.blobFromImage(small, 1 / 255, swapRB=True))
     np.testing.assert_allclose(network.of_images([small])[0], net.forward()[0, 0], atol=1e-3)
 
 
-def test_threads_agree(model_path: Path) -> None:
-    network = TfliteNetwork(model_path, ENTERING, LEAVING)
+def test_threads_agree(person_model: Path) -> None:
+    network = TfliteNetwork(person_model, ENTERING, LEAVING)
     images = np.random.default_rng(0).random((8, *ENTERING), np.float32)
     expected = [network.run(image) for image in images]
     with ThreadPoolExecutor(4) as pool:
@@ -44,14 +44,14 @@ def test_a_missing_or_broken_file_is_told(tmp_path: Path) -> None:
             TfliteNetwork(broken, ENTERING, LEAVING)
 
 
-def test_half_a_network_is_told(model_path: Path, tmp_path: Path) -> None:
+def test_half_a_network_is_told(person_model: Path, tmp_path: Path) -> None:
     half = tmp_path / "half.tflite"
-    content = model_path.read_bytes()
+    content = person_model.read_bytes()
     half.write_bytes(content[: len(content) // 2])
     with pytest.raises(TfliteError, match="LiteRT"):
         TfliteNetwork(half, ENTERING, LEAVING)
 
 
-def test_another_network_is_told(model_path: Path) -> None:
+def test_another_network_is_told(person_model: Path) -> None:
     with pytest.raises(TfliteError, match=r"one output \(256, 256, 2\), got .*256, 256, 1"):
-        TfliteNetwork(model_path, ENTERING, (SIZE, SIZE, 2))
+        TfliteNetwork(person_model, ENTERING, (SIZE, SIZE, 2))
