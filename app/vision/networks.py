@@ -87,10 +87,11 @@ class PersonNetwork:
         (N, 256, 256) float32 array
             0 to 1.
         """
-        answers = self._workers.map(self._of_image, images)
+        answers = self._workers.map(self.of_image, images)
         return np.array(answers, np.float32).reshape(len(images), SIZE, SIZE)
 
-    def _of_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def of_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """As :meth:`of_images`, of one, by the caller's thread: ``(256, 256)``."""
         return self._network.run(_rgb(resize(image, SIZE, SIZE)))[..., 0]
 
 

@@ -1,6 +1,6 @@
 """A small network that redraws a silhouette: limbs that the first one lost, edges, neighbours.
 
-It sees the photograph, what the body network made of it, and where the person's box and the
+It sees the photograph, what the first networks made of it, and where the person's box and the
 others' are. It was trained on simulated people before photographs
 (``scripts/refinement/train.py``).
 """
@@ -21,7 +21,7 @@ from app.vision.resampling import Window, cut, resize
 ROWS, COLUMNS = 192, 128
 CHANNELS = 6
 PROBABILITY = 3
-"""Plane of the input that holds what the body network saw."""
+"""Plane of the input that holds what the first networks saw."""
 
 WEIGHTS_PATH = Path(__file__).parent / "refiner.onnx"
 
@@ -46,7 +46,6 @@ def refiner_input(
     box: Box,
     others: Sequence[Box],
     probability: NDArray[np.float32],
-    seen: Window,
 ) -> NDArray[np.uint8]:
     """What the refiner looks at.
 
@@ -60,10 +59,8 @@ def refiner_input(
         The person's, in the frame.
     others : sequence of Box
         Other people's.
-    probability : (h, w) float32 array
-        Of the person, 0 to 1, as the body network sees it.
-    seen : (left, top, width, height)
-        The window of the frame that the body network saw.
+    probability : (192, 128) float32 array
+        Of the person, 0 to 1, as the first networks see it.
 
     Returns
     -------
@@ -73,26 +70,45 @@ def refiner_input(
     left, top, width, height = window
     planes: NDArray[np.uint8] = np.zeros((CHANNELS, ROWS, COLUMNS), np.uint8)
     planes[:3] = resize(cut(frame, window), COLUMNS, ROWS).transpose(2, 0, 1)
-    # From a pixel of the refiner's window to the same place in the body network's answer.
-    across = (width / COLUMNS, probability.shape[1] / seen[2])
-    down = (height / ROWS, probability.shape[0] / seen[3])
+    planes[PROBABILITY] = np.rint(255 * np.clip(probability, 0, 1))
+    across, down = width / COLUMNS, height / ROWS
+    for plane, boxes in ((4, [box]), (5, others)):
+        for one in boxes:
+            x0 = round((one.x + 0.5 - left) / across)
+            x1 = round((one.right + 0.5 - left) / across)
+            y0 = round((one.y + 0.5 - top) / down)
+            y1 = round((one.bottom + 0.5 - top) / down)
+            planes[plane, max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 255
+    return planes
+
+
+def moved(probability: NDArray[np.float32], seen: Window, window: Window) -> NDArray[np.float32]:
+    """Move what was seen of one window to the refiner's.
+
+    Parameters
+    ----------
+    probability : (h, w) float32 array
+    seen : (left, top, width, height)
+        The window of the frame that it covers.
+    window : (left, top, width, height)
+        Of :func:`refiner_window`.
+
+    Returns
+    -------
+    (192, 128) float32 array
+        0 beyond what was seen.
+    """
+    across = (window[2] / COLUMNS, probability.shape[1] / seen[2])
+    down = (window[3] / ROWS, probability.shape[0] / seen[3])
+    # From a pixel of the refiner's window to the same place in what was seen.
     matrix = np.array(
         [
-            [across[0] * across[1], 0, (0.5 * across[0] + left - seen[0]) * across[1] - 0.5],
-            [0, down[0] * down[1], (0.5 * down[0] + top - seen[1]) * down[1] - 0.5],
+            [across[0] * across[1], 0, (0.5 * across[0] + window[0] - seen[0]) * across[1] - 0.5],
+            [0, down[0] * down[1], (0.5 * down[0] + window[1] - seen[1]) * down[1] - 0.5],
         ]
     )
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(probability, matrix, (COLUMNS, ROWS), flags=flags)
-    planes[PROBABILITY] = np.rint(255 * np.clip(moved, 0, 1))
-    for plane, boxes in ((4, [box]), (5, others)):
-        for one in boxes:
-            x0 = round((one.x + 0.5 - left) / across[0])
-            x1 = round((one.right + 0.5 - left) / across[0])
-            y0 = round((one.y + 0.5 - top) / down[0])
-            y1 = round((one.bottom + 0.5 - top) / down[0])
-            planes[plane, max(0, y0) : max(0, y1), max(0, x0) : max(0, x1)] = 255
-    return planes
+    return np.asarray(cv2.warpAffine(probability, matrix, (COLUMNS, ROWS), flags=flags))
 
 
 class Refiner:

@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> None:
         networks = Networks.load(options.models)
     except TfliteError as error:
         raise FileNotFoundError(f"{error}; python -m scripts.fetch_models fetches it") from None
-    segmenter, reader = NetworkSegmenter(networks.body, Refiner()), JointReader()
+    segmenter, reader = NetworkSegmenter(networks, Refiner()), JointReader()
     detector = make_detector(networks, segmenter, reader)
     index = PoseIndex.load(options.index)
     tools = Tools(detector, segmenter, index, FacingReader(), reader)

@@ -126,7 +126,7 @@ def main() -> None:
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     folder = options.shared / "real"
-    segmenter = NetworkSegmenter(Networks.load(options.models).body, Refiner())
+    segmenter = NetworkSegmenter(Networks.load(options.models), Refiner())
     look = FacingReader(options.network).read
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)

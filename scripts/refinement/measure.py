@@ -73,7 +73,7 @@ def main() -> None:
     options = read_options(__doc__, WEIGHTS_PATH)
     cv2.setNumThreads(1)
     folder = options.shared / "real"
-    segmenter = NetworkSegmenter(Networks.load(options.models).body, Refiner(options.network))
+    segmenter = NetworkSegmenter(Networks.load(options.models), Refiner(options.network))
     photographs = [one for one in read_pennfudan(folder / "pennfudan") if one.odd == options.odd]
     street = in_true_boxes(photographs, segmenter)
     found = {"street": {key: street[key] for key in ("people", "mean", "median", "milliseconds")}}

@@ -8,34 +8,35 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.networks import BodyNetwork, body_window
+from app.vision.networks import Networks
 from app.vision.refine import CHANNELS, COLUMNS, ROWS, refiner_input, refiner_window
 from app.vision.resampling import cut, resize
+from app.vision.segment import two_looks
 from scripts.refinement.scenes import Scene, counted
 
 
 def samples_of(
-    scene: Scene, body: BodyNetwork
+    scene: Scene, networks: Networks
 ) -> list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     """Inputs ``(6, 192, 128)`` and targets ``(192, 128)`` of everybody in a scene."""
     found = []
     for number, box in enumerate(scene.boxes):
         others = [other for other in scene.boxes if other is not box]
-        shown, window = body_window(box, len(scene.frame)), refiner_window(box)
-        probability = body.probability(scene.frame, shown)
-        seen = refiner_input(scene.frame, window, box, others, probability, shown)
+        window = refiner_window(box)
+        probability = two_looks(networks, scene.frame, box, window)
+        seen = refiner_input(scene.frame, window, box, others, probability)
         target = resize(cut(scene.covers[number], window), COLUMNS, ROWS)
         found.append((seen, np.rint(255 * target).astype(np.uint8)))
     return found
 
 
 def make_samples(
-    scenes: Iterable[Scene], body: BodyNetwork, count: int
+    scenes: Iterable[Scene], networks: Networks, count: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Make ``count`` samples of scenes: inputs ``(N, 6, 192, 128)``, targets ``(N, 192, 128)``."""
     inputs = np.empty((count, CHANNELS, ROWS, COLUMNS), np.uint8)
     targets = np.empty((count, ROWS, COLUMNS), np.uint8)
-    found = (one for scene in scenes for one in samples_of(scene, body))
+    found = (one for scene in scenes for one in samples_of(scene, networks))
     for row, (seen, target) in enumerate(counted(found, count)):
         inputs[row], targets[row] = seen, target
     return inputs, targets
@@ -44,7 +45,7 @@ def make_samples(
 def spoil(
     probability: NDArray[np.uint8], generator: np.random.Generator, severity: float = 1.0
 ) -> NDArray[np.uint8]:
-    """Give the body network's answer the faults that it has before real people.
+    """Give the first networks' answer the faults that it has before real people.
 
     Parts are lost, background sticks to the body, outlines blur and wander.
 

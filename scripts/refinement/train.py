@@ -39,7 +39,7 @@ class Lesson:
     rate : float
         Largest learning rate; it rises and falls once.
     helped, spoilt : float
-        How often the body network's answer is first completed by the truth, and how often it is
+        How often the first networks' answer is first completed by the truth, and how often it is
         spoilt otherwise: it fails more often before simulated people than before real ones.
     severity : (float, float)
         Least and most severe faults.
@@ -56,7 +56,7 @@ LESSONS = (
     Lesson(5800, 4e-3, 0.5, 0.6, (1.0, 1.0)),
     Lesson(2500, 2e-3, 0.6, 0.6, (0.1, 0.8)),
 )
-"""First every fault there is; then those that the body network has, which is mostly right."""
+"""First every fault there is; then those that the first networks have, which are mostly right."""
 
 UNKNOWN_SHARE = 0.25
 """How often nobody says where the neighbours are."""
@@ -125,7 +125,7 @@ def main() -> None:
     photographs = read_backgrounds(options.backgrounds, options.shared / "real")
     generator = np.random.default_rng(options.seed)
     scenes = make_scenes(Casting(options.shared, photographs), photographs, generator)
-    samples = make_samples(scenes, Networks.load(options.models).body, options.samples)
+    samples = make_samples(scenes, Networks.load(options.models), options.samples)
     torch.manual_seed(options.seed)
     model = Refiner()
     model.to(memory_format=torch.channels_last)

@@ -54,4 +54,4 @@ def network(networks: Networks) -> PersonNetwork:
 
 @pytest.fixture(scope="session")
 def segmenter(networks: Networks) -> NetworkSegmenter:
-    return NetworkSegmenter(networks.body, Refiner())
+    return NetworkSegmenter(networks, Refiner())

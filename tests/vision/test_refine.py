@@ -19,6 +19,7 @@ from app.vision.refine import (
     ROWS,
     WEIGHTS_PATH,
     Refiner,
+    moved,
     refiner_input,
     refiner_window,
 )
@@ -35,9 +36,10 @@ def refiner() -> Refiner:
 def planes_of(
     frame: NDArray[np.uint8], box: Box, others: list[Box], probability: NDArray[np.float32]
 ) -> NDArray[np.uint8]:
-    """What the refiner sees where the body network saw the whole frame."""
-    seen = (0, 0, frame.shape[1], frame.shape[0])
-    return refiner_input(frame, refiner_window(box), box, others, probability, seen)
+    """What the refiner sees where the first networks saw the whole frame."""
+    window = refiner_window(box)
+    seen = moved(probability, (0, 0, frame.shape[1], frame.shape[0]), window)
+    return refiner_input(frame, window, box, others, seen)
 
 
 @given(places, places, sides, sides)
@@ -58,7 +60,7 @@ def test_a_standing_person_fills_the_window() -> None:
 
 @pytest.mark.parametrize("side", [64, 256, 400])
 def test_probability_and_box_lie_on_each_other(side: int) -> None:
-    """A body network that marks exactly the box, at any resolution, marks it here too."""
+    """A first network that marks exactly the box, at any resolution, marks it here too."""
     frame = np.zeros((400, 400, 3), np.uint8)
     box = Box(99.5, 49.5, 120, 300)
     marked = np.zeros((400, 400), np.float32)
@@ -71,13 +73,9 @@ def test_probability_and_box_lie_on_each_other(side: int) -> None:
     assert not planes[5].any()
 
 
-def test_what_is_beyond_the_body_networks_window_is_nobody() -> None:
-    frame = np.full((100, 100, 3), 90, np.uint8)
-    box = Box(9.5, 9.5, 40, 80)
-    everywhere = np.ones((256, 192), np.float32)
-    window = refiner_window(box)
-    planes = refiner_input(frame, window, box, [], everywhere, (30, 0, 70, 100))
-    inside = planes[3] > 127
+def test_what_is_beyond_the_first_networks_window_is_nobody() -> None:
+    window = refiner_window(Box(9.5, 9.5, 40, 80))
+    inside = moved(np.ones((256, 192), np.float32), (30, 0, 70, 100), window) > 0.5
     edge = (30 - window[0]) * COLUMNS / window[2]
     assert not inside[:, : int(edge) - 1].any() and inside[ROWS // 2, int(edge) + 2 :].all()
 
@@ -117,7 +115,7 @@ def test_it_is_small() -> None:
 
 
 def test_a_lost_arm_and_a_lost_head_come_back(refiner: Refiner) -> None:
-    """A plain figure on a plain wall, of which the body network saw the trunk and legs alone."""
+    """A plain figure on a plain wall, of which the first networks saw the trunk and legs alone."""
     frame = np.full((300, 300, 3), (150, 160, 155), np.uint8)
     body = np.zeros((300, 300), np.uint8)
     cv2.ellipse(body, (150, 110), (28, 55), 0, 0, 360, 1, -1)
