@@ -27,7 +27,7 @@ _M_ARENA_MAX = -8
 
 # Larger than the pixels of a usual frame: pages given back after each frame are fetched anew for
 # the next one, which costs more than decoding it.
-_GIVEN_BACK_FROM_BYTES = 16 * 1024**2
+_GIVEN_BACK_FROM_BYTES = 8 * 1024**2
 _HEAPS = 2
 
 # How long a thread that runs Python keeps another one waiting. The thread that answers has to

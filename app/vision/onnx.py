@@ -42,13 +42,10 @@ class OnnxNetwork:
         *,
         winograd: bool = True,
     ) -> None:
-        try:
-            model = np.frombuffer(path.read_bytes(), np.uint8)
-        except OSError as error:
-            raise OnnxError(f"cannot read a network: {error}") from error
 
         def read() -> cv2.dnn.Net:
-            net = cv2.dnn.readNetFromONNX(model)
+            # Anew for each copy: kept, the files of all networks would take 11 MB.
+            net = cv2.dnn.readNetFromONNX(np.frombuffer(path.read_bytes(), np.uint8))
             net.enableWinograd(winograd)
             return net
 
@@ -56,6 +53,8 @@ class OnnxNetwork:
         self._copies = Copies(read)
         try:
             shape = self.run(np.zeros(entering, np.uint8)).shape
+        except OSError as error:
+            raise OnnxError(f"cannot read a network: {error}") from error
         except cv2.error as error:
             raise OnnxError(f"{path} is not a network OpenCV can run") from error
         if shape != leaving:

@@ -27,6 +27,8 @@ class TfliteNetwork:
     path : Path
     entering, leaving : tuple of int
         Shapes of input and output: rows, columns and channels.
+    copies : int, optional
+        How many calls it may serve at a time; by default as many as come.
 
     Raises
     ------
@@ -35,7 +37,12 @@ class TfliteNetwork:
     """
 
     def __init__(
-        self, path: Path, entering: tuple[int, int, int], leaving: tuple[int, int, int]
+        self,
+        path: Path,
+        entering: tuple[int, int, int],
+        leaving: tuple[int, int, int],
+        *,
+        copies: int | None = None,
     ) -> None:
         self._path = path
         try:
@@ -43,7 +50,7 @@ class TfliteNetwork:
         except OSError as error:
             raise TfliteError(f"cannot read a network: {error}") from error
         # An interpreter keeps what its layers give inside, so each serves one call at a time.
-        self._copies = Copies(self._read)
+        self._copies = Copies(self._read, copies)
         with self._copies.one() as interpreter:
             ends = [*interpreter.get_input_details(), *interpreter.get_output_details()]
         shapes = [tuple(end["shape"].tolist()) for end in ends]
