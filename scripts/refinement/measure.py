@@ -20,9 +20,9 @@ from app.vision.networks import Networks
 from app.vision.people import Box
 from app.vision.refine import WEIGHTS_PATH, Refiner
 from app.vision.segment import NetworkSegmenter, Segmenter
-from scripts.experiments.real_data import read_pennfudan, read_pose2sim
+from scripts.experiments.real_data import Photograph, read_pennfudan, read_pose2sim
 from scripts.experiments.real_options import read_options
-from scripts.experiments.real_silhouettes import in_true_boxes
+from scripts.experiments.real_silhouettes import in_true_boxes, overlap
 
 CAMERAS = ("cam01", "cam03")
 LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
@@ -63,6 +63,25 @@ def limbs_covered(folder: Path, segmenter: Segmenter, step: int) -> dict[str, fl
     return figures
 
 
+def cut_by_the_frame(
+    photographs: Sequence[Photograph], segmenter: Segmenter
+) -> dict[str, list[float]]:
+    """Overlap where the frame ends, or begins, in the middle of each person."""
+    found: dict[str, list[float]] = {"legs cut off": [], "head cut off": []}
+    for photograph in photographs:
+        for label, box in enumerate(photograph.boxes, start=1):
+            middle = round(box.y + box.height / 2)
+            truth = photograph.labels == label
+            for name, rows in zip(found, (slice(middle), slice(middle, None)), strict=True):
+                frame = np.ascontiguousarray(photograph.frame[rows])
+                above = rows.start or 0
+                moved = Box(box.x, box.y - above, box.width, box.height)
+                part = moved.clip(frame.shape[1], len(frame))
+                assert part is not None
+                found[name].append(overlap(_mask(segmenter, frame, part), truth[rows]))
+    return found
+
+
 def _mask(segmenter: Segmenter, frame: NDArray[np.uint8], box: Box) -> NDArray[np.bool_]:
     one = segmenter.segment(frame, [box])[0]
     return np.zeros(frame.shape[:2], bool) if one is None else one.mask(frame.shape)
@@ -77,6 +96,8 @@ def main() -> None:
     photographs = [one for one in read_pennfudan(folder / "pennfudan") if one.odd == options.odd]
     street = in_true_boxes(photographs, segmenter)
     found = {"street": {key: street[key] for key in ("people", "mean", "median", "milliseconds")}}
+    for name, overlaps in cut_by_the_frame(photographs, segmenter).items():
+        found[name] = {"mean": float(np.mean(overlaps)), "median": float(np.median(overlaps))}
     if options.odd:
         found["limbs covered"] = limbs_covered(folder / "pose2sim", segmenter, options.step)
     for name, one in found.items():
