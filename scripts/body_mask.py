@@ -27,8 +27,7 @@ def mask_network(model: bytes, columns: int = 192, mask: str = MASK) -> bytes:
     model : bytes
         TFLite, of one input ``(1, H, W, C)``.
     columns : int
-        New width of input and mask; a divisor of the old one goes into it as often as into each
-        width inside.
+        New width of input and mask; a multiple of 32 for a network that halves it five times.
     mask : str
         Name of the output kept.
 
@@ -43,39 +42,49 @@ def mask_network(model: bytes, columns: int = 192, mask: str = MASK) -> bytes:
         If the network has no such output.
     """
     network: Any = schema.ModelT.InitFromPackedBuf(model, 0)
-    graph = network.subgraphs[0]
-    names = [tensor.name.decode() for tensor in graph.tensors]
+    names = [tensor.name.decode() for tensor in network.subgraphs[0].tensors]
     if mask not in names:
         raise ValueError(f"expected a network with an output {mask}")
-    graph.outputs = [names.index(mask)]
-    needed = set(graph.outputs)
-    kept = []
-    for operator in reversed(graph.operators):
-        if needed.intersection(operator.outputs):
-            needed.update(number for number in operator.inputs if number >= 0)
-            kept.append(operator)
-    graph.operators = kept[::-1]
-    entry = graph.tensors[graph.inputs[0]]
-    share = columns / entry.shape[2]
-    entry.shape = [*entry.shape[:2], columns, *entry.shape[3:]]
-    used = {graph.tensors[number].buffer for number in needed}
-    sizes = {
-        graph.tensors[operator.inputs[1]].buffer
-        for operator in graph.operators
-        if _is_resize(network.operatorCodes[operator.opcodeIndex])
-    }
-    for number, buffer in enumerate(network.buffers):
-        if number not in used:
-            buffer.data = None
-        elif number in sizes:
-            height, width = np.frombuffer(bytes(buffer.data), np.int32).tolist()
-            size = np.array([height, round(width * share)], np.int32)
-            buffer.data = np.frombuffer(size.tobytes(), np.uint8)
+    _keep(network, names.index(mask))
+    _narrow(network, columns)
     network.signatureDefs = None
     builder = flatbuffers.Builder(len(model))
     builder.Finish(network.Pack(builder), _FILE_IDENTIFIER)
     return bytes(builder.Output())
 
 
-def _is_resize(code: Any) -> bool:
-    return bool(code.builtinCode == schema.BuiltinOperator.RESIZE_BILINEAR)
+def _keep(network: Any, output: int) -> None:
+    """Leave only what leads to one of the tensors, in place."""
+    graph = network.subgraphs[0]
+    graph.outputs = [output]
+    needed = {output}
+    kept = []
+    for operator in reversed(graph.operators):
+        if needed.intersection(operator.outputs):
+            needed.update(number for number in operator.inputs if number >= 0)
+            kept.append(operator)
+    graph.operators = kept[::-1]
+    used = {graph.tensors[number].buffer for number in needed}
+    for number, buffer in enumerate(network.buffers):
+        if number not in used:
+            buffer.data = None
+
+
+def _narrow(network: Any, columns: int) -> None:
+    """Set the width of the input, and of all that is resized inside, in place."""
+    graph = network.subgraphs[0]
+    entry = graph.tensors[graph.inputs[0]]
+    share = columns / entry.shape[2]
+    entry.shape = [*entry.shape[:2], columns, *entry.shape[3:]]
+    # Resizing to the same size, several operators may share the buffer that names it.
+    sizes = {
+        graph.tensors[operator.inputs[1]].buffer
+        for operator in graph.operators
+        if network.operatorCodes[operator.opcodeIndex].builtinCode
+        == schema.BuiltinOperator.RESIZE_BILINEAR
+    }
+    for number in sizes:
+        buffer = network.buffers[number]
+        height, width = np.frombuffer(bytes(buffer.data), np.int32).tolist()
+        size = np.array([height, round(width * share)], np.int32)
+        buffer.data = np.frombuffer(size.tobytes(), np.uint8)

@@ -16,10 +16,10 @@ from app.vision.tflite import TfliteError, TfliteNetwork
 from app.vision.workers import Workers
 
 SIZE = 256
-"""Rows and columns that the first network sees."""
+"""Rows and columns that :class:`PersonNetwork` sees."""
 
 ROWS, COLUMNS = 256, 192
-"""Rows and columns that the second network sees."""
+"""Rows and columns that :class:`BodyNetwork` sees."""
 
 PERSON_FILE, BODY_FILE = "selfie_segmentation.tflite", "body_mask.tflite"
 
