@@ -96,13 +96,23 @@ def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.
     """
     centres = (np.arange(size) - (size - 1) / 2) / scale + (source_size - 1) / 2
     support = max(1.0, 1.0 / scale)
-    distance = np.abs(centres[:, None] - np.arange(source_size)[None, :])
-    weights = np.maximum(0.0, 1.0 - distance / support)
+    weights = _tents(centres, np.arange(source_size), support)
     # The sum a row would have in an unbounded source, so that the border fades to 0.
     lattice = np.arange(-int(np.ceil(support)) - 1, int(np.ceil(support)) + 2)
-    fraction = centres - np.floor(centres)
-    total = np.maximum(0.0, 1.0 - np.abs(fraction[:, None] - lattice[None, :]) / support).sum(1)
-    return np.asarray(weights / total[:, None], np.float32)
+    total = _tents(centres - np.floor(centres), lattice, support).sum(axis=1, keepdims=True)
+    return np.asarray(weights / total)
+
+
+def _tents(
+    centres: NDArray[np.floating], samples: NDArray[np.integer], support: float
+) -> NDArray[np.float32]:
+    """From 1 at each centre to 0 so far from it: a matrix ``(centres, samples)``."""
+    # In single precision and in place, which takes a fifth of the time for a tall silhouette.
+    tents = centres[:, None].astype(np.float32) - samples.astype(np.float32)
+    np.abs(tents, out=tents)
+    tents /= -support
+    tents += 1
+    return np.maximum(tents, 0, out=tents)
 
 
 def pack(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -19,10 +19,11 @@ from index.modes import Mode, candidate_weights, find_modes
 from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
 
-CANDIDATES = 200
-"""Nearest entries that are looked at; of more, few add a mode worth offering."""
+CANDIDATES, CANDIDATES_SEEN = 160, 200
+"""Nearest entries that are looked at, without and with maps of the joints; of more, few add a mode
+worth offering."""
 
-SPARE_MODES, SPARE_MODES_SEEN = 5, 14
+SPARE_MODES, SPARE_MODES_SEEN = 4, 14
 """Modes looked at beyond those asked for, without and with maps of the joints: a thin one may fit
 best, or agree best with what else is known of the person."""
 
@@ -168,8 +169,11 @@ def _enough_modes(
     index: PoseIndex, leanings: Sequence[Leaning], n: int, maps: JointMaps | None
 ) -> tuple[Candidates, list[Mode]]:
     """Look at more candidates until they hold ``n`` modes or the index has no more."""
-    wanted = n + (SPARE_MODES if maps is None else SPARE_MODES_SEEN)
-    k = max(CANDIDATES, 20 * n)
+    fewest, spare = (
+        (CANDIDATES, SPARE_MODES) if maps is None else (CANDIDATES_SEEN, SPARE_MODES_SEEN)
+    )
+    wanted, most = n + spare, 16 * fewest
+    k = max(fewest, 20 * n)
     while True:
         candidates = find_leaning_candidates(index, leanings, k)
         if maps is None:
@@ -181,7 +185,7 @@ def _enough_modes(
             best = np.sort(np.argsort(-weights, kind="stable")[:k])
             candidates = candidates.take(best)
             modes = find_modes(candidates, wanted, look=look.take(best))
-        if len(modes) >= n or len(candidates) < k or k >= 16 * CANDIDATES:
+        if len(modes) >= n or len(candidates) < k or k >= most:
             return candidates, modes
         k *= 2
 
@@ -251,12 +255,12 @@ def outline_distances(
     (B,) float64 array
     """
     outlines = _outlines(np.concatenate([silhouette[None], others]))
-    fields = np.stack([_distance_field(outline) for outline in outlines]).reshape(len(outlines), -1)
-    on = outlines.reshape(len(outlines), -1).astype(np.float64)
+    fields = _distance_fields(outlines).reshape(len(outlines), -1)
+    on = outlines.reshape(len(outlines), -1).astype(np.float32)
     lengths = np.maximum(on.sum(axis=1), 1)
     there = on[1:] @ fields[0] / lengths[1:]
     back = fields[1:] @ on[0] / lengths[0]
-    return np.asarray((there + back) / 2)
+    return np.asarray((there + back) / 2, np.float64)
 
 
 def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -274,7 +278,10 @@ def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray((apart != eroded)[:, :HEIGHT])
 
 
-def _distance_field(outline: NDArray[np.bool_]) -> NDArray[np.float64]:
-    if not outline.any():
-        return np.full((HEIGHT, WIDTH), np.hypot(HEIGHT, WIDTH))
-    return np.asarray(cv2.distanceTransform((~outline).view(np.uint8), cv2.DIST_L2, 3), np.float64)
+def _distance_fields(outlines: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distances ``(B, 128, 48)`` of all pixels from outlines; beyond all of them where is none."""
+    fields = np.empty(outlines.shape, np.float32)
+    for away, field in zip((~outlines).view(np.uint8), fields, strict=True):
+        cv2.distanceTransform(away, cv2.DIST_L2, 3, field)
+    fields[~outlines.any(axis=(1, 2))] = np.hypot(HEIGHT, WIDTH)
+    return fields

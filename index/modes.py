@@ -13,7 +13,9 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,50 +104,45 @@ def find_modes(
         weights = weights * look.weights()
         pulls = PULL * look.pulls.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -pulls], axis=1)
+    # The ridge keeps the regression far from where single precision would matter.
+    offsets = offsets.astype(np.float32)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    # Interpolation makes some modes alike: a few more are looked at than wanted.
-    looked_at = count + count // 3
+    densest = _densest(weights, apart, bandwidth_m)
     modes: list[Mode] = []
-    while True:
-        centres, gathered = _densest(weights, apart, looked_at, bandwidth_m)
-        # The first are those of the last time.
-        more = slice(len(modes), None)
-        modes += _interpolate(candidates, offsets, centres[more], gathered[more])
-        distinct = _distinct(np.stack([mode.points_3d[:JOINTS] for mode in modes]))[:count]
-        if len(distinct) == count or len(centres) < looked_at:
-            break
-        looked_at *= 2
-    skeletons = candidates.points_3d[centres[distinct]]
-    grown = with_bones_of(skeletons, np.stack([modes[i].points_3d for i in distinct]))
-    return [replace(modes[i], points_3d=points) for i, points in zip(distinct, grown, strict=True)]
+    distinct: list[Mode] = []
+    looked_at = count
+    while len(distinct) < count and (some := list(islice(densest, looked_at))):
+        modes += _interpolate(candidates, offsets, some)
+        distinct = _distinct(modes)[:count]
+        # Interpolation made some alike: others are looked at instead.
+        looked_at = 1 + len(modes) // 3
+    skeletons = candidates.points_3d[[mode.centre for mode in distinct]]
+    grown = with_bones_of(skeletons, np.stack([mode.points_3d for mode in distinct]))
+    return [replace(mode, points_3d=points) for mode, points in zip(distinct, grown, strict=True)]
 
 
-def _distinct(joints: NDArray[np.float64]) -> list[int]:
-    """Which interpolated modes ``(M, J, 3)`` no earlier one comes too near to."""
-    apart = _joint_distances(joints)
+def _distinct(modes: Sequence[Mode]) -> list[Mode]:
+    """Interpolated modes without those that come too near to an earlier one."""
+    near = _joint_distances(np.stack([mode.points_3d[:JOINTS] for mode in modes])) < DISTINCT_M / 2
     distinct: list[int] = []
-    for position in range(len(joints)):
-        if (apart[position, distinct] >= DISTINCT_M / 2).all():
+    for position, near_it in enumerate(near.tolist()):
+        if not any(near_it[other] for other in distinct):
             distinct.append(position)
-    return distinct
+    return [modes[position] for position in distinct]
 
 
 def _densest(
-    weights: NDArray[np.float64], apart: NDArray[np.float32], count: int, bandwidth_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Centres ``(M,)`` of up to ``count`` modes, and the shares ``(M, K)`` that gather there."""
+    weights: NDArray[np.float64], apart: NDArray[np.float32], bandwidth_m: float
+) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Centres of modes, the densest first, and the shares ``(K,)`` that gather about each."""
     kernel = np.exp(apart**2 / np.float32(-2 * bandwidth_m**2))
     remaining = (weights / weights.sum()).astype(np.float32)
     free = np.ones(len(weights), bool)
-    centres: list[int] = []
-    gathered: list[NDArray[np.float32]] = []
-    while len(centres) < count and free.any():
+    while free.any():
         centre = int(np.where(free, kernel @ remaining, -np.inf).argmax())
-        centres.append(centre)
-        gathered.append(remaining * kernel[centre])
+        yield centre, remaining * kernel[centre]
         remaining = remaining * (1 - kernel[centre] ** (1 / SUPPRESSION**2))
         free &= apart[centre] >= DISTINCT_M
-    return np.array(centres), np.stack(gathered)
 
 
 def candidate_weights(
@@ -166,13 +163,11 @@ def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float32]:
 
 def _interpolate(
     candidates: Candidates,
-    offsets: NDArray[np.floating],
-    centres: NDArray[np.int64],
-    weights: NDArray[np.float32],
+    offsets: NDArray[np.float32],
+    gatherings: Sequence[tuple[int, NDArray[np.float32]]],
 ) -> list[Mode]:
-    """Interpolate to where offsets ``(K, E)`` vanish what gathers ``(M, K)`` about each centre."""
-    # The ridge keeps all this far from where single precision would matter.
-    offsets = offsets.astype(np.float32)
+    """Interpolate to where offsets ``(K, E)`` vanish what gathers ``(K,)`` about each centre."""
+    centres, weights = [centre for centre, _ in gatherings], np.stack([w for _, w in gatherings])
     shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, np.float32(0))
     shares /= shares.sum(axis=1, keepdims=True)
     means = shares @ offsets
@@ -187,7 +182,7 @@ def _interpolate(
     steps = shares * (slopes @ offsets.T - (slopes * means).sum(axis=1, keepdims=True))
     combinations = shares + steps - shares * steps.sum(axis=1, keepdims=True)
     return [
-        Mode(int(centre), float(votes), float(distance), points_3d, points_normalised)
+        Mode(centre, float(votes), float(distance), points_3d, points_normalised)
         for centre, votes, distance, points_3d, points_normalised in zip(
             centres,
             weights.sum(axis=1),

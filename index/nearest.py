@@ -33,7 +33,7 @@ Found: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int64]]
 LISTED = 5
 """So many times as many vectors are listed as are asked for."""
 
-LEAST_LISTED = 1000
+LEAST_LISTED = 500
 """A short list could not tell how far distances may be out."""
 
 WORTHWHILE = 8

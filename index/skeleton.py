@@ -169,16 +169,11 @@ def camera_rotation(
         *(np.deg2rad(np.asarray(a, np.float64)) for a in (azimuth_deg, elevation_deg, roll_deg))
     )
     zero = np.zeros_like(azimuth)
-    right = np.stack([np.cos(azimuth), zero, -np.sin(azimuth)], axis=-1)
-    forward = -np.stack(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-            np.cos(elevation) * np.cos(azimuth),
-        ],
-        axis=-1,
-    )
-    down = np.cross(forward, right)
+    aside, ahead = np.sin(azimuth), np.cos(azimuth)
+    up, level = np.sin(elevation), np.cos(elevation)
+    right = np.stack([ahead, zero, -aside], axis=-1)
+    down = np.stack([up * aside, -level, up * ahead], axis=-1)
+    forward = -np.stack([level * aside, up, level * ahead], axis=-1)
     cos, sin = np.cos(roll)[..., None], np.sin(roll)[..., None]
     return np.stack([cos * right - sin * down, sin * right + cos * down, forward], axis=-2)
 

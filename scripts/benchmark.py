@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from index.artefact import ArtefactError
 from index.store import DEFAULT_PATH, PoseIndex
-from scripts.raw_client import Call, RawClient
+from scripts.raw_client import Call, RawClient, request_bytes
 from scripts.results import machine
 from scripts.server_process import ServerProcess
 from scripts.street import encode, street
@@ -27,6 +27,8 @@ TARGETS = "targets: /pose with a mask under 10 ms at the median, ready within 2 
 @dataclass(frozen=True)
 class Latency:
     """Round trips of one kind of request, in milliseconds, and what the machine was kept from.
+
+    From the moment the request is handed to the socket to the last byte of the answer.
 
     Parameters
     ----------
@@ -48,11 +50,11 @@ class Latency:
     def measure(cls, client: RawClient, what: str, files: dict[str, bytes], n: int) -> Latency:
         """Send the same request one after another; the first tenth warms up."""
         times = []
-        call = Call("POST", "/pose", files)
+        request = request_bytes(Call("POST", "/pose", files))
         before = processor_time()
         for _ in range(n + n // 10):
             started = time.perf_counter()
-            status, body = client.send(call)
+            status, body = client.exchange(request)
             times.append((time.perf_counter() - started) * 1000)
             if status != 200:
                 raise RuntimeError(f"expected status 200, got {status}: {body.decode()}")

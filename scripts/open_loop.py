@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
-from scripts.raw_client import Call, request_bytes
+from scripts.raw_client import Call, header, request_bytes
 
 MAX_CONNECTIONS = 400
 """Arrivals that find so many requests unanswered are not sent, but counted."""
@@ -92,13 +92,13 @@ class _Connection(asyncio.Protocol):
             head_ends = self._received.find(b"\r\n\r\n")
             if head_ends < 0:
                 return
-            length = _header(self._received[: head_ends + 2], b"content-length")
+            length = header(bytes(self._received[: head_ends + 2]), b"content-length")
             self._ends = head_ends + 4 + int(length or b"0")
         if len(self._received) >= self._ends and self._started is not None:
             head = bytes(self._received[: self._received.find(b"\r\n\r\n") + 2])
             ms = (time.perf_counter() - self._started) * 1000
             self._started = None
-            retry_after = _header(head, b"retry-after") is not None
+            retry_after = header(head, b"retry-after") is not None
             self._done(self, Answer(int(head[9:12]), ms, retry_after))
 
     def connection_lost(self, error: Exception | None) -> None:
@@ -116,14 +116,6 @@ class _Connection(asyncio.Protocol):
         """Hang up."""
         if self._transport is not None:
             self._transport.abort()
-
-
-def _header(head: bytes | bytearray, name: bytes) -> bytes | None:
-    start = bytes(head).lower().find(b"\r\n" + name + b":")
-    if start < 0:
-        return None
-    start += len(name) + 3
-    return bytes(head[start : head.index(b"\r\n", start)]).strip()
 
 
 class _Sender:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import http.client
+import select
+import socket
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
 _BOUNDARY = b"silhouette-pose-boundary"
 _CONTENT_TYPE = f"multipart/form-data; boundary={_BOUNDARY.decode()}"
+_RECEIVED_BYTES = 2**16
 
 
 @dataclass(frozen=True)
@@ -52,32 +54,75 @@ class RawClient:
     ----------
     url : str
     timeout_s : float
+        For the server to say anything.
     """
 
     def __init__(self, url: str, timeout_s: float = 30) -> None:
         parts = urlsplit(url)
-        self._connection = http.client.HTTPConnection(
-            parts.hostname or "", parts.port, timeout=timeout_s
-        )
+        self._address = (parts.hostname or "", parts.port or 80)
+        self._timeout_s = timeout_s
+        self._socket: socket.socket | None = None
 
     def send(self, call: Call) -> tuple[int, bytes]:
         """Return status and body."""
-        headers = {}
-        body = None
-        if call.method == "POST":
-            headers["Content-Type"] = _CONTENT_TYPE
-            body = call.body()
+        return self.exchange(request_bytes(call))
+
+    def exchange(self, request: bytes) -> tuple[int, bytes]:
+        """Send what :func:`request_bytes` wrote; return status and body.
+
+        Raises
+        ------
+        OSError
+            If the server closes the connection before its answer is complete, or is silent.
+        """
+        connection = self._connected()
         try:
-            self._connection.request(call.method, call.path, body, headers)
-            response = self._connection.getresponse()
-            return response.status, response.read()
-        except (http.client.HTTPException, OSError):
-            self._connection.close()
+            connection.sendall(request)
+            return self._answer(connection)
+        except OSError:
+            self.close()
             raise
 
     def hang_up(self, call: Call) -> None:
         """Send a request and close the connection without waiting for the answer."""
-        body = call.body()
-        headers = {"Content-Type": _CONTENT_TYPE}
-        self._connection.request(call.method, call.path, body, headers)
-        self._connection.close()
+        self._connected().sendall(request_bytes(call))
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection; the next call opens another."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _connected(self) -> socket.socket:
+        # Between two answers there is nothing to read but that the server has closed.
+        if self._socket is not None and select.select([self._socket], [], [], 0)[0]:
+            self.close()
+        if self._socket is None:
+            self._socket = socket.create_connection(self._address, self._timeout_s)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return self._socket
+
+    def _answer(self, connection: socket.socket) -> tuple[int, bytes]:
+        received = bytearray()
+        ends = 0
+        while not ends or len(received) < ends:
+            some = connection.recv(_RECEIVED_BYTES)
+            if not some:
+                raise ConnectionError("the server closed the connection within its answer")
+            received += some
+            if not ends and (head_ends := received.find(b"\r\n\r\n")) >= 0:
+                head = bytes(received[: head_ends + 2])
+                ends = head_ends + 4 + int(header(head, b"content-length") or b"0")
+        if header(head, b"connection") == b"close":
+            self.close()
+        return int(head[9:12]), bytes(received[head_ends + 4 :])
+
+
+def header(head: bytes, name: bytes) -> bytes | None:
+    """Value of a header, its name in lower case, in the first lines of an answer."""
+    start = head.lower().find(b"\r\n" + name + b":")
+    if start < 0:
+        return None
+    start += len(name) + 3
+    return head[start : head.index(b"\r\n", start)].strip()

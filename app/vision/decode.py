@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -14,7 +14,9 @@ from app.vision.image_header import ImageError, ImageHeader, read_header
 from app.vision.png_chunks import check_png_chunks
 from app.vision.png_grey import read_grey_png
 
-__all__ = ["ImageError", "ImageTooLargeError", "decode_image", "decode_mask"]
+__all__ = ["ImageError", "ImageTooLargeError", "Labels", "decode_image", "decode_mask"]
+
+Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 # A label image with more different values than this is a mask with soft edges, not a crowd.
 MAX_LABELS = 100
@@ -53,7 +55,7 @@ def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
     return _decode(data, header, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
 
 
-def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
+def decode_mask(data: bytes, *, max_pixels: int) -> Labels:
     """Decode a label image: 0 is background, k is person k.
 
     Grey and palette images keep their stored values exactly, whatever their bit depth (of a
@@ -71,7 +73,7 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
 
     Returns
     -------
-    (H, W) uint16 array
+    (H, W) array of uint8 or uint16
 
     Raises
     ------
@@ -95,15 +97,15 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
             raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
         pixels = pixels[:, :, 0]
     if header.lossy:
-        person: NDArray[np.bool_] = pixels >= 128
-        return person.astype(np.uint16)
-    labels: NDArray[np.uint16] = (pixels if step == 1 else pixels // step).astype(np.uint16)
+        return np.asarray(pixels >= 128).view(np.uint8)
+    labels: Labels = pixels if step == 1 else pixels // step
+    if labels.dtype != np.uint8:
+        labels = labels.astype(np.uint16, copy=False)
     foreground = labels_in(labels)
     if foreground == [1]:
         return labels
     if len(foreground) == 1:
-        one: NDArray[np.uint16] = (labels != 0).astype(np.uint16)
-        return one
+        return np.asarray(labels != 0).view(np.uint8)
     if len(foreground) > MAX_LABELS:
         raise ImageError(
             f"expected a mask of at most {MAX_LABELS} labels, got {len(foreground)}: "
@@ -112,17 +114,23 @@ def decode_mask(data: bytes, *, max_pixels: int) -> NDArray[np.uint16]:
     return labels
 
 
-def labels_in(labels: NDArray[np.uint16]) -> list[int]:
+def labels_in(labels: Labels) -> list[int]:
     """The labels that a label image ``(H, W)`` holds, ascending, without 0, the background."""
-    used = (labels != 0).view(np.uint8)
-    left, top, width, height = cv2.boundingRect(used)
-    if width == 0:
-        return []
     # Several times as fast as np.unique or np.bincount, and the more so the less there is to count.
-    part = np.ascontiguousarray(labels[top : top + height, left : left + width])
+    _, _, part = labelled_part(labels)
+    if part.size == 0:
+        return []
     bins = int(part.max()) + 1
-    counts = cv2.calcHist([part], [0], None, [bins], [0, bins])
+    counts = cv2.calcHist([np.ascontiguousarray(part)], [0], None, [bins], [0, bins])
     return (np.flatnonzero(counts[1:]) + 1).tolist()
+
+
+def labelled_part(labels: Labels) -> tuple[int, int, Labels]:
+    """Left, top, and what is within the borders of all labels: most of a mask is background."""
+    # OpenCV has no bounds of 16 bits.
+    marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
+    left, top, width, height = cv2.boundingRect(marked)
+    return left, top, labels[top : top + height, left : left + width]
 
 
 def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:

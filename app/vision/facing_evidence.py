@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -77,7 +78,9 @@ class AzimuthBelief:
     def likelihood(self, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
         """Density at azimuths in degrees, relative to knowing nothing: 1 on average."""
         azimuths = np.asarray(azimuth_deg, np.float64)
-        return np.asarray(self._weight(azimuths) / self._weight(_CIRCLE_DEG).mean())
+        weights = self._weight(np.append(_CIRCLE_DEG, azimuths))
+        average = weights[: len(_CIRCLE_DEG)].mean()
+        return np.asarray(weights[len(_CIRCLE_DEG) :] / average).reshape(azimuths.shape)
 
     def _weight(self, azimuth_deg: NDArray[np.float64]) -> NDArray[np.float64]:
         azimuth = np.deg2rad(azimuth_deg)
@@ -136,7 +139,7 @@ class FacingReader:
         if len(silhouette.crop) < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
             return None
         planes = facing_input(frame, silhouette)
-        if planes[:3].std(axis=(1, 2)).max() < _LEAST_CONTRAST:
+        if cv2.meanStdDev(cv2.merge(list(planes[:3])))[1].max() < _LEAST_CONTRAST:
             return None
         front, left = self._network.run(planes)
         face = self._faces.finds(frame, face_window(silhouette))
@@ -158,7 +161,7 @@ def facing_input(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np
         Blue, green, red and silhouette of head and shoulders, then of all of the person.
     """
     planes: NDArray[np.uint8] = np.empty((CHANNELS, SIZE, SIZE), np.uint8)
-    mask = silhouette.crop.astype(np.uint8) * np.uint8(255)
+    mask = silhouette.crop * np.uint8(255)
     for first, window in ((0, head_window(silhouette)), (4, person_window(silhouette))):
         left, top, width, height = window
         planes[first : first + 3] = resize(cut(frame, window), SIZE, SIZE).transpose(2, 0, 1)

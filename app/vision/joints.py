@@ -72,7 +72,7 @@ def joints_input(
     planes[:3] = resize(cut(frame, window), COLUMNS, ROWS).transpose(2, 0, 1)
     left, top, width, height = window
     within = (left - silhouette.left, top - silhouette.top, width, height)
-    mask = silhouette.crop.astype(np.uint8) * np.uint8(255)
+    mask = silhouette.crop * np.uint8(255)
     planes[3] = resize(cut(mask, within), COLUMNS, ROWS)
     return planes
 

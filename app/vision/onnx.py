@@ -62,8 +62,7 @@ class OnnxNetwork:
 
     def run(self, planes: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Show it planes ``(C, H, W)``, of which 255 is 1."""
-        blob = planes[None].astype(np.float32) / np.float32(255)
         with self._copies.one() as net:
-            net.setInput(blob)
+            net.setInput(planes[None], "", 1 / 255)
             # The output lies in the network's memory, which the next pass overwrites.
             return np.array(net.forward()[0], np.float32)

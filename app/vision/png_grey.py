@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,9 +64,13 @@ def _unfiltered(compressed: bytes, height: int, width: int) -> NDArray[np.uint8]
     filters, pixels = rows[:, 0], rows[:, 1:].copy()
     if filters.max() > _UP:
         return None
-    # What a row of zeros says beside its left neighbours is that all are zero.
-    beside = np.flatnonzero((filters == _SUB) & pixels.any(axis=1))
-    pixels[beside] = np.add.accumulate(pixels[beside], axis=1, dtype=np.uint8)
+    # Nothing differs from its neighbour outside this.
+    left, top, wide, high = cv2.boundingRect(pixels)
+    beside = top + np.flatnonzero(filters[top : top + high] == _SUB)
+    if len(beside):
+        sums = np.add.accumulate(pixels[beside, left : left + wide], axis=1, dtype=np.uint8)
+        pixels[beside, left : left + wide] = sums
+        pixels[beside, left + wide :] = sums[:, -1:]
     # Above the first row all is zero.
     below = np.flatnonzero(filters[1:] == _UP) + 1
     for run in np.split(below, np.flatnonzero(np.diff(below) > 1) + 1):

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.decode import labels_in
+from app.vision.decode import Labels, labelled_part, labels_in
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.networks import Networks, body_window
@@ -160,12 +159,12 @@ def _silhouette(mask: NDArray[np.bool_], window: Window, box: Box) -> Silhouette
     return silhouette_from_mask(inside, **place, segmenter="network", truncated=False)
 
 
-def silhouettes_from_labels(labels: NDArray[np.uint16]) -> list[Silhouette]:
+def silhouettes_from_labels(labels: Labels) -> list[Silhouette]:
     """Silhouettes of a caller's mask, ordered left to right by the centre of their boxes.
 
     Parameters
     ----------
-    labels : (H, W) uint16 array
+    labels : (H, W) array of uint8 or uint16
         0 background, k = person k, as :func:`app.vision.decode.decode_mask` returns it.
 
     Returns
@@ -179,9 +178,7 @@ def silhouettes_from_labels(labels: NDArray[np.uint16]) -> list[Silhouette]:
     """
     if labels.ndim != 2:
         raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
-    left, top, width, height = cv2.boundingRect((labels != 0).view(np.uint8))
-    # Most of a mask is background.
-    part = labels[top : top + height, left : left + width]
+    left, top, part = labelled_part(labels)
     people = [
         silhouette_from_mask(part == label, left=left, top=top, segmenter="mask", truncated=False)
         for label in labels_in(part)

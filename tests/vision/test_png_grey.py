@@ -52,6 +52,13 @@ def chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
 
 
+@pytest.mark.parametrize("kind", [NONE, SUB, UP])
+@pytest.mark.parametrize("value", [0, 255])
+def test_masks_of_one_value(value: int, kind: int) -> None:
+    mask = np.full((5, 7), value, np.uint8)
+    assert_array_equal(read_grey_png(encoded(mask, np.full(5, kind))), mask)
+
+
 @given(
     seed=st.integers(0, 1000),
     height=st.integers(1, 60),
