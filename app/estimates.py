@@ -100,12 +100,15 @@ class PlacedHypothesis:
     Parameters
     ----------
     hypothesis : Hypothesis
+    distance : float
+        From all that is known of the person; see :class:`app.weighing.Weighed`.
     label : Label
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
     """
 
     hypothesis: Hypothesis
+    distance: float
     label: Label
     points_2d: NDArray[np.float64]
 

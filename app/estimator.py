@@ -369,13 +369,14 @@ class Estimator:
             weighed = weigh_by_image(candidates, belief, n)
         origin = np.array([look.silhouette.left, look.silhouette.top])
         hypotheses = []
-        for hypothesis in weighed.hypotheses:
+        for hypothesis, distance in zip(weighed.hypotheses, weighed.distances, strict=True):
             points = look.placement.to_image(hypothesis.points_normalised) + origin
             if found.turns:
                 shape = turned_shape(scene.frame.shape, found.turns)
                 points = turned_points(points, shape, -found.turns)
                 hypothesis = leaning_further(hypothesis, 90.0 if found.turns == 1 else -90.0)
-            hypotheses.append(PlacedHypothesis(hypothesis, self._label(hypothesis), points))
+            label = self._label(hypothesis)
+            hypotheses.append(PlacedHypothesis(hypothesis, distance, label, points))
         return Person(found, weighed.facing, tuple(hypotheses))
 
     def _label(self, hypothesis: Hypothesis) -> Label:

@@ -107,7 +107,8 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> 
     return schemas.Hypothesis(
         rank=rank,
         entry=hypothesis.entry,
-        distance=round(hypothesis.distance, 6),
+        distance=round(placed.distance, 6),
+        silhouette_distance=round(hypothesis.distance, 6),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(hypothesis.confidence, 4),
         joints_3d=_points_3d(hypothesis.points_3d, keypoints),

@@ -172,9 +172,15 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="Euclidean distance of the two descriptors; comparable within one index. It "
-        "knows the silhouette alone, so it need not ascend where the photograph has a say in "
-        "the order.",
+        description="From all that is known of the person; ascends with the rank. It is the "
+        "distance of the silhouettes where `facing.evidence` is `none`; else what the photograph "
+        "shows for a hypothesis makes it shorter, what it shows against it longer.",
+        examples=[0.031],
+    )
+    silhouette_distance: FiniteFloat = Field(
+        ge=0,
+        description="Euclidean distance of the two descriptors, whatever the photograph shows; "
+        "comparable within one index.",
         examples=[0.031],
     )
     reprojection_error_px: FiniteFloat = Field(

@@ -18,47 +18,59 @@ from index.matching import Hypothesis
 # Where a hypothesis is wrong, how likely none of the others is right either.
 _UNTHOUGHT = 0.5
 
-SILHOUETTE, FACING, JOINTS, SIDES = 0.25, 2.0, 1.0, 0.2
-"""What the log odds of the silhouette's confidence count, and the logarithms of the likelihoods of
-facing, joints and sides. Chosen on the street people of even-numbered photographs."""
+DISTANCE, FACING, JOINTS, SIDES = 4.0, 2.0, 1.0, 0.2
+"""What the logarithms count: of the descriptors' distance, against a hypothesis, and of the
+likelihoods of facing, joints and sides. Chosen on the street people of even-numbered
+photographs."""
 
 LEAN_DEG = 60.0
 """Few people lean: so much of it makes a hypothesis 1/e as likely."""
 
-SLOPE, BIAS = 0.272, 2.415
-"""From all that to the log odds that a hypothesis is right; ``scripts.evaluate real
+SLOPE, BIAS = 0.265, 3.404
+"""From the sum of these to the log odds that a hypothesis is right; ``scripts.evaluate real
 --fit-confidence`` prints them."""
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Hypotheses, best first, with the confidence that all evidence gives, and the facing."""
+    """Hypotheses, nearest first, and the facing.
+
+    Parameters
+    ----------
+    facing : Facing
+    hypotheses : tuple of Hypothesis
+        Their confidences are those that all evidence gives.
+    distances : tuple of float
+        Ascending: of each from all that is known. That is the descriptors' distance, and what
+        the photograph shows for a hypothesis makes it shorter, what it shows against it longer.
+    """
 
     facing: Facing
     hypotheses: tuple[Hypothesis, ...]
+    distances: tuple[float, ...]
 
 
 def weigh(hypotheses: Sequence[Hypothesis], n: int) -> Weighed:
-    """Leave the best ``n`` hypotheses as the silhouette alone gives them.
+    """Leave the nearest ``n`` hypotheses as the silhouette alone gives them.
 
     Facing is the share of them, weighted by confidence, whose front faces the camera.
 
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
-        At least one, best first.
+        At least one, nearest first.
     n : int
     """
     hypotheses = hypotheses[:n]
     confidences = np.array([one.confidence for one in hypotheses])
     facing = Facing(front_share(_azimuths(hypotheses), confidences), "none")
-    return Weighed(facing, tuple(hypotheses))
+    return Weighed(facing, tuple(hypotheses), tuple(one.distance for one in hypotheses))
 
 
 def weigh_by_image(
     hypotheses: Sequence[Hypothesis], belief: AzimuthBelief | None, n: int
 ) -> Weighed:
-    """Reorder hypotheses by what the photograph shows, and keep the best ``n``.
+    """Reorder hypotheses by what the photograph shows, and keep the nearest ``n``.
 
     Parameters
     ----------
@@ -69,21 +81,24 @@ def weigh_by_image(
     n : int
     """
     azimuths = _azimuths(hypotheses)
-    confidences = np.array([one.confidence for one in hypotheses])
     likelihoods = np.ones(len(hypotheses)) if belief is None else belief.likelihood(azimuths)
+    distances = distances_from_all(hypotheses, likelihoods)
     if any(one.log_likelihood for one in hypotheses):
-        confidences = with_joints(hypotheses, likelihoods)
+        confidences = with_joints(distances)
     else:
-        confidences = posterior(confidences, likelihoods)
-    chosen = best_with_twins(azimuths, confidences, n)
-    kept = [replace(hypotheses[i], confidence=float(confidences[i])) for i in chosen]
-    return Weighed(Facing(front_share(azimuths, confidences), "image"), tuple(kept))
+        confidences = posterior(np.array([one.confidence for one in hypotheses]), likelihoods)
+    chosen = nearest_with_twins(azimuths, distances, n)
+    return Weighed(
+        Facing(front_share(azimuths, confidences), "image"),
+        tuple(replace(hypotheses[i], confidence=float(confidences[i])) for i in chosen),
+        tuple(float(distances[i]) for i in chosen),
+    )
 
 
-def with_joints(
+def distances_from_all(
     hypotheses: Sequence[Hypothesis], likelihoods: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Confidences ``(N,)`` where joints were read, of a logistic model.
+    """How far hypotheses are ``(N,)`` from silhouette, facing and joints together.
 
     Parameters
     ----------
@@ -91,22 +106,19 @@ def with_joints(
     likelihoods : (N,) float64 array
         Of what is seen of the facing, given each one's azimuth; 1 where nothing is.
     """
-    return np.asarray(1 / (1 + np.exp(-SLOPE * agreement(hypotheses, likelihoods) - BIAS)))
-
-
-def agreement(
-    hypotheses: Sequence[Hypothesis], likelihoods: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How well each hypothesis ``(N,)`` agrees with silhouette, facing and joints together."""
-    confidence = np.clip([one.confidence for one in hypotheses], 1e-6, 1 - 1e-6)
-    lean = np.abs([one.lean_deg for one in hypotheses])
-    return np.asarray(
-        SILHOUETTE * np.log(confidence / (1 - confidence))
-        + FACING * np.log(likelihoods)
+    evidence = (
+        FACING * np.log(likelihoods)
         + JOINTS * np.array([one.log_likelihood for one in hypotheses])
         + SIDES * np.array([one.side_odds for one in hypotheses])
-        - lean / LEAN_DEG
+        - np.abs([one.lean_deg for one in hypotheses]) / LEAN_DEG
     )
+    return np.array([one.distance for one in hypotheses]) * np.exp(-evidence / DISTANCE)
+
+
+def with_joints(distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Confidences ``(N,)`` where joints were read, of distances from all that is known."""
+    agreement = -DISTANCE * np.log(np.maximum(distances, 1e-9))
+    return np.asarray(1 / (1 + np.exp(-SLOPE * agreement - BIAS)))
 
 
 def posterior(
@@ -137,20 +149,20 @@ def posterior(
     return np.asarray(right / (right + wrong))
 
 
-def best_with_twins(
-    azimuths_deg: NDArray[np.float64], scores: NDArray[np.float64], n: int
+def nearest_with_twins(
+    azimuths_deg: NDArray[np.float64], distances: NDArray[np.float64], n: int
 ) -> list[int]:
-    """Choose ``n`` hypotheses by score, best first, a third of which face the other way.
+    """Choose ``n`` hypotheses, nearest first, a third of which face the other way.
 
-    The photograph may mislead: the best of those that do not face as the first one does take
+    The photograph may mislead: the nearest of those that do not face as the first one does take
     the last places where fewer would be among them.
 
     Parameters
     ----------
-    azimuths_deg, scores : (N,) float64 array
+    azimuths_deg, distances : (N,) float64 array
     n : int
     """
-    order: list[int] = np.argsort(-scores, kind="stable").tolist()
+    order: list[int] = np.argsort(distances, kind="stable").tolist()
     front = faces_camera(azimuths_deg)
     twins = [i for i in order if front[i] != front[order[0]]]
     if n == 1 or not twins:

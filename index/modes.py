@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -114,8 +115,8 @@ def find_modes(
     while len(distinct) < count and (some := list(islice(densest, looked_at))):
         modes += _interpolate(candidates, offsets, some)
         distinct = _distinct(modes)[:count]
-        # Interpolation made some alike: others are looked at instead.
-        looked_at = 1 + len(modes) // 3
+        # Interpolation made some alike: as many more as that should take.
+        looked_at = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
     skeletons = candidates.points_3d[[mode.centre for mode in distinct]]
     grown = with_bones_of(skeletons, np.stack([mode.points_3d for mode in distinct]))
     return [replace(mode, points_3d=points) for mode, points in zip(distinct, grown, strict=True)]

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 Found: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int64]]
 
-LISTED = 5
+LISTED = 4
 """So many times as many vectors are listed as are asked for."""
 
 LEAST_LISTED = 500

@@ -73,8 +73,8 @@ def test_hypotheses_are_ranked_distinct_and_finite(
     assert len(hypotheses) == n
     assert [h["rank"] for h in hypotheses] == list(range(1, n + 1))
     assert len({(h["entry"], h["source"]["mirrored"]) for h in hypotheses}) == n
-    confidences = [h["confidence"] for h in hypotheses]
-    assert confidences == sorted(confidences, reverse=True)
+    distances = [h["distance"] for h in hypotheses]
+    assert distances == sorted(distances)
     for hypothesis in hypotheses:
         assert 0 <= hypothesis["confidence"] <= 1
         assert len(hypothesis["joints_3d"]) == len(hypothesis["joints_2d"]) == 19
@@ -150,13 +150,14 @@ def test_an_empty_street_has_no_persons(client: TestClient) -> None:
     assert answer["image"] == {"width": 320, "height": 240}
 
 
-def test_distances_ascend_where_the_photograph_tells_nothing(
+def test_distances_are_the_silhouettes_where_the_photograph_tells_nothing(
     client: TestClient, photo: Photo
 ) -> None:
     files = {"frame": png(np.full_like(photo.frame, 120)), "mask": photo.mask_png}
     person = client.post("/pose", files=files).json()["persons"][0]
     distances = [h["distance"] for h in person["hypotheses"]]
     assert distances == sorted(distances)
+    assert distances == [h["silhouette_distance"] for h in person["hypotheses"]]
     weights = np.array([h["confidence"] for h in person["hypotheses"]])
     front = np.cos(np.deg2rad([h["camera"]["azimuth_deg"] for h in person["hypotheses"]])) > 0
     assert person["facing"]["evidence"] == "none"
