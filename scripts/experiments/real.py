@@ -287,7 +287,7 @@ def _detection(found: dict[str, Figures]) -> list[str]:
             for name, one in found.items()
         ),
         f"\nThe cascade's candidates reach {100 * found['cascade']['reachable']:.1f} % of the "
-        "people. Without the network's file, `gradients` serves. How far the search for gradients "
+        "people. Without the networks' files, `gradients` serves. How far the search for gradients "
         "follows the network, and the least score reported (0.3), were chosen among a dozen "
         "settings by these figures and those of the street video below: expect a point or two "
         "less elsewhere.",
