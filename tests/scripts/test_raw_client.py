@@ -1,0 +1,89 @@
+"""The measuring client over a real socket: answers whole, and connections kept or opened anew."""
+
+from __future__ import annotations
+
+import socket
+import socketserver
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from scripts.raw_client import Call, RawClient, header, request_bytes
+
+
+class Server(socketserver.ThreadingTCPServer):
+    """Answers with the body it was sent, in small pieces, and counts its connections."""
+
+    daemon_threads = True
+    connections = 0
+    breaks_off = False
+    closes: bytes | None = None
+    """The value of the header ``Connection``; None for a server that closes without a word."""
+
+
+class Handler(socketserver.StreamRequestHandler):
+    server: Server
+
+    def handle(self) -> None:
+        self.server.connections += 1
+        while line := self.rfile.readline():
+            length = 0
+            while line.strip():
+                name, _, value = line.partition(b":")
+                if name.lower() == b"content-length":
+                    length = int(value)
+                line = self.rfile.readline()
+            self._answer(self.rfile.read(length))
+            if self.server.closes != b"keep-alive":
+                return
+
+    def _answer(self, body: bytes) -> None:
+        kept = b"Connection: %s\r\n" % self.server.closes if self.server.closes else b""
+        head = b"HTTP/1.1 201 Created\r\nContent-Length: %d\r\n%s\r\n" % (len(body), kept)
+        if self.server.breaks_off:
+            body = body[:-1]
+        for start in range(0, len(head + body), 7):
+            self.wfile.write((head + body)[start : start + 7])
+            self.wfile.flush()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server(("127.0.0.1", 0), Handler) as one:
+        threading.Thread(target=one.serve_forever, daemon=True).start()
+        yield one
+        one.shutdown()
+
+
+def client_of(server: Server) -> RawClient:
+    return RawClient(f"http://127.0.0.1:{server.server_address[1]}", timeout_s=5)
+
+
+@pytest.mark.parametrize(("closes", "connections"), [(b"keep-alive", 1), (b"close", 3), (None, 3)])
+def test_answers_come_whole_over_connections_kept_or_opened_anew(
+    server: Server, closes: bytes | None, connections: int
+) -> None:
+    server.closes = closes
+    client, call = client_of(server), Call("POST", "/pose", {"frame": bytes(range(256)) * 50})
+    for _ in range(3):
+        assert client.send(call) == (201, call.body())
+        if closes is None:
+            # Until the server has closed.
+            client._socket.recv(1, socket.MSG_PEEK)  # type: ignore[union-attr]
+    assert server.connections == connections
+    client.close()
+
+
+def test_an_answer_that_breaks_off_is_an_error(server: Server) -> None:
+    server.breaks_off = True
+    with pytest.raises(ConnectionError, match="within its answer"):
+        client_of(server).send(Call("POST", "/pose", {"frame": b"x"}))
+
+
+def test_requests_say_how_long_they_are() -> None:
+    call = Call("POST", "/pose", {"frame": b"x" * 1000, "boxes": b"[]"})
+    head, _, body = request_bytes(call).partition(b"\r\n\r\n")
+    assert body == call.body()
+    assert header(head + b"\r\n", b"content-length") == str(len(body)).encode()
+    assert header(head + b"\r\n", b"retry-after") is None
