@@ -83,18 +83,22 @@ class AzimuthBelief:
         return np.asarray(weights[len(_CIRCLE_DEG) :] / average).reshape(azimuths.shape)
 
     def _weight(self, azimuth_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-        azimuth = np.deg2rad(azimuth_deg)
-        # Of the density's logarithm; i0 overflows beyond 700.
-        scale = min(1.0, 50.0 / max(float(np.hypot(self.front, self.left)), 1e-9))
-        front, left = scale * self.front, scale * self.left
-        density = np.exp(front * np.cos(azimuth) + left * np.sin(azimuth))
-        density /= np.i0(np.hypot(front, left))
+        # On a whole circle the mean of so smooth a function is its integral, to the last digits.
+        density = self._von_mises(azimuth_deg) / self._von_mises(_CIRCLE_DEG).mean()
         density = (1 - _OUTLIERS) * density + _OUTLIERS
         if self.face is None:
             return np.asarray(density)
         aside = (azimuth_deg + 180) % 360 - 180
         found = _FALSE_FACES + _FACES * np.exp(-((aside / _FACES_TO_DEG) ** 2))
         return np.asarray(density * (found if self.face else 1 - found))
+
+    def _von_mises(self, azimuth_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+        azimuth = np.deg2rad(azimuth_deg)
+        # Nobody is sure to a few degrees, and the exponential of more overflows.
+        scale = min(1.0, 50.0 / max(float(np.hypot(self.front, self.left)), 1e-9))
+        return np.asarray(
+            np.exp(scale * (self.front * np.cos(azimuth) + self.left * np.sin(azimuth)))
+        )
 
     def front_probability(self) -> float:
         """Probability that the azimuth lies within 90 degrees of the face."""
