@@ -254,7 +254,10 @@ def outline_distances(
     -------
     (B,) float64 array
     """
-    outlines = _outlines(np.concatenate([silhouette[None], others]))
+    every = np.concatenate([silhouette[None], others])
+    # What lies outside of all of them is not asked for, and no way between two pixels leads there.
+    left, top, width, height = cv2.boundingRect(every.max(axis=0))
+    outlines = _outlines(every[:, top : top + max(1, height), left : left + max(1, width)])
     fields = _distance_fields(outlines).reshape(len(outlines), -1)
     on = outlines.reshape(len(outlines), -1).astype(np.float32)
     lengths = np.maximum(on.sum(axis=1), 1)
@@ -264,22 +267,22 @@ def outline_distances(
 
 
 def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Outermost pixels of silhouettes ``(B, 128, 48)``, all eroded at once."""
-    count = len(silhouettes)
-    # Background about each keeps them apart.
-    apart = np.zeros((count, HEIGHT + 1, WIDTH), np.uint8)
-    apart[:, :HEIGHT] = silhouettes != 0
+    """Outermost pixels of silhouettes ``(B, H, W)``, all eroded at once."""
+    count, height, width = silhouettes.shape
+    # Background below each keeps them apart.
+    apart = np.zeros((count, height + 1, width), np.uint8)
+    apart[:, :height] = silhouettes != 0
     eroded = cv2.erode(
-        apart.reshape(-1, WIDTH),
+        apart.reshape(-1, width),
         np.ones((3, 3), np.uint8),
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
     ).reshape(apart.shape)
-    return np.asarray((apart != eroded)[:, :HEIGHT])
+    return np.asarray((apart != eroded)[:, :height])
 
 
 def _distance_fields(outlines: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Distances ``(B, 128, 48)`` of all pixels from outlines; beyond all of them where is none."""
+    """Distances ``(B, H, W)`` of all pixels from outlines; beyond all of them where is none."""
     fields = np.empty(outlines.shape, np.float32)
     for away, field in zip((~outlines).view(np.uint8), fields, strict=True):
         cv2.distanceTransform(away, cv2.DIST_L2, 3, field)

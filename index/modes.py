@@ -224,10 +224,19 @@ def with_bones_of(
     wanted = np.linalg.norm(skeleton[..., children, :] - skeleton[..., parents, :], axis=-1)
     bones = points[..., children, :] - points[..., parents, :]
     bones = bones * (wanted / np.maximum(np.linalg.norm(bones, axis=-1), 1e-6))[..., None]
-    moved = np.zeros_like(points, dtype=np.float64)
+    joints = _FROM_THE_PELVIS @ bones
+    face = points[..., JOINTS:, :] - points[..., _HEAD : _HEAD + 1, :]
+    return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
+
+
+def _from_the_pelvis() -> NDArray[np.float64]:
+    """Which bones lead from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
+    leading = np.zeros((JOINTS, len(NATIVE.bones)))
     for bone, (parent, child) in enumerate(NATIVE.bones):
-        moved[..., child, :] = moved[..., parent, :] + bones[..., bone, :]
-    head = NATIVE.names.index("head")
-    face = points[..., JOINTS:, :] - points[..., head : head + 1, :]
-    moved[..., JOINTS:, :] = moved[..., head : head + 1, :] + face
-    return moved
+        leading[child] = leading[parent]
+        leading[child, bone] = 1
+    return leading
+
+
+_FROM_THE_PELVIS = _from_the_pelvis()
+_HEAD = NATIVE.names.index("head")
