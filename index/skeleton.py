@@ -118,19 +118,21 @@ COCO17 = _keypoint_set(
     ),
 )  # fmt: skip
 
-_OTHER_SIDE = [
-    POINT_NAMES.index(
-        name.replace("left_", "right_")
-        if name.startswith("left_")
-        else name.replace("right_", "left_")
-    )
-    for name in POINT_NAMES
-]
+_OTHER_SIDE = np.array(
+    [
+        POINT_NAMES.index(
+            name.replace("left_", "right_")
+            if name.startswith("left_")
+            else name.replace("right_", "left_")
+        )
+        for name in POINT_NAMES
+    ]
+)
 
 
 def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Skeletons ``(..., 24, D)`` with left and right exchanged; every point stays in its place."""
-    return points[..., _OTHER_SIDE, :]
+    return points.take(_OTHER_SIDE, axis=-2)
 
 
 def mirror_3d(points: NDArray[np.float64]) -> NDArray[np.float64]:
