@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box, Silhouette
-from app.vision.resampling import Window, cut, resize
+from app.vision.resampling import Window, cut, planes_of, resize
 from app.vision.workers import Workers
 from descriptor.silhouette import Placement, normalise
 from index.joint_maps import JointMaps
@@ -68,13 +68,11 @@ def joints_input(
     (4, 144, 96) uint8 array
         Blue, green, red, silhouette.
     """
-    planes: NDArray[np.uint8] = np.empty((CHANNELS, ROWS, COLUMNS), np.uint8)
-    planes[:3] = resize(cut(frame, window), COLUMNS, ROWS).transpose(2, 0, 1)
     left, top, width, height = window
     within = (left - silhouette.left, top - silhouette.top, width, height)
     mask = silhouette.crop * np.uint8(255)
-    planes[3] = resize(cut(mask, within), COLUMNS, ROWS)
-    return planes
+    looks = (cut(frame, window), cut(mask, within))
+    return planes_of([resize(look, COLUMNS, ROWS) for look in looks])
 
 
 class JointReader:

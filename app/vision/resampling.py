@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import cv2
@@ -61,6 +62,20 @@ def resize(image: NDArray[Scalar], width: int, height: int) -> NDArray[Scalar]:
     shrinks = width < columns or height < rows
     kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     return cv2.resize(image, (width, height), interpolation=kind).astype(image.dtype, copy=False)
+
+
+def planes_of(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Channels of pictures ``(H, W)`` or ``(H, W, C)`` of one size, one below the other.
+
+    Returns
+    -------
+    (C, H, W) uint8 array
+        Of all pictures, in their order.
+    """
+    channels = sum(1 if picture.ndim == 2 else picture.shape[2] for picture in pictures)
+    planes = np.empty((channels, *pictures[0].shape[:2]), np.uint8)
+    cv2.mixChannels(pictures, list(planes), np.repeat(np.arange(channels), 2).tolist())
+    return planes
 
 
 def resize_mask(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.bool_]:
