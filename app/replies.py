@@ -147,7 +147,7 @@ def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
     """Tenths of millimetres are kept; a point the entry lacks is NaN there and null here."""
     return [
         {"x": x, "y": y, "z": z} if math.isfinite(x + y + z) else None
-        for x, y, z in np.round(points[list(keypoints.indices)], 4).tolist()
+        for x, y, z in points.take(keypoints.indices, axis=0).round(4).tolist()
     ]
 
 
@@ -155,5 +155,5 @@ def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
     """Hundredths of pixels are kept; a point the entry lacks is NaN there and null here."""
     return [
         {"x": x, "y": y} if math.isfinite(x + y) else None
-        for x, y in np.round(points[list(keypoints.indices)], 2).tolist()
+        for x, y in points.take(keypoints.indices, axis=0).round(2).tolist()
     ]
