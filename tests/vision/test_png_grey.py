@@ -52,6 +52,17 @@ def chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
 
 
+@pytest.mark.parametrize("header", [b"", b"x", b"\x79\x9c", b"\x78\xbb"])
+def test_a_stream_that_is_not_plain_deflate_is_left_alone(header: bytes) -> None:
+    mask = np.zeros((3, 5), np.uint8)
+    png = encoded(mask, np.zeros(3, int))
+    start = png.index(b"IDAT") - 4
+    end = png.index(b"IEND") - 4
+    stream = png[start + 8 : end - 4]
+    changed = header + stream[2:] if len(header) == 2 else header
+    assert read_grey_png(png[:start] + chunk(b"IDAT", changed) + png[end:]) is None
+
+
 @pytest.mark.parametrize("kind", [NONE, SUB, UP])
 @pytest.mark.parametrize("value", [0, 255])
 def test_masks_of_one_value(value: int, kind: int) -> None:
