@@ -53,17 +53,13 @@ def read_grey_png(data: bytes) -> NDArray[np.uint8] | None:
 
 def _unfiltered(compressed: bytes, height: int, width: int) -> NDArray[np.uint8] | None:
     size = height * (width + 1)
-    # Two bytes of header: deflate, without a dictionary.
-    if len(compressed) < 2 or compressed[0] & 15 != zlib.DEFLATED or compressed[1] & 32:
-        return None
+    inflater = zlib.decompressobj()
     try:
-        # Raw: what came has been checked chunk by chunk; to check what comes out as well takes a
-        # third of the time. One byte more than there should be tells a stream that is too long.
-        inflated = zlib.decompressobj(-zlib.MAX_WBITS)
-        content = inflated.decompress(memoryview(compressed)[2:], size + 1)
+        # One byte more than there should be tells a stream that is too long.
+        content = inflater.decompress(compressed, size + 1)
     except zlib.error:
         return None
-    if len(content) != size:
+    if len(content) != size or not inflater.eof:
         return None
     rows = np.frombuffer(content, np.uint8).reshape(height, width + 1)
     filters, pixels = rows[:, 0], rows[:, 1:].copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -52,15 +53,25 @@ def chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
 
 
-@pytest.mark.parametrize("header", [b"", b"x", b"\x79\x9c", b"\x78\xbb"])
-def test_a_stream_that_is_not_plain_deflate_is_left_alone(header: bytes) -> None:
-    mask = np.zeros((3, 5), np.uint8)
-    png = encoded(mask, np.zeros(3, int))
-    start = png.index(b"IDAT") - 4
-    end = png.index(b"IEND") - 4
-    stream = png[start + 8 : end - 4]
-    changed = header + stream[2:] if len(header) == 2 else header
-    assert read_grey_png(png[:start] + chunk(b"IDAT", changed) + png[end:]) is None
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda stream: b"",
+        lambda stream: stream[:1],
+        lambda stream: b"\x79\x9c" + stream[2:],
+        lambda stream: b"\x78\xbb" + stream[2:],
+        lambda stream: stream[:-4],
+        lambda stream: stream[:-1] + bytes([stream[-1] ^ 1]),
+    ],
+    ids=["empty", "one byte", "method", "dictionary", "no checksum", "wrong checksum"],
+)
+def test_a_stream_that_is_not_whole_is_left_alone(change: Callable[[bytes], bytes]) -> None:
+    png = encoded(np.eye(5, dtype=np.uint8), np.zeros(5, int))
+    start, end = png.index(b"IDAT") - 4, png.index(b"IEND") - 4
+    changed = change(png[start + 8 : end - 4])
+    broken = png[:start] + chunk(b"IDAT", changed) + png[end:]
+    assert read_grey_png(broken) is None
+    assert cv2.imdecode(np.frombuffer(broken, np.uint8), cv2.IMREAD_UNCHANGED) is None
 
 
 @pytest.mark.parametrize("kind", [NONE, SUB, UP])
