@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
-from scripts.raw_client import Call, header, request_bytes
+from scripts.raw_client import Call, header, request_bytes, whole_answer
 
 MAX_CONNECTIONS = 400
 """Arrivals that find so many requests unanswered are not sent, but counted."""
@@ -72,7 +72,6 @@ class _Connection(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._received = bytearray()
         self._started: float | None = None
-        self._ends = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -82,20 +81,14 @@ class _Connection(asyncio.Protocol):
         """Start the clock and write."""
         assert self._transport is not None
         self._received.clear()
-        self._ends = 0
         self._started = time.perf_counter()
         self._transport.write(request)
 
     def data_received(self, data: bytes) -> None:
         self._received += data
-        if not self._ends:
-            head_ends = self._received.find(b"\r\n\r\n")
-            if head_ends < 0:
-                return
-            length = header(bytes(self._received[: head_ends + 2]), b"content-length")
-            self._ends = head_ends + 4 + int(length or b"0")
-        if len(self._received) >= self._ends and self._started is not None:
-            head = bytes(self._received[: self._received.find(b"\r\n\r\n") + 2])
+        answer = whole_answer(self._received)
+        if answer is not None and self._started is not None:
+            head, _ = answer
             ms = (time.perf_counter() - self._started) * 1000
             self._started = None
             retry_after = header(head, b"retry-after") is not None

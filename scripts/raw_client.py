@@ -105,18 +105,26 @@ class RawClient:
 
     def _answer(self, connection: socket.socket) -> tuple[int, bytes]:
         received = bytearray()
-        ends = 0
-        while not ends or len(received) < ends:
+        while (answer := whole_answer(received)) is None:
             some = connection.recv(_RECEIVED_BYTES)
             if not some:
                 raise ConnectionError("the server closed the connection within its answer")
             received += some
-            if not ends and (head_ends := received.find(b"\r\n\r\n")) >= 0:
-                head = bytes(received[: head_ends + 2])
-                ends = head_ends + 4 + int(header(head, b"content-length") or b"0")
+        head, body = answer
         if header(head, b"connection") == b"close":
             self.close()
-        return int(head[9:12]), bytes(received[head_ends + 4 :])
+        return int(head[9:12]), body
+
+
+def whole_answer(received: bytearray) -> tuple[bytes, bytes] | None:
+    """First lines and body of an answer, or None where not all of it has come."""
+    head_ends = received.find(b"\r\n\r\n")
+    if head_ends < 0:
+        return None
+    head, body_starts = bytes(received[: head_ends + 2]), head_ends + 4
+    if len(received) < body_starts + int(header(head, b"content-length") or b"0"):
+        return None
+    return head, bytes(received[body_starts:])
 
 
 def header(head: bytes, name: bytes) -> bytes | None:

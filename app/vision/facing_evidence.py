@@ -24,7 +24,8 @@ from app.vision.face import FaceFinder
 from app.vision.joints import joints_window
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Silhouette
-from app.vision.resampling import Window, cut, planes_of, resize
+from app.vision.resampling import Window, planes_of
+from app.vision.views import pictures_in
 
 SIZE = 64
 CHANNELS = 8
@@ -164,13 +165,13 @@ def facing_input(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np
     (8, 64, 64) uint8 array
         Blue, green, red and silhouette of head and shoulders, then of all of the person.
     """
-    mask = silhouette.crop * np.uint8(255)
-    looks = []
-    for window in (head_window(silhouette), person_window(silhouette)):
-        left, top, width, height = window
-        within = (left - silhouette.left, top - silhouette.top, width, height)
-        looks += [resize(cut(frame, window), SIZE, SIZE), resize(cut(mask, within), SIZE, SIZE)]
-    return planes_of(looks)
+    return planes_of(
+        [
+            picture
+            for window in (head_window(silhouette), person_window(silhouette))
+            for picture in pictures_in(window, frame, silhouette, SIZE, SIZE)
+        ]
+    )
 
 
 def person_window(silhouette: Silhouette) -> Window:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box, Silhouette
-from app.vision.resampling import Window, cut, planes_of, resize
+from app.vision.resampling import Window, planes_of
+from app.vision.views import pictures_in
 from app.vision.workers import Workers
 from descriptor.silhouette import Placement, normalise
 from index.joint_maps import JointMaps
@@ -68,11 +69,7 @@ def joints_input(
     (4, 144, 96) uint8 array
         Blue, green, red, silhouette.
     """
-    left, top, width, height = window
-    within = (left - silhouette.left, top - silhouette.top, width, height)
-    mask = silhouette.crop * np.uint8(255)
-    looks = (cut(frame, window), cut(mask, within))
-    return planes_of([resize(look, COLUMNS, ROWS) for look in looks])
+    return planes_of(pictures_in(window, frame, silhouette, COLUMNS, ROWS))
 
 
 class JointReader:

@@ -1,4 +1,4 @@
-"""Windows about people, as the network that looks for them is shown them."""
+"""Windows about people, as networks are shown them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Box
+from app.vision.people import Box, Silhouette
 from app.vision.resampling import Window, cut, resize
 
 # The network sees a window of the box's height and 0.8 times as wide, stretched to its
@@ -32,6 +32,31 @@ class View:
     image: NDArray[np.uint8]
     box: Box
     window: Window
+
+
+def pictures_in(
+    window: Window,
+    frame: NDArray[np.uint8],
+    silhouette: Silhouette,
+    width: int,
+    height: int,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Cut a window out of a frame and out of a silhouette in it, and resize both.
+
+    Returns
+    -------
+    colour : (height, width, 3) uint8 array
+        BGR.
+    mask : (height, width) uint8 array
+        255 on the person.
+    """
+    left, top, columns, rows = window
+    within = (left - silhouette.left, top - silhouette.top, columns, rows)
+    mask = silhouette.crop * np.uint8(255)
+    return (
+        resize(cut(frame, window), width, height),
+        resize(cut(mask, within), width, height),
+    )
 
 
 def view_of(frame: NDArray[np.uint8], box: Box) -> View:

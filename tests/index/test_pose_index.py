@@ -1,0 +1,166 @@
+"""An index in memory: its parts fit, its search is exact, its entries are what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from descriptor.silhouette import normalise
+from index.silhouettes import Silhouettes
+from index.skeleton import camera_rotation, mirror_3d, mirror_normalised, project
+from index.store import PoseIndex
+
+
+class TestConstruction:
+    @pytest.mark.parametrize(
+        ("field", "value", "message"),
+        [
+            ("vectors", np.zeros((3, 48), np.float32), r"expected vectors of shape \(576, 48\)"),
+            ("skeletons", np.zeros((1, 19, 3), np.float16), "expected skeletons of shape"),
+            ("skeletons", np.zeros((1, 24, 3), np.float16), "expected skeletons of shape"),
+            (
+                "silhouette_store",
+                Silhouettes.compress(np.zeros((2, 768), np.uint8)),
+                "expected 576 silhouettes, got 2",
+            ),
+        ],
+    )  # fmt: skip
+    def test_parts_must_fit(
+        self, toy_index: PoseIndex, field: str, value: object, message: str
+    ) -> None:
+        with pytest.raises(ValueError, match=message):
+            dataclasses.replace(toy_index, **{field: value})
+
+    def test_entries_must_name_skeletons(self, toy_index: PoseIndex) -> None:
+        with pytest.raises(ValueError, match="expected skeletons below 5, an entry names"):
+            dataclasses.replace(
+                toy_index,
+                skeletons=toy_index.skeletons[:5],
+                skeleton_labels=toy_index.skeleton_labels[:5],
+            )
+
+    def test_is_never_empty(self, toy_index: PoseIndex) -> None:
+        with pytest.raises(ValueError, match="at least one entry"):
+            dataclasses.replace(toy_index, entries=toy_index.entries[:0])
+
+
+class TestSearch:
+    def test_equals_brute_force(self, toy_index: PoseIndex) -> None:
+        noise = np.random.default_rng(0).normal(0, 0.3, (12, 48)).astype(np.float32)
+        queries = toy_index.vectors[:576:48] + noise
+        distances, numbers = toy_index.search(queries, 10)
+        apart = np.linalg.norm(
+            queries[:, None].astype(np.float64) - toy_index.vectors[None], axis=-1
+        )
+        assert_array_equal(numbers, np.argsort(apart, axis=1, kind="stable")[:, :10])
+        # FAISS squares in float32: values about 50 squared, so errors about 1e-3.
+        assert_allclose(distances, np.sort(apart, axis=1)[:, :10], atol=5e-3)
+
+    def test_distances_ascend(self, toy_index: PoseIndex) -> None:
+        distances, _ = toy_index.search(toy_index.vectors[:5], 50)
+        assert (np.diff(distances, axis=1) >= 0).all()
+
+    def test_finds_itself_at_distance_zero(self, toy_index: PoseIndex) -> None:
+        for number in range(0, len(toy_index), 37):
+            distances, _ = toy_index.search(toy_index.vectors[number : number + 1], 1)
+            assert distances[0, 0] == 0
+
+    def test_gives_no_more_than_all(self, toy_index: PoseIndex) -> None:
+        _, numbers = toy_index.search(toy_index.vectors[:1], 10**6)
+        assert_array_equal(np.sort(numbers[0]), np.arange(len(toy_index)))
+
+
+class TestEntries:
+    def test_labels(self, toy_index: PoseIndex) -> None:
+        entries = [toy_index.entry(number) for number in range(len(toy_index))]
+        first = entries[0]
+        assert (first.clip, first.action, first.frame) == ("greet", "wave", 2)
+        assert {(e.clip, e.action) for e in entries} == {("greet", "wave"), ("stroll", "walk")}
+        assert {e.subject for e in entries} == {"slim", "broad"}
+        # Each pose is seen by twelve cameras.
+        assert [e.frame for e in entries[:36:12]] == [2, 3, 4]
+        assert not any(e.mirrored for e in entries)
+        assert [e.number for e in entries] == list(range(len(toy_index)))
+
+    def test_points_follow_the_camera(self, toy_index: PoseIndex) -> None:
+        entry = toy_index.entry(100)
+        body = toy_index.skeletons[toy_index.entries["skeleton"][100]].astype(np.float64)
+        rotation = camera_rotation(entry.azimuth_deg, entry.elevation_deg, entry.roll_deg)
+        assert_allclose(entry.points_3d, body @ rotation.T, atol=1e-12)
+        row = toy_index.entries[100]
+        placed = project(entry.points_3d, entry.distance_m) * row["scale"]
+        assert_allclose(
+            entry.points_normalised,
+            placed + np.array([row["offset_x"], row["offset_y"]]),
+            atol=1e-4,
+        )
+
+    @pytest.mark.parametrize("number", [0, 100, 575])
+    def test_mirror_image_is_the_mirrored_body_seen_by_its_camera(
+        self, toy_index: PoseIndex, number: int
+    ) -> None:
+        entry = toy_index.entry(number, mirrored=True)
+        body = toy_index.skeletons[toy_index.entries["skeleton"][number]].astype(np.float64)
+        rotation = camera_rotation(entry.azimuth_deg, entry.elevation_deg, entry.roll_deg)
+        # Azimuths are wrapped to 0..360 in float64: 1e-13 degrees are lost.
+        assert_allclose(entry.points_3d, mirror_3d(body) @ rotation.T, atol=1e-9)
+        assert 0 <= entry.azimuth_deg < 360
+
+    @pytest.mark.parametrize("number", [0, 100, 575])
+    def test_mirror_image_has_the_labels_and_the_mirrored_points(
+        self, toy_index: PoseIndex, number: int
+    ) -> None:
+        entry, image = (toy_index.entry(number, mirrored=m) for m in (False, True))
+        assert (entry.mirrored, image.mirrored) == (False, True)
+        for field in ("number", "action", "clip", "subject", "frame", "elevation_deg",
+                      "distance_m"):  # fmt: skip
+            assert getattr(entry, field) == getattr(image, field)
+        assert_array_equal(image.points_3d, mirror_3d(entry.points_3d))
+        assert_array_equal(image.points_normalised, mirror_normalised(entry.points_normalised))
+
+    @pytest.mark.parametrize("azimuth", [0.0, -0.0, 1e-20, 360.0, 359.99998])
+    def test_azimuth_of_a_mirror_image_stays_below_360(
+        self, toy_index: PoseIndex, azimuth: float
+    ) -> None:
+        entries = toy_index.entries.copy()
+        entries["azimuth_deg"][7] = azimuth
+        index = dataclasses.replace(toy_index, entries=entries)
+        for mirrored in (False, True):
+            assert 0 <= index.entry(7, mirrored=mirrored).azimuth_deg < 360
+
+    def test_joints_of_mirror_images_lie_on_mirrored_silhouettes(
+        self, toy_index: PoseIndex
+    ) -> None:
+        inside = []
+        for number in range(0, len(toy_index), 7):
+            image = toy_index.entry(number, mirrored=True)
+            x, y = np.rint(image.points_normalised[:19]).astype(int).T
+            silhouette = toy_index.silhouette(number)[:, ::-1]
+            inside.append(silhouette[y.clip(0, 127), x.clip(0, 47)])
+        assert np.mean(inside) > 0.97
+
+    def test_joints_lie_on_their_silhouette(self, toy_index: PoseIndex) -> None:
+        numbers = np.arange(0, len(toy_index), 7)
+        joints = np.rint(toy_index.points(numbers)[1][:, :19]).astype(int)
+        silhouettes = toy_index.silhouettes(numbers)
+        inside = silhouettes[
+            np.arange(len(numbers))[:, None],
+            joints[..., 1].clip(0, 127),
+            joints[..., 0].clip(0, 47),
+        ]
+        assert inside.mean() > 0.97
+
+    def test_silhouettes_fill_their_frame(self, toy_index: PoseIndex) -> None:
+        for number in range(0, len(toy_index), 97):
+            silhouette = toy_index.silhouette(number)
+            again, placement = normalise(silhouette)
+            assert placement.scale == pytest.approx(1, abs=0.05)
+            assert (again != silhouette).mean() < 0.03
+
+    @pytest.mark.parametrize("number", [-1, 576])
+    def test_there_is_no_entry_beyond_the_last(self, toy_index: PoseIndex, number: int) -> None:
+        with pytest.raises(IndexError, match=f"expected an entry from 0 to 575, got {number}"):
+            toy_index.entry(number)
