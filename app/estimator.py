@@ -26,7 +26,7 @@ from app.settings import Settings
 from app.vision.background import BackgroundSegmenter
 from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
 from app.vision.detect import Detector
-from app.vision.facing_evidence import AzimuthBelief, FacingReader
+from app.vision.facing_evidence import AzimuthBelief, FacingReader, FacingView
 from app.vision.joints import JointReader
 from app.vision.lying import is_wide, segment_either_way, segment_people, which_way_up
 from app.vision.networks import load_networks
@@ -354,7 +354,7 @@ class Estimator:
         reader, maps = self._joint_reader, None
         if reader is not None and found.source != "mask":
             maps = aside(reader.read, scene.frame, silhouette, placement)
-        belief = aside(self._read_facing, scene, silhouette)
+        belief = aside(self._read_facing, scene, FacingView.of(silhouette))
         return Look(silhouette, normalised, placement, maps, belief)
 
     def _person(self, scene: Scene, found: Found, look: Look | None, n: int) -> Person:
@@ -383,9 +383,9 @@ class Estimator:
         label = self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
         return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
 
-    def _read_facing(self, scene: Scene, silhouette: Silhouette) -> AzimuthBelief | None:
+    def _read_facing(self, scene: Scene, view: FacingView | None) -> AzimuthBelief | None:
         reader = self._facing_reader
-        return None if reader is None else reader.read(scene.frame, silhouette)
+        return None if reader is None or view is None else reader.look(scene.frame, view)
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:

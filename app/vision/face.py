@@ -76,7 +76,7 @@ class FaceFinder:
         head : (left, top, side, side)
             A square twice to three times as wide as a face.
         """
-        colour = np.ascontiguousarray(resize(cut(frame, head), SIZE, SIZE))
+        colour = resize(cut(frame, head), SIZE, SIZE)
         grey = cv2.equalizeHist(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY))
         with self._copies.one() as cascade:
             found = cascade.detectMultiScale(

@@ -24,8 +24,8 @@ from app.vision.face import FaceFinder
 from app.vision.joints import joints_window
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Silhouette
-from app.vision.resampling import Window, planes_of
-from app.vision.views import pictures_in
+from app.vision.resampling import Window, cut, planes_of, resize
+from app.vision.views import silhouette_in
 
 SIZE = 64
 CHANNELS = 8
@@ -111,6 +111,35 @@ class AzimuthBelief:
         return float(_CIRCLE_DEG[self._weight(_CIRCLE_DEG).argmax()])
 
 
+@dataclass(frozen=True)
+class FacingView:
+    """Where a person is looked at, and what of the silhouette is there: no photograph yet.
+
+    Parameters
+    ----------
+    head, person, face : Window
+        About head and shoulders, all of the person, and the head alone.
+    masks : pair of (64, 64) uint8 arrays
+        255 on the person, in the first two.
+    """
+
+    head: Window
+    person: Window
+    face: Window
+    masks: tuple[NDArray[np.uint8], NDArray[np.uint8]]
+
+    @classmethod
+    def of(cls, silhouette: Silhouette) -> FacingView | None:
+        """Of a person who is upright; None where too little of the head is to be seen."""
+        # A head that the frame's upper edge cuts is taken for a body's top wrongly.
+        if len(silhouette.crop) < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
+            return None
+        head, person = head_window(silhouette), person_window(silhouette)
+        face = _about_head(silhouette, _FACE_SHARE, _FACE_CENTRE)
+        in_head, in_person = (silhouette_in(w, silhouette, SIZE, SIZE) for w in (head, person))
+        return cls(head, person, face, (in_head, in_person))
+
+
 class FacingReader:
     """Photograph and silhouette to a belief about the azimuth; safe under several threads.
 
@@ -140,38 +169,38 @@ class FacingReader:
             BGR.
         silhouette : Silhouette
         """
-        # A head that the frame's upper edge cuts is taken for a body's top wrongly.
-        if len(silhouette.crop) < _LEAST_PX or (silhouette.truncated and silhouette.top == 0):
-            return None
-        planes = facing_input(frame, silhouette)
+        view = FacingView.of(silhouette)
+        return None if view is None else self.look(frame, view)
+
+    def look(self, frame: NDArray[np.uint8], view: FacingView) -> AzimuthBelief | None:
+        """As :meth:`read`, of what can be told from the photograph alone.
+
+        Whoever matches meanwhile is held up at each step that asks for Python's lock; so there are
+        few.
+        """
+        planes = facing_input(frame, view)
         if planes[:3, ::_APART, ::_APART].std(axis=(1, 2)).max() < _LEAST_CONTRAST:
             return None
         front, left = self._network.run(planes)
-        face = self._faces.finds(frame, face_window(silhouette))
-        return AzimuthBelief(float(front), float(left), face)
+        return AzimuthBelief(float(front), float(left), self._faces.finds(frame, view.face))
 
 
-def facing_input(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.uint8]:
+def facing_input(frame: NDArray[np.uint8], view: FacingView) -> NDArray[np.uint8]:
     """What the network looks at.
 
     Parameters
     ----------
     frame : (H, W, 3) uint8 array
         BGR.
-    silhouette : Silhouette
+    view : FacingView
 
     Returns
     -------
     (8, 64, 64) uint8 array
         Blue, green, red and silhouette of head and shoulders, then of all of the person.
     """
-    return planes_of(
-        [
-            picture
-            for window in (head_window(silhouette), person_window(silhouette))
-            for picture in pictures_in(window, frame, silhouette, SIZE, SIZE)
-        ]
-    )
+    head, person = (resize(cut(frame, window), SIZE, SIZE) for window in (view.head, view.person))
+    return planes_of([head, view.masks[0], person, view.masks[1]])
 
 
 def person_window(silhouette: Silhouette) -> Window:
@@ -182,11 +211,6 @@ def person_window(silhouette: Silhouette) -> Window:
 def head_window(silhouette: Silhouette) -> Window:
     """Square about head and shoulders of a person who is upright."""
     return _about_head(silhouette, WINDOW_SHARE, _CENTRE)
-
-
-def face_window(silhouette: Silhouette) -> Window:
-    """Square about the head alone of a person who is upright."""
-    return _about_head(silhouette, _FACE_SHARE, _FACE_CENTRE)
 
 
 def _about_head(silhouette: Silhouette, share: float, centre: float) -> Window:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from app.vision.onnx import OnnxNetwork
 from app.vision.people import Box, Silhouette
-from app.vision.resampling import Window, planes_of
-from app.vision.views import pictures_in
+from app.vision.resampling import Window, cut, planes_of, resize
+from app.vision.views import silhouette_in
 from app.vision.workers import Workers
 from descriptor.silhouette import Placement, normalise
 from index.joint_maps import JointMaps
@@ -69,7 +69,8 @@ def joints_input(
     (4, 144, 96) uint8 array
         Blue, green, red, silhouette.
     """
-    return planes_of(pictures_in(window, frame, silhouette, COLUMNS, ROWS))
+    colour = resize(cut(frame, window), COLUMNS, ROWS)
+    return planes_of([colour, silhouette_in(window, silhouette, COLUMNS, ROWS)])
 
 
 class JointReader:

@@ -34,29 +34,18 @@ class View:
     window: Window
 
 
-def pictures_in(
-    window: Window,
-    frame: NDArray[np.uint8],
-    silhouette: Silhouette,
-    width: int,
-    height: int,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Cut a window out of a frame and out of a silhouette in it, and resize both.
+def silhouette_in(
+    window: Window, silhouette: Silhouette, width: int, height: int
+) -> NDArray[np.uint8]:
+    """What a window of the frame holds of a silhouette in it, resized: 255 on the person.
 
     Returns
     -------
-    colour : (height, width, 3) uint8 array
-        BGR.
-    mask : (height, width) uint8 array
-        255 on the person.
+    (height, width) uint8 array
     """
     left, top, columns, rows = window
     within = (left - silhouette.left, top - silhouette.top, columns, rows)
-    mask = silhouette.crop * np.uint8(255)
-    return (
-        resize(cut(frame, window), width, height),
-        resize(cut(mask, within), width, height),
-    )
+    return resize(cut(silhouette.crop * np.uint8(255), within), width, height)
 
 
 def view_of(frame: NDArray[np.uint8], box: Box) -> View:

@@ -15,6 +15,7 @@ from app.vision.facing_evidence import (
     SIZE,
     AzimuthBelief,
     FacingReader,
+    FacingView,
     facing_input,
     head_window,
 )
@@ -109,8 +110,9 @@ class TestFacingReader:
 
 
 def test_the_network_sees_the_head_and_the_whole_person() -> None:
-    silhouette = some_silhouette()
-    planes = facing_input(street(), silhouette)
+    view = FacingView.of(some_silhouette())
+    assert view is not None
+    planes = facing_input(street(), view)
     assert planes.shape == (CHANNELS, SIZE, SIZE)
     head, body = planes[3] > 127, planes[7] > 127
     # Head and shoulders fill the columns of their window, to its lower edge.
