@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +105,9 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> schemas.Hypothesis:
     hypothesis, label = placed.hypothesis, placed.label
-    return schemas.Hypothesis(
+    # Not validated: its hundreds of points would take half the time of an answer, and they were
+    # written here. The tests validate answers whole.
+    return schemas.Hypothesis.model_construct(
         rank=rank,
         entry=hypothesis.entry,
         distance=round(placed.distance, 6),
@@ -133,6 +136,7 @@ def _camera(label: Label) -> schemas.Camera:
     )
 
 
+@cache
 def _keypoints(keypoints: KeypointSet) -> schemas.Keypoints:
     return schemas.Keypoints.model_validate(
         {"set": keypoints.name, "names": list(keypoints.names), "bones": _bones(keypoints)}

@@ -248,21 +248,23 @@ class PoseIndex:
         """
         if not 0 <= number < len(self):
             raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {number}")
-        row = self.entries[number]
-        label = self.skeleton_labels[row["skeleton"]]
+        # As tuples: reading a row field by field takes three times as long.
+        camera = self.entries[number].item()
+        skeleton, azimuth_deg, elevation_deg, roll_deg, distance_m, *_ = camera
+        clip, frame, subject, action = self.skeleton_labels[skeleton].item()
         side = -1.0 if mirrored else 1.0
         return Label(
             number=number,
-            action=self.actions[label["action"]],
-            clip=self.clips[label["clip"]],
-            subject=self.subjects[label["subject"]],
-            frame=int(label["frame"]),
+            action=self.actions[action],
+            clip=self.clips[clip],
+            subject=self.subjects[subject],
+            frame=frame,
             mirrored=mirrored,
             # Twice: a tiny negative angle becomes 360 itself the first time.
-            azimuth_deg=side * float(row["azimuth_deg"]) % 360.0 % 360.0,
-            elevation_deg=float(row["elevation_deg"]),
-            roll_deg=side * float(row["roll_deg"]),
-            distance_m=float(row["distance"]),
+            azimuth_deg=side * azimuth_deg % 360.0 % 360.0,
+            elevation_deg=elevation_deg,
+            roll_deg=side * roll_deg,
+            distance_m=distance_m,
         )
 
     def silhouettes(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:

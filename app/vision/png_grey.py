@@ -7,11 +7,11 @@ without a person cost next to nothing. Whatever is out of the ordinary is left t
 from __future__ import annotations
 
 import struct
-import zlib
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from zlib_ng import zlib_ng
 
 from app.vision.png_chunks import png_chunks
 
@@ -36,7 +36,7 @@ def read_grey_png(data: bytes) -> NDArray[np.uint8] | None:
     compressed: list[memoryview] = []
     shape: tuple[int, int] | None = None
     for chunk in png_chunks(data):
-        if zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
+        if zlib_ng.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
             return None
         kind, content = bytes(chunk[4:8]), chunk[8:-4]
         if kind == b"IHDR" and len(content) == _HEADER.size:
@@ -53,11 +53,11 @@ def read_grey_png(data: bytes) -> NDArray[np.uint8] | None:
 
 def _unfiltered(compressed: bytes, height: int, width: int) -> NDArray[np.uint8] | None:
     size = height * (width + 1)
-    inflater = zlib.decompressobj()
+    inflater = zlib_ng.decompressobj()
     try:
         # One byte more than there should be tells a stream that is too long.
         content = inflater.decompress(compressed, size + 1)
-    except zlib.error:
+    except zlib_ng.error:  # type: ignore[misc]  # Declared as if it were an instance.
         return None
     if len(content) != size or not inflater.eof:
         return None
