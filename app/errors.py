@@ -20,6 +20,8 @@ from app.schemas import Problem
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 1
 
+_MULTIPART = "multipart/form-data"
+
 
 class ProblemError(Exception):
     """An answer other than success, raised where it is found.
@@ -85,6 +87,17 @@ def overloaded(detail: str, reason: str) -> ProblemError:
     return ProblemError(503, detail, headers={"Retry-After": str(RETRY_AFTER_S)}, reason=reason)
 
 
+def is_multipart(request: Request) -> bool:
+    """Whether a body is said to be a form with files."""
+    return request.headers.get("content-type", "").startswith(_MULTIPART)
+
+
+def not_multipart(request: Request) -> ProblemError:
+    """Make a 415 for any other body."""
+    got = request.headers.get("content-type", "")[:100] or "none"
+    return ProblemError(415, f"expected a body of type {_MULTIPART}, got {got}")
+
+
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Describe error responses of a route for the OpenAPI document."""
     return {
@@ -139,15 +152,8 @@ def register_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def _(request: Request, error: RequestValidationError) -> Response:
-        content_type = request.headers.get("content-type", "")
-        if request.method == "POST" and not content_type.startswith("multipart/form-data"):
-            return problem_response(
-                ProblemError(
-                    415,
-                    "expected a body of type multipart/form-data, "
-                    f"got {content_type[:100] or 'none'}",
-                )
-            )
+        if request.method == "POST" and not is_multipart(request):
+            return problem_response(not_multipart(request))
         first = error.errors()[0]
         # A location starts with where it was found: query, path, body.
         field = ".".join(str(part) for part in first["loc"][1:]) or None

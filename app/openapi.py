@@ -7,14 +7,15 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from app.schemas import Problem
+from app.schemas import FrameUpload, Problem
 
 
 def add_openapi(app: FastAPI) -> None:
     """Have ``app`` describe its errors, and its uploads so that generated clients work.
 
     Every route refers to :class:`Problem`. Naming the model in each would do, but FastAPI
-    would then promise ``application/json`` besides ``application/problem+json``.
+    would then promise ``application/json`` besides ``application/problem+json``. So do the routes
+    on poses to the form that they read by themselves.
     """
 
     def openapi() -> dict[str, Any]:
@@ -26,12 +27,13 @@ def add_openapi(app: FastAPI) -> None:
                 routes=app.routes,
             )
             schemas = document["components"]["schemas"]
-            schemas["Problem"] = Problem.model_json_schema()
+            for model in (Problem, FrameUpload):
+                schemas[model.__name__] = model.model_json_schema()
             for name, schema in schemas.items():
                 # The models here allow no others, but a later version may add fields: clients
                 # that refuse what they do not know would break. (And openapi-generator warns.)
                 schema.pop("additionalProperties", None)
-                if name.startswith("Body_"):
+                if name == FrameUpload.__name__ or name.startswith("Body_"):
                     properties = schema["properties"]
                     schema["properties"] = {k: _form_field(v) for k, v in properties.items()}
             app.openapi_schema = document
@@ -49,7 +51,8 @@ def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     kind: dict[str, Any] = next(
         (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}
     )
-    schema = {**kind, **{key: value for key, value in schema.items() if key != "anyOf"}}
+    rest = {k: v for k, v in schema.items() if k != "anyOf" and (k, v) != ("default", None)}
+    schema = {**kind, **rest}
     if schema.get("contentMediaType") == "application/octet-stream":
         schema["format"] = "binary"
     return schema

@@ -19,6 +19,35 @@ class Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+FRAME = (
+    "The photograph: JPEG, PNG, WebP, BMP, TIFF or GIF. Its EXIF orientation is applied; all "
+    "pixels of the answer refer to the turned image."
+)
+
+
+class FrameUpload(Model):
+    """A frame, and where its people are if that is known."""
+
+    frame: bytes = Field(description=FRAME)
+    mask: bytes | None = Field(
+        default=None,
+        description="Where the people are: an image of the frame's size, 0 background, "
+        "k = person k; a two-valued mask is one person. PNG keeps the labels, JPEG does not.",
+    )
+    background: bytes | None = Field(
+        default=None,
+        description="The empty scene, of the frame's size and from the same fixed camera: "
+        "people are what differs.",
+    )
+    boxes: str | None = Field(
+        default=None,
+        description="Where the people are: a JSON list of `[x, y, width, height]` in pixels "
+        "of the frame. With a background, what differs from it is cut out inside them; a mask "
+        "excludes both.",
+        examples=["[[401, 120, 61, 148]]"],
+    )
+
+
 class Problem(Model):
     """An error, as RFC 9457 describes it."""
 

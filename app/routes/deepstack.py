@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from typing import Annotated
 
-from fastapi import APIRouter, Form, Request
+from fastapi import APIRouter, File, Form, Request, UploadFile
 
 from app.auth import check_key
 from app.errors import documented
 from app.pool import Watch
-from app.routes.uploads import FrameFile
 from app.runtime import run_in_pool, runtime_of
-from app.schemas import DeepstackPrediction, DeepstackResponse
+from app.schemas import FRAME, DeepstackPrediction, DeepstackResponse
 
 router = APIRouter(
     prefix="/v1/vision",
@@ -24,7 +23,7 @@ router = APIRouter(
 @router.post("/detection", operation_id="detect_deepstack")
 async def detect_deepstack(
     request: Request,
-    image: FrameFile,
+    image: Annotated[UploadFile, File(description=FRAME)],
     min_confidence: Annotated[
         float,
         Form(ge=0, le=1, description="Detections below this score are left out.", examples=[0.4]),

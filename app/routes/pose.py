@@ -13,7 +13,7 @@ from app.errors import documented
 from app.estimates import Stopwatch
 from app.pool import Watch
 from app.replies import pose_reply
-from app.routes.uploads import HypothesisCount, KeypointSetQuery, UploadForm
+from app.routes.uploads import DOCUMENTED_UPLOAD, HypothesisCount, KeypointSetQuery, UploadForm
 from app.runtime import run_in_pool, runtime_of
 from app.schemas import PoseResponse
 from index.skeleton import KEYPOINT_SETS
@@ -32,7 +32,12 @@ PNG: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.post("/pose", operation_id="estimate_pose", response_model=PoseResponse)
+@router.post(
+    "/pose",
+    operation_id="estimate_pose",
+    response_model=PoseResponse,
+    openapi_extra=DOCUMENTED_UPLOAD,
+)
 async def estimate_pose(
     request: Request,
     upload: UploadForm,
@@ -56,7 +61,13 @@ async def estimate_pose(
     return Response(await run_in_pool(request, work), media_type="application/json")
 
 
-@router.post("/pose/overlay", operation_id="draw_pose", response_class=Response, responses=PNG)
+@router.post(
+    "/pose/overlay",
+    operation_id="draw_pose",
+    response_class=Response,
+    responses=PNG,
+    openapi_extra=DOCUMENTED_UPLOAD,
+)
 async def draw_pose(
     request: Request,
     upload: UploadForm,
@@ -79,6 +90,7 @@ async def draw_pose(
     operation_id="extract_silhouettes",
     response_class=Response,
     responses=PNG,
+    openapi_extra=DOCUMENTED_UPLOAD,
 )
 async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     """Cut out the people of a frame: a label image.

@@ -123,6 +123,32 @@ def test_a_missing_frame(client: TestClient, photo: Photo) -> None:
     check_problem(client.post("/pose", files={"mask": photo.mask_png}), 422, "frame")
 
 
+@pytest.mark.parametrize("field", ["frame", "mask", "background"])
+def test_text_where_a_file_belongs(client: TestClient, photo: Photo, field: str) -> None:
+    parts = {"frame": ("f", photo.frame_png), field: (None, b"frame.jpg")}
+    check_problem(client.post("/pose", files=parts), 422, field)
+
+
+def test_a_file_where_text_belongs(client: TestClient, photo: Photo) -> None:
+    parts = {"frame": ("f", photo.frame_png), "boxes": ("boxes.json", b"[[1, 2, 30, 40]]")}
+    check_problem(client.post("/pose", files=parts), 422, "boxes")
+
+
+def test_fields_left_empty_in_a_browser(client: TestClient, photo: Photo) -> None:
+    # requests and httpx leave the empty file name out, so the form is written out here.
+    head = "--b\r\nContent-Disposition: form-data; name="
+    empty = [f'{head}"{field}"; filename=""\r\n\r\n\r\n' for field in ("mask", "background")]
+    frame = f'{head}"frame"; filename="f.png"\r\n\r\n'.encode() + photo.frame_png + b"\r\n"
+    boxes = f'{head}"boxes"\r\n\r\n\r\n--b--\r\n'
+    headers = {"content-type": "multipart/form-data; boundary=b"}
+    response = client.post(
+        "/pose", content="".join(empty).encode() + frame + boxes.encode(), headers=headers
+    )
+    assert response.status_code == 200, response.text
+    response = client.post("/pose", content=f"{''.join(empty)}--b--\r\n", headers=headers)
+    check_problem(response, 422, "frame")
+
+
 @pytest.mark.parametrize("content_type", ["application/json", "image/jpeg", ""])
 def test_other_media_types(client: TestClient, content_type: str) -> None:
     response = client.post("/pose", content=b"{}", headers={"content-type": content_type})

@@ -40,7 +40,7 @@ def load(name: str) -> Any:
 
 def test_it_uploads_a_frame_and_reads_the_poses(package: Any, server: Server, photo: Photo) -> None:
     file = load("types").File
-    body = load("models").BodyEstimatePose(
+    body = load("models").FrameUpload(
         frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
         mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
     )
@@ -55,7 +55,7 @@ def test_it_uploads_a_frame_and_reads_the_poses(package: Any, server: Server, ph
 def test_it_reads_problems_and_pictures(package: Any, server: Server, photo: Photo) -> None:
     file = load("types").File
     client = package.Client(server.url)
-    body = load("models").BodyEstimatePose(frame=file(io.BytesIO(b"?"), "f", "image/png"))
+    body = load("models").FrameUpload(frame=file(io.BytesIO(b"?"), "f", "image/png"))
     problem = load("api.pose.estimate_pose").sync(client=client, body=body)
     assert problem.status == 400
     assert problem.field == "frame"

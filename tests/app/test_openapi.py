@@ -57,7 +57,7 @@ def test_every_operation_and_field_is_described(document: dict[str, Any]) -> Non
 
 
 def test_uploads_are_binary_for_generators(document: dict[str, Any]) -> None:
-    body = document["components"]["schemas"]["Body_estimate_pose"]
+    body = document["components"]["schemas"]["FrameUpload"]
     for field in ("frame", "mask", "background"):
         assert body["properties"][field]["type"] == "string"
         assert body["properties"][field]["format"] == "binary"

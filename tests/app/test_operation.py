@@ -13,6 +13,7 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 from pydantic import ValidationError
+from starlette.types import Message, Receive, Scope, Send
 
 from app.estimates import Upload
 from app.estimator import Estimator
@@ -65,6 +66,22 @@ def test_anything_else_does_not(locked: TestClient, headers: dict[str, str], pho
         assert response.headers["content-type"] == "application/problem+json"
         assert response.headers["www-authenticate"] == "Bearer"
         assert "first" not in response.text
+
+
+def test_without_a_key_nothing_of_an_upload_is_read(locked: TestClient) -> None:
+    received = []
+    app = locked.app
+
+    async def watching(scope: Scope, receive: Receive, send: Send) -> None:
+        async def watched() -> Message:
+            received.append(await receive())
+            return received[-1]
+
+        await app(scope, watched, send)
+
+    response = TestClient(watching).post("/pose", files={"frame": b"a photograph"})
+    assert response.status_code == 401
+    assert received == []
 
 
 def test_probes_and_pages_need_no_key(locked: TestClient) -> None:
