@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TypeVar
-
-import anyio
-from anyio import CapacityLimiter, to_thread
 
 from app.process import give_way
 
@@ -68,7 +68,9 @@ class WorkPool:
     """
 
     def __init__(self, threads: int, queue_length: int, timeout_s: float) -> None:
-        self._threads = CapacityLimiter(threads)
+        self._threads = ThreadPoolExecutor(
+            threads, thread_name_prefix="frame", initializer=give_way
+        )
         self._capacity = threads + queue_length
         self._timeout_s = timeout_s
         self.inside = 0
@@ -78,7 +80,9 @@ class WorkPool:
         """Whether one job more would be refused."""
         return self.inside >= self._capacity
 
-    async def run(self, work: Callable[[Watch], T], until_gone: Callable[[], Awaitable[None]]) -> T:
+    async def run(
+        self, work: Callable[[Watch], T], until_gone: Callable[[], Coroutine[None, None, None]]
+    ) -> T:
         """Do ``work`` in a thread.
 
         Parameters
@@ -96,37 +100,23 @@ class WorkPool:
         if self.is_full():
             raise OverloadedError(FULL)
         watch = Watch(self._timeout_s)
-
-        def job() -> T:
-            give_way()
-            return work(watch)
-
-        outcome: T | None = None
-        failure: Exception | None = None
-        finished = False
         self.inside += 1
+        # The log lines of the work carry the request's id.
+        job = self._threads.submit(copy_context().run, work, watch)
+        done, gone = asyncio.wrap_future(job), asyncio.ensure_future(until_gone())
         try:
-            with anyio.move_on_after(self._timeout_s):
-                async with anyio.create_task_group() as tasks:
-
-                    async def tell_when_gone() -> None:
-                        await until_gone()
-                        watch.client_is_gone()
-                        tasks.cancel_scope.cancel()
-
-                    tasks.start_soon(tell_when_gone)
-                    try:
-                        outcome = await to_thread.run_sync(job, limiter=self._threads)
-                        finished = True
-                    except Exception as error:
-                        # Kept for later, as a task group would wrap it into a group.
-                        failure = error
-                    tasks.cancel_scope.cancel()
+            await asyncio.wait(
+                (done, gone), timeout=self._timeout_s, return_when=asyncio.FIRST_COMPLETED
+            )
+            if gone.done():
+                watch.client_is_gone()
+            if job.cancel() and gone.done():
+                watch.check()
+            if job.cancelled():
+                raise DeadlineError("the service was too busy to answer in time; try again shortly")
+            # Whether it is told or not, a thread is taken until it ends.
+            return await done
         finally:
+            watch.client_is_gone()
+            gone.cancel()
             self.inside -= 1
-        if failure is not None:
-            raise failure
-        if not finished:
-            watch.check()
-            raise DeadlineError("the service was too busy to answer in time; try again shortly")
-        return outcome  # type: ignore[return-value]

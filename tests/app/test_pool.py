@@ -7,7 +7,9 @@ import time
 
 import anyio
 import pytest
+from anyio import to_thread
 
+from app.observation import request_id
 from app.pool import ClientGoneError, DeadlineError, OverloadedError, Watch, WorkPool
 
 pytestmark = pytest.mark.anyio
@@ -121,5 +123,35 @@ async def test_the_deadline_holds_for_work_and_for_waiting() -> None:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(job)
             tasks.start_soon(job)
-    assert len(outcomes) == 2
+    waited, worked = sorted(outcomes, key=lambda said: "busy" not in said)
+    assert "too busy" in waited
+    assert "took longer" in worked
+    assert pool.inside == 0
+
+
+async def test_the_work_knows_whose_it_is() -> None:
+    pool = WorkPool(threads=1, queue_length=1, timeout_s=5)
+    request_id.set("mine")
+    assert await pool.run(lambda watch: request_id.get(), never) == "mine"
+
+
+async def test_a_request_that_is_cancelled_tells_its_work() -> None:
+    pool = WorkPool(threads=1, queue_length=1, timeout_s=5)
+    begun, told = threading.Event(), threading.Event()
+
+    def work(watch: Watch) -> None:
+        begun.set()
+        try:
+            while True:
+                watch.check()
+                time.sleep(0.005)
+        except ClientGoneError:
+            told.set()
+            raise
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(pool.run, work, never)
+        await to_thread.run_sync(begun.wait)
+        tasks.cancel_scope.cancel()
+    assert await to_thread.run_sync(told.wait, 2)
     assert pool.inside == 0
