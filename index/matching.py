@@ -15,7 +15,7 @@ from index.candidates import Candidates
 from index.confidence import RIGHT_BELOW_PX, Calibration
 from index.joint_maps import JointMaps
 from index.leans import Leaning, find_leaning_candidates, turned_clockwise
-from index.modes import Mode, candidate_weights, find_modes
+from index.modes import Modes, candidate_weights, find_modes
 from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
 
@@ -129,37 +129,39 @@ def match_with_features(
     leans = (0.0,) if maps is None else LEANS_DEG
     leanings = [Leaning.of(silhouette, lean) for lean in leans]
     candidates, modes = _enough_modes(index, leanings, n, maps)
-    modes.sort(key=lambda mode: mode.distance)
-    centres = [mode.centre for mode in modes]
-    others = index.silhouettes(candidates.numbers[centres])
-    mirrored = candidates.mirrored[centres]
+    modes = modes.nearest()
+    numbers, mirrored = candidates.numbers[modes.centres], candidates.mirrored[modes.centres]
+    lean_deg = candidates.lean_deg[modes.centres]
+    others = index.silhouettes(numbers)
     others[mirrored] = others[mirrored, :, ::-1]
-    errors = _outline_errors(leanings, others, candidates.lean_deg[centres])
+    errors = _outline_errors(leanings, others, lean_deg)
     features = match_features(candidates, modes, errors)
     confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
-    points_3d = np.stack([mode.points_3d for mode in modes])
-    points_normalised = np.stack([mode.points_normalised for mode in modes])
-    looks = [(0.0, 0.0)] * len(modes)
+    points_3d, points_normalised = modes.points_3d, modes.points_normalised
+    log_likelihood = side_odds = np.zeros(len(modes))
     if maps is not None:
         # Poses that had to be bent far are less likely: they are judged as they were found.
         look = maps.look(points_normalised)
-        looks = list(zip(look.log_likelihood.tolist(), look.side_odds.tolist(), strict=True))
+        log_likelihood, side_odds = look.log_likelihood, look.side_odds
         points_3d, points_normalised = bend(maps, points_3d, points_normalised)
+    columns = (
+        numbers, mirrored, modes.distances, errors, confidences, lean_deg, log_likelihood, side_odds
+    )  # fmt: skip
     hypotheses = [
         Hypothesis(
-            entry=int(candidates.numbers[mode.centre]),
-            mirrored=bool(candidates.mirrored[mode.centre]),
-            distance=mode.distance,
-            reprojection_error_px=float(error),
-            confidence=float(confidence),
+            entry=entry,
+            mirrored=is_mirrored,
+            distance=distance,
+            reprojection_error_px=error,
+            confidence=confidence,
             points_3d=points_3d[row],
             points_normalised=points_normalised[row],
-            log_likelihood=log_likelihood,
-            side_odds=side_odds,
-            lean_deg=float(candidates.lean_deg[mode.centre]),
+            lean_deg=lean,
+            log_likelihood=likelihood,
+            side_odds=odds,
         )
-        for row, (mode, error, confidence, (log_likelihood, side_odds)) in enumerate(
-            zip(modes, errors, confidences, looks, strict=True)
+        for row, (entry, is_mirrored, distance, error, confidence, lean, likelihood, odds) in (
+            enumerate(zip(*(column.tolist() for column in columns), strict=True))
         )
     ]
     return hypotheses, features
@@ -167,7 +169,7 @@ def match_with_features(
 
 def _enough_modes(
     index: PoseIndex, leanings: Sequence[Leaning], n: int, maps: JointMaps | None
-) -> tuple[Candidates, list[Mode]]:
+) -> tuple[Candidates, Modes]:
     """Look at more candidates until they hold ``n`` modes or the index has no more."""
     fewest, spare = (
         (CANDIDATES, SPARE_MODES) if maps is None else (CANDIDATES_SEEN, SPARE_MODES_SEEN)
@@ -191,11 +193,10 @@ def _enough_modes(
 
 
 def match_features(
-    candidates: Candidates, modes: list[Mode], errors: NDArray[np.floating]
+    candidates: Candidates, modes: Modes, errors: NDArray[np.floating]
 ) -> NDArray[np.float64]:
     """Compute what :data:`index.confidence.FEATURES` names, for each mode ``(M, F)``."""
-    distances = np.log([mode.distance + 1e-6 for mode in modes])
-    votes = np.log([mode.votes + 1e-6 for mode in modes])
+    distances, votes = np.log(modes.distances + 1e-6), np.log(modes.votes + 1e-6)
     nearest = np.full(len(modes), np.log(candidates.distances[0] + 1e-6))
     return np.stack(
         [
@@ -212,13 +213,13 @@ def match_features(
     )
 
 
-def _agreements(candidates: Candidates, modes: list[Mode]) -> NDArray[np.float64]:
+def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     """Shares ``(4, M)`` of the candidates that lie near each mode in the normalised frame.
 
     Which of several hypotheses is right shows less in how well each fits than in how many of
     the candidates would count as right if it is.
     """
-    ours = np.stack([mode.points_normalised[:JOINTS] for mode in modes]).astype(np.float32)
+    ours = modes.points_normalised[:, :JOINTS].astype(np.float32)
     theirs = candidates.points_normalised[:, :JOINTS].astype(np.float32)
     squares = np.zeros((len(ours), len(theirs), JOINTS), np.float32)
     for axis in range(2):

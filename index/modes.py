@@ -54,27 +54,43 @@ RIDGE = 0.45
 
 
 @dataclass(frozen=True)
-class Mode:
-    """A pose that several candidates agree on.
+class Modes:
+    """Poses, on each of which several candidates agree.
 
     Parameters
     ----------
-    centre : int
-        The candidate in its middle.
-    votes : float
-        Share of all candidates' weight that gathers here.
-    distance : float
-        From the query's descriptor to the descriptors of the mode, interpolated.
-    points_3d : (24, 3) float64 array
-    points_normalised : (24, 2) float64 array
+    centres : (M,) int64 array
+        The candidate in the middle of each.
+    votes : (M,) float64 array
+        Share of all candidates' weight that gathers there.
+    distances : (M,) float64 array
+        From the query's descriptor to the descriptors of each mode, interpolated.
+    points_3d : (M, 24, 3) float64 array
+    points_normalised : (M, 24, 2) float64 array
         Interpolated; the bones are as long as those of the centre.
     """
 
-    centre: int
-    votes: float
-    distance: float
+    centres: NDArray[np.int64]
+    votes: NDArray[np.float64]
+    distances: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def take(self, rows: NDArray[np.integer] | Sequence[int] | slice) -> Modes:
+        """Return some of them, in the order asked for."""
+        return Modes(*(array[rows] for array in vars(self).values()))
+
+    def nearest(self, count: int | None = None) -> Modes:
+        """Return them in ascending distance, no more than ``count``."""
+        return self.take(np.argsort(self.distances, kind="stable")[:count])
+
+    def and_more(self, more: Modes) -> Modes:
+        """Put others after these."""
+        pairs = zip(vars(self).values(), vars(more).values(), strict=True)
+        return Modes(*(np.concatenate(pair) for pair in pairs))
 
 
 def find_modes(
@@ -83,7 +99,7 @@ def find_modes(
     *,
     look: Look | None = None,
     bandwidth_m: float = BANDWIDTH_M,
-) -> list[Mode]:
+) -> Modes:
     """Up to ``count`` modes, the densest first, no two of their centres alike.
 
     Parameters
@@ -97,7 +113,7 @@ def find_modes(
 
     Returns
     -------
-    list of Mode
+    Modes
         Fewer than ``count`` where the candidates hold fewer distinct poses.
     """
     weights, offsets = candidate_weights(candidates.distances), candidates.offsets
@@ -109,27 +125,26 @@ def find_modes(
     offsets = offsets.astype(np.float32)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     densest = _densest(weights, apart, bandwidth_m)
-    modes: list[Mode] = []
-    distinct: list[Mode] = []
-    looked_at = count
-    while len(distinct) < count and (some := list(islice(densest, looked_at))):
-        modes += _interpolate(candidates, offsets, some)
-        distinct = _distinct(modes)[:count]
+    modes = _interpolate(candidates, offsets, list(islice(densest, count)))
+    while len(distinct := _distinct(modes)[:count]) < count:
         # Interpolation made some alike: as many more as that should take.
-        looked_at = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
-    skeletons = candidates.points_3d[[mode.centre for mode in distinct]]
-    grown = with_bones_of(skeletons, np.stack([mode.points_3d for mode in distinct]))
-    return [replace(mode, points_3d=points) for mode, points in zip(distinct, grown, strict=True)]
+        more = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
+        if not (some := list(islice(densest, more))):
+            break
+        modes = modes.and_more(_interpolate(candidates, offsets, some))
+    modes = modes.take(distinct)
+    skeletons = candidates.points_3d[modes.centres]
+    return replace(modes, points_3d=with_bones_of(skeletons, modes.points_3d))
 
 
-def _distinct(modes: Sequence[Mode]) -> list[Mode]:
-    """Interpolated modes without those that come too near to an earlier one."""
-    near = _joint_distances(np.stack([mode.points_3d[:JOINTS] for mode in modes])) < DISTINCT_M / 2
+def _distinct(modes: Modes) -> list[int]:
+    """Interpolated modes, by their rows, without those that come too near to an earlier one."""
+    near = _joint_distances(modes.points_3d[:, :JOINTS]) < DISTINCT_M / 2
     distinct: list[int] = []
     for position, near_it in enumerate(near.tolist()):
         if not any(near_it[other] for other in distinct):
             distinct.append(position)
-    return [modes[position] for position in distinct]
+    return distinct
 
 
 def _densest(
@@ -166,7 +181,7 @@ def _interpolate(
     candidates: Candidates,
     offsets: NDArray[np.float32],
     gatherings: Sequence[tuple[int, NDArray[np.float32]]],
-) -> list[Mode]:
+) -> Modes:
     """Interpolate to where offsets ``(K, E)`` vanish what gathers ``(K,)`` about each centre."""
     centres, weights = [centre for centre, _ in gatherings], np.stack([w for _, w in gatherings])
     shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, np.float32(0))
@@ -182,17 +197,13 @@ def _interpolate(
     slopes = np.linalg.solve(scatter, -means[..., None])[..., 0]
     steps = shares * (slopes @ offsets.T - (slopes * means).sum(axis=1, keepdims=True))
     combinations = shares + steps - shares * steps.sum(axis=1, keepdims=True)
-    return [
-        Mode(centre, float(votes), float(distance), points_3d, points_normalised)
-        for centre, votes, distance, points_3d, points_normalised in zip(
-            centres,
-            weights.sum(axis=1),
-            np.linalg.norm(combinations @ candidates.offsets, axis=1),
-            _combine(combinations, candidates.points_3d),
-            _combine(combinations, candidates.points_normalised),
-            strict=True,
-        )
-    ]
+    return Modes(
+        np.array(centres),
+        weights.sum(axis=1).astype(np.float64),
+        np.linalg.norm(combinations @ candidates.offsets, axis=1).astype(np.float64),
+        _combine(combinations, candidates.points_3d),
+        _combine(combinations, candidates.points_normalised),
+    )
 
 
 def _combine(shares: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:

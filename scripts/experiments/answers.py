@@ -21,7 +21,7 @@ from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
 from index.matching import SPARE_MODES
-from index.modes import Mode, find_modes
+from index.modes import Modes, find_modes
 from index.skeleton import JOINTS
 from index.store import PoseIndex
 from scripts.experiments.contour import contour_faults
@@ -94,14 +94,14 @@ def all_candidates(
     return [find_candidates(index, silhouette, count) for silhouette in silhouettes]
 
 
-def ranked_modes(candidates: Candidates, matching: Matching, count: int) -> list[Mode]:
+def ranked_modes(candidates: Candidates, matching: Matching, count: int) -> Modes:
     """Distinct poses, best first, as :func:`index.matching.match` ranks them."""
     modes = find_modes(
         candidates.take(slice(matching.candidates)),
         count + SPARE_MODES,
         bandwidth_m=matching.bandwidth_m,
     )
-    return sorted(modes, key=lambda mode: mode.distance)[:count]
+    return modes.nearest(count)
 
 
 def mode_errors(
@@ -114,7 +114,7 @@ def mode_errors(
     errors = np.full((len(found), count), np.inf)
     truth = view_joints(unseen)[1]
     for row, candidates in enumerate(found):
-        for rank, mode in enumerate(ranked_modes(candidates, matching, count)):
-            apart = mode.points_normalised[:JOINTS] - truth[row]
-            errors[row, rank] = np.linalg.norm(apart, axis=-1).mean()
+        modes = ranked_modes(candidates, matching, count)
+        apart = modes.points_normalised[:, :JOINTS] - truth[row]
+        errors[row, : len(modes)] = np.linalg.norm(apart, axis=-1).mean(axis=-1)
     return errors

@@ -142,7 +142,7 @@ def first_answers(index: PoseIndex, asked: Simulation, choice: Choice) -> NDArra
     """Joints ``(Q, 19, 2)`` of the first distinct pose for every silhouette."""
     found = all_candidates(index, asked.silhouettes(slice(None)), choice.matching.candidates)
     return np.stack(
-        [ranked_modes(c, choice.matching, 1)[0].points_normalised[:JOINTS] for c in found]
+        [ranked_modes(c, choice.matching, 1).points_normalised[0, :JOINTS] for c in found]
     )
 
 

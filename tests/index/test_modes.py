@@ -64,7 +64,7 @@ def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float
     found = candidates_of(rng.normal(size=6), rng.normal(size=(size, 6)), poses)
     modes = find_modes(found, count)
     assert 1 <= len(modes) <= count
-    centres = found.points_3d[[mode.centre for mode in modes], :JOINTS]
+    centres = found.points_3d[modes.centres, :JOINTS]
     apart = np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=-1).mean(axis=-1))
     assert (apart[~np.eye(len(modes), dtype=bool)] >= DISTINCT_M - 1e-6).all()
     if len(modes) < count and spread in (0.0, 1.0):
@@ -72,15 +72,14 @@ def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float
         joints = found.points_3d[:, None, :JOINTS]
         nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
         assert (nearest < DISTINCT_M + 1e-6).all()
-    for mode in modes:
-        assert 0 < mode.votes <= 1 + 1e-6
-        assert 0 <= mode.distance < np.inf
-        assert mode.points_3d.shape == (POINTS, 3)
-        assert np.isfinite(mode.points_3d).all()
-        assert np.isfinite(mode.points_normalised).all()
-        assert_allclose(
-            bone_lengths(mode.points_3d), bone_lengths(found.points_3d[mode.centre]), rtol=1e-6
-        )
+    assert (modes.votes > 0).all()
+    assert (modes.votes <= 1 + 1e-6).all()
+    assert (modes.distances >= 0).all()
+    assert modes.points_3d.shape == (len(modes), POINTS, 3)
+    for numbers in (modes.distances, modes.points_3d, modes.points_normalised):
+        assert np.isfinite(numbers).all()
+    for points, centre in zip(modes.points_3d, modes.centres, strict=True):
+        assert_allclose(bone_lengths(points), bone_lengths(found.points_3d[centre]), rtol=1e-6)
 
 
 def test_candidates_alike_are_one_mode_with_all_votes() -> None:
@@ -88,20 +87,20 @@ def test_candidates_alike_are_one_mode_with_all_votes() -> None:
     found = candidates_of(
         rng.normal(size=6), rng.normal(size=(9, 6)), np.tile(some_pose(), (9, 1, 1))
     )
-    (mode,) = find_modes(found, 5)
+    modes = find_modes(found, 5)
     # An average of equal weights summing to one up to rounding, in single precision.
-    assert mode.votes == pytest.approx(1)
-    assert_allclose(mode.points_3d, some_pose(), atol=1e-6)
-    assert_allclose(mode.points_normalised, 100 * some_pose()[:, :2], atol=1e-4)
+    assert modes.votes == pytest.approx([1])
+    assert_allclose(modes.points_3d, some_pose()[None], atol=1e-6)
+    assert_allclose(modes.points_normalised, 100 * some_pose()[None, :, :2], atol=1e-4)
 
 
 def test_the_denser_of_two_modes_comes_first() -> None:
     poses = np.stack([some_pose(1)] * 3 + [some_pose(2)] * 7)
     angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # all as near
-    first, second = find_modes(candidates_of(np.zeros(2), ring, poses), 5)
-    assert (first.votes, second.votes) == pytest.approx((0.7, 0.3), abs=1e-3)
-    assert_allclose(first.points_3d, some_pose(2), atol=1e-3)
+    modes = find_modes(candidates_of(np.zeros(2), ring, poses), 5)
+    assert modes.votes == pytest.approx([0.7, 0.3], abs=1e-3)
+    assert_allclose(modes.points_3d[0], some_pose(2), atol=1e-3)
 
 
 @pytest.mark.parametrize("where", [0.35, 0.45, 0.5, 0.6])
@@ -117,13 +116,14 @@ def test_a_query_between_known_poses_lands_between_them(where: float) -> None:
     along, direction = np.linspace(0, 1, 11), np.array([3.0, -4.0, 0.0])
     poses = start + along[:, None, None] * step
     found = candidates_of(where * direction, along[:, None] * direction, poses)
-    (mode,) = find_modes(found, 3)
-    reached = ((mode.points_normalised - 100 * start[:, :2]) * step[:, :2]).sum()
+    modes = find_modes(found, 3)
+    assert len(modes) == 1
+    reached = ((modes.points_normalised[0] - 100 * start[:, :2]) * step[:, :2]).sum()
     reached /= 100 * (step[:, :2] ** 2).sum()
     # Half a step between neighbours: the regression must do better than taking the nearest.
     assert reached == pytest.approx(where, abs=0.05)
-    assert mode.distance < 0.05 * np.linalg.norm(direction)
-    assert_allclose(mode.points_3d[wrist], (start + where * step)[wrist], atol=0.02)
+    assert modes.distances[0] < 0.05 * np.linalg.norm(direction)
+    assert_allclose(modes.points_3d[0, wrist], (start + where * step)[wrist], atol=0.02)
 
 
 @pytest.mark.parametrize("number", range(0, 576, 61))
@@ -133,9 +133,9 @@ def test_a_query_that_is_an_entry_gets_its_pose(
 ) -> None:
     silhouette = toy_index.silhouette(number)[:, :: -1 if mirrored else 1]
     modes = find_modes(find_candidates(toy_index, silhouette, 200), 5)
-    best = min(modes, key=lambda mode: mode.distance)
+    (best,) = modes.nearest(1).points_3d
     entry = toy_index.entry(number, mirrored=mirrored)
-    apart = np.linalg.norm(best.points_3d[:JOINTS] - entry.points_3d[:JOINTS], axis=-1)
+    apart = np.linalg.norm(best[:JOINTS] - entry.points_3d[:JOINTS], axis=-1)
     # Far less than what makes poses distinct: the entry outweighs all others.
     assert apart.mean() < DISTINCT_M / 4
 
