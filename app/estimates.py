@@ -100,7 +100,7 @@ class PlacedHypothesis:
     Parameters
     ----------
     hypothesis : Hypothesis
-    distance : float
+    distance, confidence : float
         From all that is known of the person; see :class:`app.weighing.Weighed`.
     label : Label
     points_2d : (24, 2) float64 array
@@ -109,6 +109,7 @@ class PlacedHypothesis:
 
     hypothesis: Hypothesis
     distance: float
+    confidence: float
     label: Label
     points_2d: NDArray[np.float64]
 

@@ -367,20 +367,29 @@ class Estimator:
             weighed = weigh(candidates, n)
         else:
             weighed = weigh_by_image(candidates, belief, n)
-        origin = np.array([look.silhouette.left, look.silhouette.top])
-        hypotheses = []
-        for hypothesis, distance in zip(weighed.hypotheses, weighed.distances, strict=True):
-            points = look.placement.to_image(hypothesis.points_normalised) + origin
-            if found.turns:
-                shape = turned_shape(scene.frame.shape, found.turns)
-                points = turned_points(points, shape, -found.turns)
-                hypothesis = leaning_further(hypothesis, 90.0 if found.turns == 1 else -90.0)
-            label = self._label(hypothesis)
-            hypotheses.append(PlacedHypothesis(hypothesis, distance, label, points))
-        return Person(found, weighed.facing, tuple(hypotheses))
+        hypotheses = weighed.hypotheses
+        points_2d = look.placement.to_image(np.array([one.points_normalised for one in hypotheses]))
+        points_2d += (look.silhouette.left, look.silhouette.top)
+        if found.turns:
+            shape = turned_shape(scene.frame.shape, found.turns)
+            points_2d = turned_points(points_2d, shape, -found.turns)
+            lean_deg = 90.0 if found.turns == 1 else -90.0
+            hypotheses = tuple(leaning_further(one, lean_deg) for one in hypotheses)
+        return Person(
+            found,
+            weighed.facing,
+            tuple(
+                PlacedHypothesis(one, distance, confidence, self._label(one), points)
+                for one, distance, confidence, points in zip(
+                    hypotheses, weighed.distances, weighed.confidences, points_2d, strict=True
+                )
+            ),
+        )
 
     def _label(self, hypothesis: Hypothesis) -> Label:
         label = self.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
+        if not hypothesis.lean_deg:
+            return label
         return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
 
     def _read_facing(self, scene: Scene, view: FacingView | None) -> AzimuthBelief | None:

@@ -94,7 +94,7 @@ class Metrics:
         self._persons.observe(len(persons))
         for person in persons:
             if person.hypotheses:
-                self._confidence.observe(person.hypotheses[0].hypothesis.confidence)
+                self._confidence.observe(person.hypotheses[0].confidence)
 
     def text(self) -> bytes:
         """Write all metrics in Prometheus' text format."""

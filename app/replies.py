@@ -113,7 +113,7 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> 
         distance=round(placed.distance, 6),
         silhouette_distance=round(hypothesis.distance, 6),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
-        confidence=round(hypothesis.confidence, 4),
+        confidence=round(placed.confidence, 4),
         joints_3d=_points_3d(hypothesis.points_3d, keypoints),
         joints_2d=_points_2d(placed.points_2d, keypoints),
         action=label.action,

@@ -6,7 +6,7 @@ A silhouette cannot tell front from back, nor what lies within it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,15 +39,18 @@ class Weighed:
     ----------
     facing : Facing
     hypotheses : tuple of Hypothesis
-        Their confidences are those that all evidence gives.
+        As they came: their own distances and confidences are those of the silhouette.
     distances : tuple of float
         Ascending: of each from all that is known. That is the descriptors' distance, and what
         the photograph shows for a hypothesis makes it shorter, what it shows against it longer.
+    confidences : tuple of float
+        Those that all evidence gives.
     """
 
     facing: Facing
     hypotheses: tuple[Hypothesis, ...]
     distances: tuple[float, ...]
+    confidences: tuple[float, ...]
 
 
 def weigh(hypotheses: Sequence[Hypothesis], n: int) -> Weighed:
@@ -61,10 +64,12 @@ def weigh(hypotheses: Sequence[Hypothesis], n: int) -> Weighed:
         At least one, nearest first.
     n : int
     """
-    hypotheses = hypotheses[:n]
-    confidences = np.array([one.confidence for one in hypotheses])
-    facing = Facing(front_share(_azimuths(hypotheses), confidences), "none")
-    return Weighed(facing, tuple(hypotheses), tuple(one.distance for one in hypotheses))
+    hypotheses = tuple(hypotheses[:n])
+    distances, confidences = zip(
+        *((one.distance, one.confidence) for one in hypotheses), strict=True
+    )
+    facing = Facing(front_share(_azimuths(hypotheses), np.array(confidences)), "none")
+    return Weighed(facing, hypotheses, distances, confidences)
 
 
 def weigh_by_image(
@@ -90,8 +95,9 @@ def weigh_by_image(
     chosen = nearest_with_twins(azimuths, distances, n)
     return Weighed(
         Facing(front_share(azimuths, confidences), "image"),
-        tuple(replace(hypotheses[i], confidence=float(confidences[i])) for i in chosen),
-        tuple(float(distances[i]) for i in chosen),
+        tuple(hypotheses[i] for i in chosen),
+        tuple(distances[chosen].tolist()),
+        tuple(confidences[chosen].tolist()),
     )
 
 

@@ -76,7 +76,7 @@ def pictures(
         first.points_2d[list(NATIVE.indices)] + 0.5 - (window.x + 0.5, window.y + 0.5)
     ) * scale
     draw_skeleton(overlay, points - 0.5, NATIVE, 3)
-    confidence = first.hypothesis.confidence
+    confidence = first.confidence
     return Pictures(
         photograph,
         own,

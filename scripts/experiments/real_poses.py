@@ -114,7 +114,7 @@ def judge(
         procrustes_m=np.array([procrustes(one, reference.joints_3d) for one in points_3d]),
         facing_right=front == (np.cos(np.deg2rad(reference.azimuth_deg)) > 0),
         turned_deg=turned,
-        confidence=np.array([one.hypothesis.confidence for one in person.hypotheses]),
+        confidence=np.array([one.confidence for one in person.hypotheses]),
         apart_px=scale * apart,
     )
 

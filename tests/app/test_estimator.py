@@ -45,7 +45,7 @@ def test_joints_are_read_of_people_whom_the_service_cuts_out(
     assert plain.facing.evidence == "none"
     assert any(one.hypothesis.log_likelihood < 0 for one in reading.hypotheses)
     assert all(one.hypothesis.log_likelihood == 0 for one in plain.hypotheses)
-    confidences = [one.hypothesis.confidence for one in reading.hypotheses]
+    confidences = [one.confidence for one in reading.hypotheses]
     assert confidences == sorted(confidences, reverse=True)
 
 
