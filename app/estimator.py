@@ -264,9 +264,9 @@ class Estimator:
         later = self._aside.submit(self._decode, "frame", frame_data, decode_image)
         try:
             with watch.stage("decode"):
-                labels = self._decode("mask", mask_data, decode_mask)
+                image = self._decode("mask", mask_data, decode_mask)
             with watch.stage("segment"):
-                silhouettes = silhouettes_from_labels(labels)
+                silhouettes = silhouettes_from_labels(image)
             self._check_count("mask", len(silhouettes))
         except UploadError:
             # Where both are broken, it is the frame that the caller hears of.
@@ -275,7 +275,7 @@ class Estimator:
 
         def decoded() -> NDArray[np.uint8]:
             frame = later.result()
-            _check_size("mask", labels, frame)
+            _check_size("mask", image.labels, frame)
             return frame
 
         found = [Found(s.box, "mask", None, s) for s in silhouettes]

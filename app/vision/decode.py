@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import cv2
@@ -14,7 +15,7 @@ from app.vision.image_header import ImageError, ImageHeader, read_header
 from app.vision.png_chunks import check_png_chunks
 from app.vision.png_grey import read_grey_png
 
-__all__ = ["ImageError", "ImageTooLargeError", "Labels", "decode_image", "decode_mask"]
+__all__ = ["ImageError", "ImageTooLargeError", "LabelImage", "decode_image", "decode_mask"]
 
 Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -24,6 +25,50 @@ MAX_LABELS = 100
 
 class ImageTooLargeError(ImageError):
     """The image has more pixels than allowed."""
+
+
+@dataclass(frozen=True)
+class LabelImage:
+    """Where people are: 0 is background, k is person k.
+
+    Parameters
+    ----------
+    labels : (H, W) array of uint8 or uint16
+    present : list of int
+        The labels it holds, ascending, without 0.
+    left, top : int
+        Where the part begins.
+    part : (h, w) array
+        What is within the borders of all labels: most of a mask is background.
+    """
+
+    labels: Labels
+    present: list[int]
+    left: int
+    top: int
+    part: Labels
+
+    @classmethod
+    def of(cls, labels: Labels) -> LabelImage:
+        """Look for labels.
+
+        Raises
+        ------
+        ValueError
+            If the array is not two-dimensional.
+        """
+        if labels.ndim != 2:
+            raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
+        # OpenCV has no bounds of 16 bits.
+        marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
+        left, top, width, height = cv2.boundingRect(marked)
+        part = labels[top : top + height, left : left + width].copy()
+        return cls(labels, _labels_in(part), left, top, part)
+
+    def of_one(self) -> LabelImage:
+        """Take all labels for the same person's, number 1."""
+        labels, part = ((image != 0).view(np.uint8) for image in (self.labels, self.part))
+        return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
 
 
 def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
@@ -55,7 +100,7 @@ def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
     return _decode(data, header, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
 
 
-def decode_mask(data: bytes, *, max_pixels: int) -> Labels:
+def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
     Grey and palette images keep their stored values exactly, whatever their bit depth (of a
@@ -73,7 +118,7 @@ def decode_mask(data: bytes, *, max_pixels: int) -> Labels:
 
     Returns
     -------
-    (H, W) array of uint8 or uint16
+    LabelImage
 
     Raises
     ------
@@ -97,40 +142,29 @@ def decode_mask(data: bytes, *, max_pixels: int) -> Labels:
             raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
         pixels = pixels[:, :, 0]
     if header.lossy:
-        return np.asarray(pixels >= 128).view(np.uint8)
+        return LabelImage.of(np.asarray(pixels >= 128).view(np.uint8))
     labels: Labels = pixels if step == 1 else pixels // step
     if labels.dtype != np.uint8:
         labels = labels.astype(np.uint16, copy=False)
-    foreground = labels_in(labels)
-    if foreground == [1]:
-        return labels
-    if len(foreground) == 1:
-        return np.asarray(labels != 0).view(np.uint8)
-    if len(foreground) > MAX_LABELS:
+    image = LabelImage.of(labels)
+    if len(image.present) == 1 and image.present != [1]:
+        return image.of_one()
+    if len(image.present) > MAX_LABELS:
         raise ImageError(
-            f"expected a mask of at most {MAX_LABELS} labels, got {len(foreground)}: "
+            f"expected a mask of at most {MAX_LABELS} labels, got {len(image.present)}: "
             "a mask with soft edges must be thresholded first"
         )
-    return labels
+    return image
 
 
-def labels_in(labels: Labels) -> list[int]:
-    """The labels that a label image ``(H, W)`` holds, ascending, without 0, the background."""
+def _labels_in(part: Labels) -> list[int]:
+    """The labels of a part of a label image ``(h, w)`` in one piece, ascending, without 0."""
     # Several times as fast as np.unique or np.bincount, and the more so the less there is to count.
-    _, _, part = labelled_part(labels)
     if part.size == 0:
         return []
     bins = int(part.max()) + 1
-    counts = cv2.calcHist([np.ascontiguousarray(part)], [0], None, [bins], [0, bins])
+    counts = cv2.calcHist([part], [0], None, [bins], [0, bins])
     return (np.flatnonzero(counts[1:]) + 1).tolist()
-
-
-def labelled_part(labels: Labels) -> tuple[int, int, Labels]:
-    """Left, top, and what is within the borders of all labels: most of a mask is background."""
-    # OpenCV has no bounds of 16 bits.
-    marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
-    left, top, width, height = cv2.boundingRect(marked)
-    return left, top, labels[top : top + height, left : left + width]
 
 
 def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:

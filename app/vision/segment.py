@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.decode import Labels, labelled_part, labels_in
+from app.vision.decode import LabelImage
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.networks import Networks, body_window
@@ -159,32 +159,15 @@ def _silhouette(mask: NDArray[np.bool_], window: Window, box: Box) -> Silhouette
     return silhouette_from_mask(inside, **place, segmenter="network", truncated=False)
 
 
-def silhouettes_from_labels(labels: Labels) -> list[Silhouette]:
-    """Silhouettes of a caller's mask, ordered left to right by the centre of their boxes.
-
-    Parameters
-    ----------
-    labels : (H, W) array of uint8 or uint16
-        0 background, k = person k, as :func:`app.vision.decode.decode_mask` returns it.
-
-    Returns
-    -------
-    list of Silhouette
-
-    Raises
-    ------
-    ValueError
-        If the array is not two-dimensional.
-    """
-    if labels.ndim != 2:
-        raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
-    left, top, part = labelled_part(labels)
+def silhouettes_from_labels(image: LabelImage) -> list[Silhouette]:
+    """Silhouettes of a caller's mask, ordered left to right by the centre of their boxes."""
+    place = {"left": image.left, "top": image.top}
     people = [
-        silhouette_from_mask(part == label, left=left, top=top, segmenter="mask", truncated=False)
-        for label in labels_in(part)
+        silhouette_from_mask(image.part == label, **place, segmenter="mask", truncated=False)
+        for label in image.present
     ]
     found = [person for person in people if person is not None]
-    flagged = with_truncation(found, [person.box for person in found], labels.shape)
+    flagged = with_truncation(found, [person.box for person in found], image.labels.shape)
     return sorted(
         (person for person in flagged if person is not None),
         key=lambda person: person.box.x + person.box.width / 2,

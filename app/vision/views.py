@@ -45,7 +45,7 @@ def silhouette_in(
     """
     left, top, columns, rows = window
     within = (left - silhouette.left, top - silhouette.top, columns, rows)
-    return resize(cut(silhouette.crop * np.uint8(255), within), width, height)
+    return resize(cut(silhouette.crop.view(np.uint8), within) * np.uint8(255), width, height)
 
 
 def view_of(frame: NDArray[np.uint8], box: Box) -> View:

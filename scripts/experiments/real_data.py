@@ -103,7 +103,7 @@ def read_pennfudan(folder: Path) -> list[Photograph]:
     for path in sorted(folder.glob("*.jpg")):
         mask_path = path.with_name(f"{path.stem}_mask.png")
         frame = decode_image(path.read_bytes(), max_pixels=MAX_PIXELS)
-        labels = decode_mask(mask_path.read_bytes(), max_pixels=MAX_PIXELS)
+        labels = decode_mask(mask_path.read_bytes(), max_pixels=MAX_PIXELS).labels
         photographs.append(Photograph(path.name, frame, labels.astype(np.uint16)))
     if not photographs:
         raise FileNotFoundError(f"expected photographs in {folder}, found none")

@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
-from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
+from app.vision.decode import (
+    ImageError,
+    ImageTooLargeError,
+    LabelImage,
+    decode_image,
+    decode_mask,
+)
 from app.vision.image_header import read_header
 
 LIMIT = 1_000_000
@@ -85,7 +93,7 @@ def test_a_mask_turns_with_its_frame(orientation: int) -> None:
     data = with_orientation(encode(stored[:, :, 0], ".jpg"), orientation)
     decoded = decode_mask(data, max_pixels=LIMIT)
     expected = UPRIGHT[orientation](stored)[:, :, 0] > 0
-    assert ((decoded == 1) == expected).mean() > 0.95
+    assert ((decoded.labels == 1) == expected).mean() > 0.95
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".webp", ".bmp", ".tiff"])
@@ -195,30 +203,59 @@ def test_max_pixels_itself_is_allowed() -> None:
         decode_image(data, max_pixels=2399)
 
 
+@given(
+    labels=arrays(
+        st.sampled_from([np.uint8, np.uint16]),
+        st.tuples(st.integers(1, 9), st.integers(1, 9)),
+        elements=st.sampled_from([0, 0, 0, 1, 2, 9, 255]),
+    )
+)
+def test_labels_are_found_with_their_borders(labels: NDArray[np.uint8]) -> None:
+    image = LabelImage.of(labels)
+    assert image.present == [label for label in np.unique(labels).tolist() if label]
+    rest = labels.copy()
+    rows, columns = image.part.shape
+    within = rest[image.top : image.top + rows, image.left : image.left + columns]
+    assert (within == image.part).all()
+    within[:] = 0
+    assert not rest.any()
+    for edge in (image.part[:1], image.part[-1:], image.part[:, :1], image.part[:, -1:]):
+        assert edge.any() or not image.present
+    assert (image.of_one().labels == (labels > 0)).all()
+
+
+def test_labels_of_other_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        LabelImage.of(np.zeros(3, np.uint8))
+
+
 def test_labels_are_kept() -> None:
     labels = np.array([[0, 1, 1], [0, 3, 2]], np.uint8)
     for stored in (labels, labels.astype(np.uint16) * 1000, np.dstack([labels] * 3)):
-        decoded = decode_mask(encode(stored), max_pixels=LIMIT)
+        decoded = decode_mask(encode(stored), max_pixels=LIMIT).labels
         assert decoded.dtype == stored.dtype
         assert (decoded == (stored if stored.ndim == 2 else labels)).all()
 
 
 def test_grey_with_alpha_keeps_labels() -> None:
     mask = decode_mask(png([bytes([0, 255, 1, 255, 2, 0])], 3, 8, 4), max_pixels=LIMIT)
-    assert mask.tolist() == [[0, 1, 2]]
+    assert mask.labels.tolist() == [[0, 1, 2]]
 
 
 @pytest.mark.parametrize("value", [1, 2, 255])
 def test_two_values_are_one_person(value: int) -> None:
     mask = np.array([[0, value], [value, 0]], np.uint8)
-    assert (decode_mask(encode(mask), max_pixels=LIMIT) == (mask > 0)).all()
+    decoded = decode_mask(encode(mask), max_pixels=LIMIT)
+    assert (decoded.labels == (mask > 0)).all()
+    assert decoded.present == [1]
 
 
 @pytest.mark.parametrize(("depth", "row"), [(1, 0b01100000), (2, 0b00011011), (4, 0x12)])
 def test_few_bits_keep_their_values(depth: int, row: int) -> None:
     width = 8 // depth
     expected = [[row >> (8 - depth * (i + 1)) & ((1 << depth) - 1) for i in range(width)]]
-    assert decode_mask(png([bytes([row])], width, depth, 0), max_pixels=LIMIT).tolist() == expected
+    decoded = decode_mask(png([bytes([row])], width, depth, 0), max_pixels=LIMIT)
+    assert decoded.labels.tolist() == expected
 
 
 @pytest.mark.parametrize("depth", [4, 8])
@@ -226,14 +263,14 @@ def test_a_palette_image_keeps_its_indices(depth: int) -> None:
     palette = bytes(range(48))
     row = bytes([0x01, 0x2F]) if depth == 4 else bytes([0, 1, 2, 15])
     data = png([row], 4, depth, 3, (b"PLTE", palette), (b"tRNS", b"\0\x80"))
-    assert decode_mask(data, max_pixels=LIMIT).tolist() == [[0, 1, 2, 15]]
+    assert decode_mask(data, max_pixels=LIMIT).labels.tolist() == [[0, 1, 2, 15]]
 
 
 def test_a_lossy_mask_is_one_person() -> None:
     mask = np.zeros((64, 64), np.uint8)
     mask[16:48, 16:48] = 255
     decoded = decode_mask(encode(mask, ".jpg"), max_pixels=LIMIT)
-    assert (decoded == (mask > 0)).all()
+    assert (decoded.labels == (mask > 0)).all()
 
 
 def test_a_coloured_mask_is_refused() -> None:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.body_shape import body_prior
+from app.vision.decode import LabelImage
 from app.vision.grabcut import GrabCutSegmenter
 from app.vision.mask_cleaning import fill_small_holes, guided_filter, keep_components
 from app.vision.networks import BODY_FILE, PERSON_FILE, Networks, load_networks
@@ -51,12 +52,10 @@ def test_labels_become_silhouettes_from_left_to_right() -> None:
     labels = np.zeros((20, 30), np.uint16)
     labels[3:9, 20:25] = 1
     labels[2:9, 3:8] = 7
-    people = silhouettes_from_labels(labels)
+    people = silhouettes_from_labels(LabelImage.of(labels))
     assert [one.left for one in people] == [3, 20]
     assert [one.segmenter for one in people] == ["mask", "mask"]
-    assert silhouettes_from_labels(labels * 0) == []
-    with pytest.raises(ValueError, match="shape"):
-        silhouettes_from_labels(labels[0])
+    assert silhouettes_from_labels(LabelImage.of(labels * 0)) == []
 
 
 def test_grabcut_finds_painted_people(scene: tuple[np.ndarray, list, list]) -> None:
