@@ -85,12 +85,9 @@ def find_candidates_of_each(
     """
     queries = index.descriptor.describe(silhouettes)
     both = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
-    found = index.search(both.reshape(-1, both.shape[-1]), k)
-    distances, numbers = found[0].reshape(len(queries), -1), found[1].reshape(len(queries), -1)
-    nearest = np.argsort(distances, axis=1, kind="stable")[:, :k]
-    mirrored = (nearest >= distances.shape[1] // 2).ravel()
+    distances, nearest, variants = index.search(both, k)
     rows = np.repeat(np.arange(len(queries)), nearest.shape[1])
-    numbers = numbers[rows, nearest.ravel()]
+    numbers, mirrored = nearest.ravel(), variants.ravel() == 1
     vectors = index.vectors[numbers]
     points_3d, points_normalised = index.points(numbers)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])
@@ -98,7 +95,7 @@ def find_candidates_of_each(
     points_normalised[mirrored] = mirror_normalised(points_normalised[mirrored])
     offsets = vectors - queries[rows]
     lean_deg = np.zeros(len(numbers))
-    ascending = distances[rows, nearest.ravel()].astype(np.float64)
+    ascending = distances.ravel().astype(np.float64)
     every = Candidates(
         numbers, mirrored, ascending, offsets, lean_deg, points_3d, points_normalised
     )

@@ -1,4 +1,4 @@
-"""The nearest vectors of a flat index, found among a short list of those that look near.
+"""The nearest vectors of a flat index, found among short lists of those that look near.
 
 A flat index reads all its vectors for each query, some 23 MB, and most of the time goes into
 reading. Here each value is also kept in 4 bits, as one of 16 steps of a grid, an eighth of that:
@@ -19,7 +19,7 @@ References
 from __future__ import annotations
 
 import os
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 # FAISS answers a single query slower and inexactly with several OpenMP threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -28,12 +28,12 @@ import faiss
 import numpy as np
 from numpy.typing import NDArray
 
-Found: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int64]]
+Found: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]
 
-LISTED = 4
-"""So many times as many vectors are listed as are asked for."""
+LISTED = 2.5
+"""So many times as many vectors are listed for each variant of a query as are asked for."""
 
-LEAST_LISTED = 500
+LEAST_LISTED = 400
 """A short list could not tell how far distances may be out."""
 
 WORTHWHILE = 8
@@ -63,31 +63,42 @@ class NearestVectors:
         self._coarse = _coarse(flat) if flat.d % 2 == 0 else None
 
     def search(self, queries: NDArray[np.float32], k: int) -> Found:
-        """The ``k`` nearest vectors to each query.
+        """The ``k`` nearest vectors to any variant of each query.
 
         Parameters
         ----------
-        queries : (B, D) float32 array
-            C-contiguous.
+        queries : (B, V, D) float32 array
+            C-contiguous; ``V`` variants of each, and a vector may be near several.
         k : int
-            From 1 to the number of vectors.
+            At least 1; no more than ``V`` times all vectors are returned.
 
         Returns
         -------
-        squared : (B, k) float32 array
+        squared : (B, K) float32 array
             Squared distances, ascending.
-        numbers : (B, k) int64 array
+        numbers : (B, K) int64 array
+        variants : (B, K) int64 array
+            Which variant each is so near to.
         """
-        listed = max(LISTED * k, LEAST_LISTED)
+        listed = max(round(LISTED * k), LEAST_LISTED)
         if self._coarse is None or WORTHWHILE * listed > self._flat.ntotal:
-            return cast(Found, self._flat.search(queries, k))
-        rough, numbers = self._coarse.search(queries, listed)
-        exact = self._exact(queries, numbers)
-        nearest, kept = _nearest_of(exact, numbers, k)
-        doubted = np.flatnonzero(_may_miss(rough, exact, nearest[:, -1:]))
+            return self._search_all(queries, k)
+        count, variants, dimension = queries.shape
+        rough, numbers = self._coarse.search(queries.reshape(-1, dimension), listed)
+        exact = self._exact(queries.reshape(-1, dimension), numbers)
+        found = _nearest_of(exact.reshape(count, variants, -1), numbers, k)
+        missing = _may_miss(rough, exact, np.repeat(found[0][:, -1:], variants, axis=0))
+        doubted = np.flatnonzero(missing.reshape(count, variants).any(axis=1))
         if len(doubted):
-            nearest[doubted], kept[doubted] = self._flat.search(queries[doubted], k)
-        return nearest, kept
+            anew = self._search_all(queries[doubted], k)
+            found[0][doubted], found[1][doubted], found[2][doubted] = anew
+        return found
+
+    def _search_all(self, queries: NDArray[np.float32], k: int) -> Found:
+        squared, numbers = self._flat.search(
+            queries.reshape(-1, queries.shape[-1]), min(k, self._flat.ntotal)
+        )
+        return _nearest_of(squared.reshape(*queries.shape[:2], -1), numbers, k)
 
     def _exact(
         self, queries: NDArray[np.float32], numbers: NDArray[np.int64]
@@ -105,14 +116,18 @@ class NearestVectors:
 
 
 def _nearest_of(distances: NDArray[np.float32], numbers: NDArray[np.int64], k: int) -> Found:
-    """Leave the ``k`` nearest of each list ``(B, L)``, ascending."""
-    near, named = np.empty((len(distances), k), np.float32), np.empty((len(numbers), k), np.int64)
-    for row, (some, names) in enumerate(zip(distances, numbers, strict=True)):
+    """Leave the ``k`` nearest of all lists ``(B, V, L)`` of each query, ascending."""
+    count, variants, listed = distances.shape
+    k = min(k, variants * listed)
+    near = np.empty((count, k), np.float32)
+    named, nearest_to = np.empty((count, k), np.int64), np.empty((count, k), np.int64)
+    names_of = numbers.reshape(count, -1)
+    for row, (some, names) in enumerate(zip(distances.reshape(count, -1), names_of, strict=True)):
         within = np.flatnonzero(some <= np.partition(some, k - 1)[k - 1])
-        # Of equals the flat index names the first first.
-        order = within[np.lexsort((names[within], some[within]))[:k]]
-        near[row], named[row] = some[order], names[order]
-    return near, named
+        # Of equals the flat index names the first first; of variants, the first comes first.
+        order = within[np.lexsort((names[within], within // listed, some[within]))[:k]]
+        near[row], named[row], nearest_to[row] = some[order], names[order], order // listed
+    return near, named, nearest_to
 
 
 def _may_miss(

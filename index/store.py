@@ -180,25 +180,28 @@ class PoseIndex:
 
     def search(
         self, vectors: NDArray[np.float32], k: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """The ``k`` nearest entries to each vector, exactly.
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+        """The ``k`` nearest entries to any variant of each query, exactly.
 
         Parameters
         ----------
-        vectors : (B, D) float32 array
+        vectors : (B, V, D) float32 array
+            ``V`` variants of each query; an entry may be near several.
         k : int
-            At least 1; no more than all entries are returned.
+            At least 1; no more than ``V`` times all entries are returned.
 
         Returns
         -------
         distances : (B, K) float32 array
             Euclidean, ascending.
         numbers : (B, K) int64 array
+        variants : (B, K) int64 array
+            Which variant each is so near to.
         """
-        squared, numbers = self._nearest.search(
-            np.ascontiguousarray(vectors, np.float32), min(k, len(self))
+        squared, numbers, variants = self._nearest.search(
+            np.ascontiguousarray(vectors, np.float32), k
         )
-        return np.sqrt(np.maximum(squared, 0)), numbers
+        return np.sqrt(np.maximum(squared, 0)), numbers, variants
 
     def points(
         self, numbers: NDArray[np.integer]

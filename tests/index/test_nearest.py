@@ -42,9 +42,29 @@ def test_finds_what_a_flat_index_finds(k: int) -> None:
     flat = flat_of(vectors)
     queries = vectors[::1000] + np.float32(0.5)
     squared, numbers = flat.search(queries, max(k, 2))
-    found, found_numbers = NearestVectors(flat).search(queries, k)
+    found, found_numbers, _ = NearestVectors(flat).search(queries[:, None], k)
     assert_array_equal(found_numbers, numbers[:, :k])
     assert_array_equal(found, squared[:, :k])
+
+
+@pytest.mark.parametrize("count", [30, COUNT])
+@pytest.mark.parametrize("k", [1, 20, 50])
+def test_finds_what_is_near_any_variant(count: int, k: int) -> None:
+    vectors = gathered(48)[:count]
+    flat = flat_of(vectors)
+    queries = np.stack([vectors[: 40 * 15 : 40], -vectors[: 40 * 15 : 40]], axis=1)
+    queries[:, 1, ::2] *= -1
+    squared, numbers, variants = NearestVectors(flat).search(queries, k)
+    each, each_numbers = flat.search(queries.reshape(-1, 48), min(k, count))
+    for row in range(len(queries)):
+        both = [
+            (*pair, v)
+            for v in (0, 1)
+            for pair in zip(each[2 * row + v], each_numbers[2 * row + v], strict=True)
+        ]
+        expected = sorted(both, key=lambda one: (one[0], one[2], one[1]))[:k]
+        found = list(zip(squared[row], numbers[row], variants[row], strict=True))
+        assert found == expected
 
 
 def test_usually_leaves_the_flat_index_alone() -> None:
@@ -52,13 +72,14 @@ def test_usually_leaves_the_flat_index_alone() -> None:
     flat = flat_of(vectors)
     nearest = NearestVectors(flat)
     for query in vectors[::1000] + np.float32(0.5):
-        nearest.search(query[None], 20)
+        nearest.search(query[None, None], 20)
     assert flat.asked <= 1
 
 
 def test_names_the_first_of_equals_first() -> None:
     vectors = np.tile(gathered(48)[: COUNT // 4], (4, 1))
-    _, numbers = NearestVectors(flat_of(vectors)).search(vectors[:3] + np.float32(0.1), 8)
+    queries = vectors[:3, None] + np.float32(0.1)
+    _, numbers, _ = NearestVectors(flat_of(vectors)).search(queries, 8)
     assert_array_equal(numbers[:, :4], np.arange(3)[:, None] + np.arange(4) * (COUNT // 4))
 
 
@@ -70,7 +91,7 @@ def test_asks_the_flat_index_where_values_lie_off_the_grid() -> None:
     flat = flat_of(vectors)
     queries = vectors[:: COUNT // 20] + np.float32(0.5)
     squared, numbers = flat.search(queries, 20)
-    found, found_numbers = NearestVectors(flat).search(queries, 20)
+    found, found_numbers, _ = NearestVectors(flat).search(queries[:, None], 20)
     assert flat.asked == 2
     assert_array_equal(found_numbers, numbers)
     assert_array_equal(found, squared)
@@ -81,6 +102,6 @@ def test_takes_few_vectors_and_odd_dimensions(count: int, dimension: int) -> Non
     vectors = gathered(dimension)[:count]
     flat = flat_of(vectors)
     squared, numbers = flat.search(vectors[:5], 10)
-    found, found_numbers = NearestVectors(flat).search(vectors[:5], 10)
+    found, found_numbers, _ = NearestVectors(flat).search(vectors[:5, None], 10)
     assert_array_equal(found_numbers, numbers)
     assert_array_equal(found, squared)

@@ -51,7 +51,7 @@ class TestSearch:
     def test_equals_brute_force(self, toy_index: PoseIndex) -> None:
         noise = np.random.default_rng(0).normal(0, 0.3, (12, 48)).astype(np.float32)
         queries = toy_index.vectors[:576:48] + noise
-        distances, numbers = toy_index.search(queries, 10)
+        distances, numbers, _ = toy_index.search(queries[:, None], 10)
         apart = np.linalg.norm(
             queries[:, None].astype(np.float64) - toy_index.vectors[None], axis=-1
         )
@@ -60,16 +60,16 @@ class TestSearch:
         assert_allclose(distances, np.sort(apart, axis=1)[:, :10], atol=5e-3)
 
     def test_distances_ascend(self, toy_index: PoseIndex) -> None:
-        distances, _ = toy_index.search(toy_index.vectors[:5], 50)
+        distances, _, _ = toy_index.search(toy_index.vectors[:5, None], 50)
         assert (np.diff(distances, axis=1) >= 0).all()
 
     def test_finds_itself_at_distance_zero(self, toy_index: PoseIndex) -> None:
         for number in range(0, len(toy_index), 37):
-            distances, _ = toy_index.search(toy_index.vectors[number : number + 1], 1)
+            distances, _, _ = toy_index.search(toy_index.vectors[None, number : number + 1], 1)
             assert distances[0, 0] == 0
 
     def test_gives_no_more_than_all(self, toy_index: PoseIndex) -> None:
-        _, numbers = toy_index.search(toy_index.vectors[:1], 10**6)
+        _, numbers, _ = toy_index.search(toy_index.vectors[None, :1], 10**6)
         assert_array_equal(np.sort(numbers[0]), np.arange(len(toy_index)))
 
 
