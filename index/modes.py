@@ -153,12 +153,15 @@ def _densest(
     """Centres of modes, the densest first, and the shares ``(K,)`` that gather about each."""
     kernel = np.exp(apart**2 / np.float32(-2 * bandwidth_m**2))
     remaining = (weights / weights.sum()).astype(np.float32)
-    free = np.ones(len(weights), bool)
-    while free.any():
-        centre = int(np.where(free, kernel @ remaining, -np.inf).argmax())
+    free = np.zeros(len(weights), np.float32)  # Else minus infinity.
+    while True:
+        gathering = kernel @ remaining + free
+        centre = int(gathering.argmax())
+        if gathering[centre] == -np.inf:
+            return
         yield centre, remaining * kernel[centre]
         remaining = remaining * (1 - kernel[centre] ** (1 / SUPPRESSION**2))
-        free &= apart[centre] >= DISTINCT_M
+        free[apart[centre] < DISTINCT_M] = -np.inf
 
 
 def candidate_weights(

@@ -226,9 +226,11 @@ class PoseIndex:
         body = self.skeletons[entries["skeleton"]].astype(np.float64)
         # Matrices that lie in one piece are multiplied in a third of the time.
         points_3d = body @ np.ascontiguousarray(rotations.swapaxes(1, 2))
-        plane = project(points_3d, entries["distance"])
-        offsets = np.stack([entries["offset_x"], entries["offset_y"]], axis=-1)
-        return points_3d, plane * entries["scale"][:, None, None] + offsets[:, None, :]
+        points_normalised = project(points_3d, entries["distance"])
+        points_normalised *= entries["scale"][:, None, None]
+        for axis, offset in enumerate(("offset_x", "offset_y")):
+            points_normalised[..., axis] += entries[offset][:, None]
+        return points_3d, points_normalised
 
     def entry(self, number: int, *, mirrored: bool = False) -> Entry:
         """One entry, or its mirror image; raises as :meth:`label` does."""
