@@ -234,7 +234,7 @@ def with_bones_of(
     (..., 24, 3) float64 array
         Pelvis at the origin; the face moves with the head.
     """
-    parents, children = np.array(NATIVE.bones).T
+    parents, children = _PARENTS, _CHILDREN
     wanted = np.linalg.norm(skeleton[..., children, :] - skeleton[..., parents, :], axis=-1)
     bones = points[..., children, :] - points[..., parents, :]
     bones = bones * (wanted / np.maximum(np.linalg.norm(bones, axis=-1), 1e-6))[..., None]
@@ -252,5 +252,6 @@ def _from_the_pelvis() -> NDArray[np.float64]:
     return leading
 
 
+_PARENTS, _CHILDREN = np.array(NATIVE.bones).T
 _FROM_THE_PELVIS = _from_the_pelvis()
 _HEAD = NATIVE.names.index("head")

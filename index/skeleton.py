@@ -137,12 +137,16 @@ def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def mirror_3d(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mirror image of skeletons ``(..., 24, 3)`` in body or camera axes."""
-    return exchange_sides(points) * (-1.0, 1.0, 1.0)
+    mirrored = exchange_sides(points)
+    np.negative(mirrored[..., 0], out=mirrored[..., 0])
+    return mirrored
 
 
 def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mirror image of skeletons ``(..., 24, 2)`` in pixels of the normalised frame."""
-    return exchange_sides(points) * (-1.0, 1.0) + (WIDTH - 1.0, 0.0)
+    mirrored = exchange_sides(points)
+    np.subtract(WIDTH - 1.0, mirrored[..., 0], out=mirrored[..., 0])
+    return mirrored
 
 
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17)}
