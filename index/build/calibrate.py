@@ -150,7 +150,8 @@ def run_trial(
 def fit_calibration(trial: Trial) -> Calibration:
     """Logistic regression of being right on what a hypothesis shows of itself."""
     offered = np.isfinite(trial.error_px)
-    model = LogisticRegression(C=1e3, max_iter=1000)
+    # To the optimum itself: where the default stops near it hangs on the last digits of features.
+    model = LogisticRegression(C=1e3, solver="newton-cholesky", tol=1e-8)
     model.fit(trial.features[offered], trial.right[offered])
     return Calibration(tuple(float(w) for w in model.coef_[0]), float(model.intercept_[0]))
 
