@@ -15,6 +15,8 @@ from app.process import give_way
 T = TypeVar("T")
 
 FULL = "the service is working to capacity; try again shortly"
+_GONE = "the client closed the connection"
+_BUSY = "the service was too busy to answer in time; try again shortly"
 
 
 class OverloadedError(Exception):
@@ -45,7 +47,7 @@ class Watch:
     def check(self) -> None:
         """Raise :class:`ClientGoneError` or :class:`DeadlineError` once the work is unwanted."""
         if self._gone.is_set():
-            raise ClientGoneError("the client closed the connection")
+            raise ClientGoneError(_GONE)
         if time.monotonic() > self._deadline:
             raise DeadlineError("the frame took longer than the service allows")
 
@@ -110,10 +112,8 @@ class WorkPool:
             )
             if gone.done():
                 watch.client_is_gone()
-            if job.cancel() and gone.done():
-                watch.check()
-            if job.cancelled():
-                raise DeadlineError("the service was too busy to answer in time; try again shortly")
+            if job.cancel():  # It still waited.
+                raise ClientGoneError(_GONE) if gone.done() else DeadlineError(_BUSY)
             # Whether it is told or not, a thread is taken until it ends.
             return await done
         finally:
