@@ -7,10 +7,9 @@ the load the service can carry, the cores are left to the frames it has accepted
 
 from __future__ import annotations
 
-import time
+import asyncio
 from collections.abc import Callable
 
-import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import ProblemError, overloaded, problem_response
@@ -84,14 +83,14 @@ class Door:
         received = 0
         complete = False
         started = False
-        deadline = time.monotonic() + self._timeout_s
+        deadline = asyncio.get_running_loop().time() + self._timeout_s
 
         async def counting_receive() -> Message:
             nonlocal refusal, received, complete
             if complete:
                 return await receive()
             try:
-                with anyio.fail_after(max(0.0, deadline - time.monotonic())):
+                async with asyncio.timeout_at(deadline):
                     message = await receive()
             except TimeoutError:
                 refusal = ProblemError(
