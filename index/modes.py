@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.joint_maps import Look
-from index.skeleton import JOINTS, NATIVE
+from index.skeleton import JOINTS, NATIVE, POINTS
 
 DISTINCT_M = 0.11
 """Poses whose joints differ by less than this (root mean square) count once.
@@ -75,6 +75,13 @@ class Modes:
     distances: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(self.centres)
+        expected = ((count,),) * 3 + ((count, POINTS, 3), (count, POINTS, 2))
+        got = tuple(array.shape for array in vars(self).values())
+        if got != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {got}")
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -234,9 +241,8 @@ def with_bones_of(
     (..., 24, 3) float64 array
         Pelvis at the origin; the face moves with the head.
     """
-    parents, children = _PARENTS, _CHILDREN
-    wanted = np.linalg.norm(skeleton[..., children, :] - skeleton[..., parents, :], axis=-1)
-    bones = points[..., children, :] - points[..., parents, :]
+    wanted = np.linalg.norm(skeleton[..., _CHILDREN, :] - skeleton[..., _PARENTS, :], axis=-1)
+    bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
     bones = bones * (wanted / np.maximum(np.linalg.norm(bones, axis=-1), 1e-6))[..., None]
     joints = _FROM_THE_PELVIS @ bones
     face = points[..., JOINTS:, :] - points[..., _HEAD : _HEAD + 1, :]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -147,6 +149,12 @@ def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_ne
     for number in range(0, 576, 23):
         found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
         assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
+
+
+def test_modes_check_their_shapes() -> None:
+    modes = find_modes(candidates_of(np.zeros(2), np.ones((1, 2)), some_pose()[None]), 1)
+    with pytest.raises(ValueError, match="expected arrays of shapes"):
+        replace(modes, votes=np.ones(2))
 
 
 class TestWithBonesOf:
