@@ -21,7 +21,7 @@ from app.openapi import add_openapi
 from app.pool import WorkPool
 from app.process import (
     give_back_freed_memory,
-    give_back_what_loading_took,
+    give_back_what_is_free,
     leave_alone_what_stays,
     leave_threads_to_the_service,
     switch_threads_often,
@@ -130,7 +130,7 @@ async def _load(runtime: Runtime) -> None:
         estimator = Estimator.load(runtime.settings)
         estimator.warm_up()
         leave_alone_what_stays()
-        give_back_what_loading_took()
+        give_back_what_is_free()
         return estimator
 
     try:

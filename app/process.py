@@ -47,8 +47,11 @@ def give_back_freed_memory() -> None:
     mallopt(_M_TRIM_THRESHOLD, _GIVEN_BACK_FROM_BYTES)
 
 
-def give_back_what_loading_took() -> None:
-    """Give back at once what loading needed for a while; nothing happens without glibc."""
+def give_back_what_is_free() -> None:
+    """Give back at once what was needed for a while; nothing happens without glibc.
+
+    It takes about a millisecond.
+    """
     malloc_trim = _of_glibc("malloc_trim")
     if malloc_trim is not None:
         malloc_trim(0)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import resource
+import sys
 import threading
 import time
+from pathlib import Path
 
 import anyio
 import pytest
@@ -164,3 +167,23 @@ async def test_a_request_that_is_cancelled_tells_its_work() -> None:
         tasks.cancel_scope.cancel()
     assert await to_thread.run_sync(told.wait, 2)
     assert pool.inside == 0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc, and needs glibc")
+async def test_long_work_leaves_no_memory_behind() -> None:
+    pool = WorkPool(threads=1, queue_length=0, timeout_s=5)
+    kept = []
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    def work(watch: Watch) -> None:
+        # What is freed lies below what is kept, so the heap does not shrink by itself.
+        blocks = [bytes(2000) for _ in range(20_000)]
+        kept.append(bytes(2000))
+        del blocks
+        time.sleep(0.06)
+
+    before = resident()
+    await pool.run(work, never)
+    assert resident() - before < 10_000_000
