@@ -88,8 +88,8 @@ def overloaded(detail: str, reason: str) -> ProblemError:
 
 
 def is_multipart(request: Request) -> bool:
-    """Whether a body is said to be a form with files."""
-    return request.headers.get("content-type", "").startswith(_MULTIPART)
+    """Whether a body is said to be a form with files; upper case counts as lower case."""
+    return request.headers.get("content-type", "").lower().startswith(_MULTIPART)
 
 
 def not_multipart(request: Request) -> ProblemError:

@@ -84,8 +84,9 @@ class NearestVectors:
         if self._coarse is None or WORTHWHILE * listed > self._flat.ntotal:
             return self._search_all(queries, k)
         count, variants, dimension = queries.shape
-        rough, numbers = self._coarse.search(queries.reshape(-1, dimension), listed)
-        exact = self._exact(queries.reshape(-1, dimension), numbers)
+        each = queries.reshape(-1, dimension)
+        rough, numbers = self._coarse.search(each, listed)
+        exact = self._exact(each, numbers)
         found = _nearest_of(exact.reshape(count, variants, -1), numbers, k)
         missing = _may_miss(rough, exact, np.repeat(found[0][:, -1:], variants, axis=0))
         doubted = np.flatnonzero(missing.reshape(count, variants).any(axis=1))

@@ -254,8 +254,8 @@ class PoseIndex:
         if not 0 <= number < len(self):
             raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {number}")
         # As tuples: reading a row field by field takes three times as long.
-        camera = self.entries[number].item()
-        skeleton, azimuth_deg, elevation_deg, roll_deg, distance_m, *_ = camera
+        row = self.entries[number].item()
+        skeleton, azimuth_deg, elevation_deg, roll_deg, distance_m, *_ = row
         clip, frame, subject, action = self.skeleton_labels[skeleton].item()
         side = -1.0 if mirrored else 1.0
         return Label(

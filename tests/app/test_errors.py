@@ -155,6 +155,16 @@ def test_other_media_types(client: TestClient, content_type: str) -> None:
     check_problem(response, 415)
 
 
+def test_media_types_may_be_in_upper_case(client: TestClient, photo: Photo) -> None:
+    part = b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n'
+    response = client.post(
+        "/pose",
+        content=part + photo.frame_png + b"\r\n--b--\r\n",
+        headers={"content-type": "Multipart/Form-Data; boundary=b"},
+    )
+    assert response.status_code == 200, response.text
+
+
 def test_a_broken_multipart_body(client: TestClient) -> None:
     headers = {"content-type": "multipart/form-data; boundary=b"}
     check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 422, "frame")
