@@ -4,6 +4,8 @@
 FROM python:3.11-slim AS build
 WORKDIR /srv
 RUN python -m venv /srv/.venv
+COPY LICENSE LICENSE
+COPY NOTICE NOTICE
 COPY pyproject.toml ./
 COPY app app
 COPY descriptor descriptor
@@ -16,6 +18,7 @@ RUN /srv/.venv/bin/pip install --no-cache-dir -e . \
 FROM python:3.11-slim
 ARG REVISION=unknown
 LABEL org.opencontainers.image.title="silhouette-pose" \
+      org.opencontainers.image.licenses="Apache-2.0" \
       org.opencontainers.image.revision="${REVISION}"
 # Nothing is written at run time: the root may be read-only, uploads stay in memory.
 ENV HOST=0.0.0.0 \

@@ -90,6 +90,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         title="Silhouette pose",
         version=VERSION,
         description=DESCRIPTION,
+        license_info={"name": "Apache License 2.0", "identifier": "Apache-2.0"},
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,

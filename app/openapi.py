@@ -24,6 +24,7 @@ def add_openapi(app: FastAPI) -> None:
                 title=app.title,
                 version=app.version,
                 description=app.description,
+                license_info=app.license_info,
                 routes=app.routes,
             )
             schemas = document["components"]["schemas"]

@@ -1,0 +1,64 @@
+"""Whoever gets the project gets its terms, and those of what others made."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from app.main import create_app
+from app.settings import Settings
+from tests.conftest import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+NOTICE = (ROOT / "NOTICE").read_text()
+
+
+def test_the_licence_is_apache_2_everywhere() -> None:
+    text = (ROOT / "LICENSE").read_text()
+    assert "Apache License" in text.splitlines()[0]
+    assert "END OF TERMS AND CONDITIONS" in text
+    assert PROJECT["license"] == "Apache-2.0"
+    assert create_app(Settings()).openapi()["info"]["license"]["identifier"] == "Apache-2.0"
+    assert 'image.licenses="Apache-2.0"' in (ROOT / "Dockerfile").read_text()
+    assert "(LICENSE)" in (ROOT / "README.md").read_text()
+
+
+@pytest.mark.parametrize(
+    "whose",
+    ["NSF\nEIA-0196217", "Anny", "MakeHuman", "MediaPipe", "OpenCV", "Pose2Sim", "PETS 2009"],
+)
+def test_whose_work_it_rests_on_is_told(whose: str) -> None:
+    assert whose in NOTICE
+
+
+def test_every_network_that_ships_is_told() -> None:
+    shipped = [
+        path.name for path in (ROOT / "app").rglob("*") if path.suffix in (".onnx", ".tflite")
+    ]
+    assert shipped
+    assert [name for name in shipped if name not in NOTICE] == []
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_licence_and_notice(tmp_path: Path) -> None:
+    source = tmp_path / "source"  # A build leaves files beside what it builds.
+    source.mkdir()
+    for file in ("LICENSE", "NOTICE", "pyproject.toml"):
+        shutil.copy(ROOT / file, source)
+    for package in ("app", "descriptor", "index"):
+        shutil.copytree(ROOT / package, source / package)
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
+    built = subprocess.run([*command, str(source)], capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/licenses/" in name}
+        (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        assert "License-Expression: Apache-2.0" in archive.read(metadata).decode()
+    assert {name.rsplit("/", 1)[1] for name in names} == {"LICENSE", "NOTICE"}
