@@ -1,17 +1,20 @@
 """``python -m app``: serve on ``HOST``:``PORT`` with ``WORKERS`` processes.
 
-A stop by SIGTERM or Ctrl-C finishes the requests that run and ends with status 0.
+A stop by SIGTERM or Ctrl-C finishes the requests that run and ends with status 0. Where a setting
+makes no sense, or nothing can listen there, it ends at once with status 1 and one sentence.
 """
 
 from __future__ import annotations
 
-import os
+import errno
 import signal
+import socket
+import sys
 
 import uvicorn
 
 from app.logs import log_config
-from app.settings import Settings
+from app.settings import Settings, SettingsError, read_settings
 
 GRACE_S = 15
 # Longer than a camera that sends a frame a minute waits between two.
@@ -20,20 +23,63 @@ KEEP_ALIVE_S = 65
 
 def main() -> None:
     """Serve until told to stop."""
+    try:
+        settings = read_settings()
+        check_address(settings.host, settings.port)
+    except SettingsError as error:
+        sys.exit(str(error))
+    serve(settings)
+
+
+def serve(settings: Settings) -> None:
+    """Run the server."""
     # Once it has shut down, uvicorn raises the signal again, for the handler it found here.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
     uvicorn.run(
         "app.main:create_app",
         factory=True,
-        host=os.environ.get("HOST", "127.0.0.1"),
-        port=int(os.environ.get("PORT", "8000")),
-        workers=int(os.environ.get("WORKERS", "1")),
+        host=settings.host,
+        port=settings.port,
+        workers=settings.workers,
         timeout_graceful_shutdown=GRACE_S,
         timeout_keep_alive=KEEP_ALIVE_S,
         server_header=False,
-        log_config=log_config(Settings().log_level),
+        log_config=log_config(settings.log_level),
     )
+
+
+def check_address(host: str, port: int) -> None:
+    """Make sure that the service can listen.
+
+    uvicorn would only say so among its log lines, after everything else has been loaded.
+
+    Raises
+    ------
+    SettingsError
+        If the address is none of this machine, or the port is taken or forbidden.
+    """
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError:
+        raise SettingsError(f"HOST: expected an address of this machine, got {host!r}") from None
+    for family, kind, protocol, _, address in addresses:
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(address)
+            except OSError as error:
+                raise SettingsError(_cannot_listen(host, port, error)) from None
+
+
+def _cannot_listen(host: str, port: int, error: OSError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return f"PORT: expected a free port, got {port}, which another program uses on {host}"
+    if error.errno == errno.EACCES:
+        return f"PORT: expected a port this user may listen on, got {port}"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"HOST: expected an address of this machine, got {host!r}"
+    return f"HOST, PORT: cannot listen on {host}:{port}: {error.strerror}"
 
 
 if __name__ == "__main__":

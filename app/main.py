@@ -30,7 +30,7 @@ from app.routes import deepstack, health, index, pose
 from app.routes.docs import add_docs
 from app.routes.page import add_page
 from app.runtime import Runtime
-from app.settings import Settings
+from app.settings import Settings, read_settings
 from app.version import VERSION
 from app.vision.face import FaceError
 from app.vision.onnx import OnnxError
@@ -65,7 +65,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     -------
     FastAPI
     """
-    settings = settings or Settings()
+    settings = settings or read_settings()
     give_back_freed_memory()
     switch_threads_often()
     leave_threads_to_the_service()

@@ -1,17 +1,26 @@
-"""Everything an operator can set, read from the environment (``POSE_...``)."""
+"""Everything an operator can set, read from the environment (``POSE_...``, ``HOST``, ``PORT``)."""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from app.wording import expected_and_got, shortened, suggestion
 from index.store import DEFAULT_PATH
 
 DEFAULT_MODELS = Path(__file__).resolve().parent.parent / "models"
+
+PREFIX = "POSE_"
+_ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
+# Kubernetes describes a service called "pose" to all containers beside it by such variables.
+_OF_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
 
 def _cores() -> int:
@@ -19,10 +28,26 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+class SettingsError(ValueError):
+    """A variable makes no sense; the message is one sentence that begins with its name."""
+
+
 class Settings(BaseSettings):
     """Settings of the service; each default suits one machine beside a few cameras."""
 
-    model_config = SettingsConfigDict(env_prefix="POSE_", frozen=True)
+    model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, frozen=True)
+
+    host: str = Field(
+        default="127.0.0.1",
+        validation_alias="HOST",
+        description="Address to listen on; `0.0.0.0` for all of the machine.",
+    )
+    port: int = Field(
+        default=8000, ge=1, le=65535, validation_alias="PORT", description="Port to listen on."
+    )
+    workers: int = Field(
+        default=1, ge=1, validation_alias="WORKERS", description="Processes that serve; see below."
+    )
 
     index: Path = Field(default=DEFAULT_PATH, description="Folder of the index artefact.")
     models: Path = Field(
@@ -53,10 +78,16 @@ class Settings(BaseSettings):
     )
     queue_length: int = Field(default=16, ge=0, description="Frames that may wait for a thread.")
     request_timeout_s: float = Field(
-        default=10.0, gt=0, description="From the end of the upload to the answer."
+        default=10.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="From the end of the upload to the answer.",
     )
     upload_timeout_s: float = Field(
-        default=30.0, gt=0, description="A slower client is sent away with 408."
+        default=30.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="A slower client is sent away with 408.",
     )
 
     api_keys: Annotated[tuple[SecretStr, ...], NoDecode] = Field(
@@ -66,12 +97,77 @@ class Settings(BaseSettings):
         default=(), description="Comma-separated origins whose pages may call the service."
     )
 
-    log_level: str = Field(default="info", pattern="^(debug|info|warning|error)$")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="`debug`, `info`, `warning` or `error`."
+    )
     revision: str = Field(default="unknown", description="Git revision of this build.")
 
     @field_validator("api_keys", "cors_origins", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
-        if isinstance(value, str):
-            return tuple(part.strip() for part in value.split(",") if part.strip())
-        return value
+        if not isinstance(value, str):
+            return value
+        parts = tuple(part.strip() for part in value.split(","))
+        # An empty key would be no key, and a service that was meant to be locked open to all.
+        if not all(parts):
+            raise ValueError("expected values separated by commas, got an empty one")
+        return parts
+
+    @field_validator("cors_origins")
+    @classmethod
+    def _check_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
+            if not _ORIGIN.fullmatch(origin):
+                raise ValueError(
+                    "expected origins of scheme and host such as https://yard.example, "
+                    f"got {shortened(origin)}"
+                )
+        return origins
+
+
+def variable(name: str, field: FieldInfo) -> str:
+    """Return the environment variable of a setting."""
+    alias = field.validation_alias
+    return alias if isinstance(alias, str) else f"{PREFIX}{name.upper()}"
+
+
+VARIABLES = tuple(variable(name, field) for name, field in Settings.model_fields.items())
+
+
+def read_settings() -> Settings:
+    """Read the settings from the environment.
+
+    Raises
+    ------
+    SettingsError
+        If a value makes no sense, or a variable looks like a setting and is none.
+    """
+    _refuse_unknown(os.environ)
+    try:
+        return Settings()
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = str(first["loc"][0]).upper()
+        name = place if place in VARIABLES else f"{PREFIX}{place}"
+        sentence = f"{_as_written(name, os.environ)}: {expected_and_got(first)}"
+    # Raised out here: what went before holds the values, and some of them are secrets.
+    raise SettingsError(sentence)
+
+
+def _refuse_unknown(environment: Mapping[str, str]) -> None:
+    known = {name.removeprefix(PREFIX): name for name in VARIABLES}
+    for written, value in environment.items():
+        name = written.upper()
+        if not name.startswith(PREFIX) or name in VARIABLES:
+            continue
+        if _OF_KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
+            continue
+        raise SettingsError(
+            f"{written}: expected one of the settings in docs/operations.md"
+            + (suggestion(name.removeprefix(PREFIX), known) or ", which has none of this name")
+        )
+
+
+def _as_written(name: str, environment: Mapping[str, str]) -> str:
+    """Return a variable's name in the case in which it was set."""
+    return next((written for written in environment if written.upper() == name), name)

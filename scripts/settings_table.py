@@ -9,24 +9,23 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from app.settings import Settings
+from app.settings import Settings, variable
 from scripts.results import ROOT, write_section
 
 OPERATIONS = ROOT / "docs" / "operations.md"
 TITLE = "Settings"
 
 INTRODUCTION = """
-Everything is set by environment variables; a value that makes no sense ends the start with a
-sentence that names it. Besides these, `HOST` (default `127.0.0.1`), `PORT` (`8000`) and
-`WORKERS` (`1`, see below) say where and how often the service runs.
+Everything is set by environment variables; an empty one counts as not set. A value that makes no
+sense, an unknown name that begins with `POSE_`, or a port that is in use ends the start with status
+1 and one sentence that names the variable.
 """
 
 
 def table() -> str:
     """Return all settings as a table in Markdown."""
-    prefix = Settings.model_config["env_prefix"]
     rows = [
-        f"| `{prefix}{name.upper()}` | {_default(field)} | {field.description or _plain(name)} |"
+        f"| `{variable(name, field)}` | {_default(field)} | {field.description or _plain(name)} |"
         for name, field in Settings.model_fields.items()
     ]
     return "\n".join(["| variable | default | |", "|---|---|---|", *rows])

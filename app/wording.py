@@ -1,0 +1,80 @@
+"""What pydantic finds wrong, in the words all errors of the service use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any
+
+_LONGEST_VALUE = 60
+
+_EXPECTED = {
+    "int_parsing": "a whole number",
+    "int_parsing_size": "a smaller number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "bool_parsing": "true or false",
+    "greater_than_equal": "at least {ge}",
+    "greater_than": "more than {gt}",
+    "less_than_equal": "at most {le}",
+    "less_than": "less than {lt}",
+    "literal_error": "{expected}",
+    "string_too_short": "some text",
+    "string_type": "text",
+    "list_type": "a list",
+    "json_invalid": "valid JSON",
+}
+
+
+def expected_and_got(error: Mapping[str, Any]) -> str:
+    """Say what was expected and what was found instead.
+
+    Parameters
+    ----------
+    error : mapping
+        One of what :meth:`pydantic.ValidationError.errors` lists.
+
+    Examples
+    --------
+    >>> expected_and_got({"type": "greater_than_equal", "ctx": {"ge": 1}, "input": 0})
+    'expected at least 1, got 0'
+    """
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "missing":
+        return "expected a value, got none"
+    if kind == "value_error":  # A validator of our own, whose sentence is complete.
+        return str(context["error"])
+    if kind in ("too_short", "too_long"):
+        wanted = context.get("min_length", context.get("max_length"))
+        return f"expected {wanted} values, got {context['actual_length']}"
+    if kind not in _EXPECTED:
+        message = str(error["msg"])
+        return message[:1].lower() + message[1:]
+    return f"expected {_EXPECTED[kind].format(**context)}, got {shortened(error['input'])}"
+
+
+def shortened(value: object) -> str:
+    """Quote a value, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
+def suggestion(name: str, known: Mapping[str, str]) -> str:
+    """Ask whether something else was meant, ``""`` where nothing is similar.
+
+    Parameters
+    ----------
+    name : str
+        What nobody knows.
+    known : mapping of str to str
+        What it is compared with, and what is then suggested.
+
+    Examples
+    --------
+    >>> suggestion("masc", {"mask": "mask", "frame": "frame"})
+    '; did you mean mask?'
+    """
+    similar = get_close_matches(name, known, n=1)
+    return f"; did you mean {known[similar[0]]}?" if similar else ""

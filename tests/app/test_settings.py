@@ -1,0 +1,141 @@
+"""A setting that makes no sense ends the start with one sentence that names it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from app.settings import Settings, SettingsError, read_settings
+from tests.conftest import ROOT
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("POSE_MAX_PIXELS", "abc", "expected a whole number, got 'abc'"),
+        ("pose_max_pixels", "abc", "expected a whole number, got 'abc'"),
+        ("POSE_MAX_PIXELS", "1.5", "expected a whole number, got '1.5'"),
+        ("POSE_CONCURRENCY", "0", "expected at least 1, got '0'"),
+        ("POSE_REQUEST_TIMEOUT_S", "soon", "expected a number, got 'soon'"),
+        ("POSE_REQUEST_TIMEOUT_S", "inf", "expected a finite number, got 'inf'"),
+        ("POSE_LOG_LEVEL", "loud", "expected 'debug', 'info', 'warning' or 'error', got 'loud'"),
+        ("POSE_API_KEYS", ",", "expected values separated by commas, got an empty one"),
+        ("POSE_API_KEYS", "secret,", "expected values separated by commas, got an empty one"),
+        ("POSE_API_KEYS", " ", "expected values separated by commas, got an empty one"),
+        (
+            "POSE_CORS_ORIGINS",
+            "yard.example",
+            "expected origins of scheme and host such as https://yard.example, got 'yard.example'",
+        ),
+        (
+            "POSE_CORS_ORIGINS",
+            "https://yard.example/",
+            "expected origins of scheme and host such as https://yard.example, "
+            "got 'https://yard.example/'",
+        ),
+        ("PORT", "abc", "expected a whole number, got 'abc'"),
+        ("PORT", "99999", "expected at most 65535, got '99999'"),
+        ("PORT", "0", "expected at least 1, got '0'"),
+        ("WORKERS", "0", "expected at least 1, got '0'"),
+        ("POSE_TYPO", "3", "expected one of the settings in docs/operations.md"),
+    ],
+)
+def test_a_wrong_value_is_told_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, said: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    with pytest.raises(SettingsError) as caught:
+        read_settings()
+    assert str(caught.value).startswith(f"{name}: {said}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("POSE_MAX_PIXEL", "POSE_MAX_PIXELS"),
+        ("POSE_API_KEY", "POSE_API_KEYS"),
+        ("POSE_PORT", "PORT"),
+        ("POSE_HOST", "HOST"),
+    ],
+)
+def test_a_name_like_a_setting_is_refused_with_the_one_it_is_like(
+    monkeypatch: pytest.MonkeyPatch, written: str, meant: str
+) -> None:
+    monkeypatch.setenv(written, "8001")
+    with pytest.raises(SettingsError, match=rf"^{written}: .*; did you mean {meant}\?$"):
+        read_settings()
+
+
+def test_what_kubernetes_says_of_a_service_called_pose_is_no_setting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("POSE_SERVICE_HOST", "10.0.0.7")
+    monkeypatch.setenv("POSE_SERVICE_PORT_HTTP", "8000")
+    monkeypatch.setenv("POSE_PORT", "tcp://10.0.0.7:8000")
+    monkeypatch.setenv("POSE_PORT_8000_TCP_ADDR", "10.0.0.7")
+    assert read_settings() == Settings()
+
+
+def test_what_makes_sense_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {
+        "HOST": "0.0.0.0",
+        "PORT": "8080",
+        "WORKERS": "2",
+        "POSE_API_KEYS": "first, second",
+        "POSE_CORS_ORIGINS": "https://yard.example,http://127.0.0.1:8000",
+        "POSE_MAX_PIXELS": "",  # As compose.yaml passes on what is not set.
+    }.items():
+        monkeypatch.setenv(name, value)
+    settings = read_settings()
+    assert (settings.host, settings.port, settings.workers) == ("0.0.0.0", 8080, 2)
+    assert [key.get_secret_value() for key in settings.api_keys] == ["first", "second"]
+    assert settings.cors_origins == ("https://yard.example", "http://127.0.0.1:8000")
+    assert settings.max_pixels == Settings.model_fields["max_pixels"].default
+
+
+def test_a_wrong_list_of_keys_shows_none_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("POSE_API_KEYS", "secret,,")
+    with pytest.raises(SettingsError) as caught:
+        read_settings()
+    assert "secret" not in str(caught.value)
+    assert caught.value.__context__ is None
+
+
+def start(**environment: str) -> subprocess.CompletedProcess[str]:
+    """Run ``python -m app`` until it ends by itself."""
+    return subprocess.run(
+        [sys.executable, "-m", "app"],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("POSE_MAX_PIXELS", "abc"), ("PORT", "99999"), ("HOST", "nowhere.invalid")]
+)
+def test_the_start_ends_with_that_sentence_alone(name: str, value: str) -> None:
+    ended = start(**{name: value})
+    assert ended.returncode == 1
+    assert ended.stdout == ""
+    assert ended.stderr.startswith(f"{name}: expected ")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_port_in_use_is_told_in_a_sentence(workers: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ended = start(HOST="127.0.0.1", PORT=str(port), WORKERS=workers)
+    assert ended.returncode == 1
+    assert ended.stderr == (
+        f"PORT: expected a free port, got {port}, which another program uses on 127.0.0.1\n"
+    )
