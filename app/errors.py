@@ -16,6 +16,7 @@ from app.estimates import UploadError
 from app.observation import note_rejection
 from app.pool import ClientGoneError, DeadlineError, OverloadedError
 from app.schemas import Problem
+from app.wording import expected_and_got
 
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 1
@@ -92,10 +93,15 @@ def is_multipart(request: Request) -> bool:
     return request.headers.get("content-type", "").lower().startswith(_MULTIPART)
 
 
-def not_multipart(request: Request) -> ProblemError:
+def is_image(request: Request) -> bool:
+    """Whether a body is said to be an image."""
+    return request.headers.get("content-type", "").lower().startswith("image/")
+
+
+def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemError:
     """Make a 415 for any other body."""
     got = request.headers.get("content-type", "")[:100] or "none"
-    return ProblemError(415, f"expected a body of type {_MULTIPART}, got {got}")
+    return ProblemError(415, f"expected a body of type {expected}, got {got}")
 
 
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -115,7 +121,7 @@ _MEANINGS = {
     404: "There is no such thing.",
     408: "The upload took too long.",
     413: "Too many bytes or pixels.",
-    415: "The body is not multipart/form-data.",
+    415: "The body is neither multipart/form-data nor, where that is taken, an image.",
     422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
     503: "Overloaded (with Retry-After), or the index is not loaded.",
 }
@@ -152,12 +158,12 @@ def register_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def _(request: Request, error: RequestValidationError) -> Response:
-        if request.method == "POST" and not is_multipart(request):
-            return problem_response(not_multipart(request))
         first = error.errors()[0]
         # A location starts with where it was found: query, path, body.
         field = ".".join(str(part) for part in first["loc"][1:]) or None
-        return problem_response(ProblemError(422, f"{field}: {first['msg']}", field=field))
+        return problem_response(
+            ProblemError(422, f"{field}: {expected_and_got(first)}", field=field)
+        )
 
     @app.exception_handler(HTTPException)
     async def _(request: Request, error: HTTPException) -> Response:

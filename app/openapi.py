@@ -7,7 +7,9 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from app.schemas import FrameUpload, Problem
+from app.schemas import DeepstackUpload, FrameUpload, Problem
+
+_FORMS = (FrameUpload, DeepstackUpload)
 
 
 def add_openapi(app: FastAPI) -> None:
@@ -15,7 +17,7 @@ def add_openapi(app: FastAPI) -> None:
 
     Every route refers to :class:`Problem`. Naming the model in each would do, but FastAPI
     would then promise ``application/json`` besides ``application/problem+json``. So do the routes
-    on poses to the form that they read by themselves.
+    that take images to the forms that they read by themselves.
     """
 
     def openapi() -> dict[str, Any]:
@@ -28,13 +30,13 @@ def add_openapi(app: FastAPI) -> None:
                 routes=app.routes,
             )
             schemas = document["components"]["schemas"]
-            for model in (Problem, FrameUpload):
+            for model in (Problem, *_FORMS):
                 schemas[model.__name__] = model.model_json_schema()
             for name, schema in schemas.items():
                 # The models here allow no others, but a later version may add fields: clients
                 # that refuse what they do not know would break. (And openapi-generator warns.)
                 schema.pop("additionalProperties", None)
-                if name == FrameUpload.__name__ or name.startswith("Body_"):
+                if name in {form.__name__ for form in _FORMS}:
                     properties = schema["properties"]
                     schema["properties"] = {k: _form_field(v) for k, v in properties.items()}
             app.openapi_schema = document
@@ -46,14 +48,10 @@ def add_openapi(app: FastAPI) -> None:
 def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     """Write a field of a form as generators understand it.
 
-    A form has no null: an optional field is one that may be missing. And without the format,
-    which FastAPI leaves out, generated clients send files as text.
+    A form has no null: an optional field is one that may be missing. One with a default is taken
+    by some for one that is always there.
     """
     kind: dict[str, Any] = next(
         (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}
     )
-    rest = {k: v for k, v in schema.items() if k != "anyOf" and (k, v) != ("default", None)}
-    schema = {**kind, **rest}
-    if schema.get("contentMediaType") == "application/octet-stream":
-        schema["format"] = "binary"
-    return schema
+    return {**kind, **{k: v for k, v in schema.items() if k not in ("anyOf", "default")}}

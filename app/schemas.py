@@ -350,6 +350,20 @@ class EntryResponse(Model):
     )
 
 
+class DeepstackUpload(Model):
+    """An image, as DeepStack's clients send it."""
+
+    image: bytes = Field(description=FRAME)
+    min_confidence: Probability = Field(
+        default=0.4,
+        description="Detections below this score are left out; 0.4 where it is missing.",
+        examples=[0.4],
+    )
+    api_key: str | None = Field(
+        default=None, description="Where the operator has set keys; a header does as well."
+    )
+
+
 class DeepstackPrediction(Model):
     """One person, as DeepStack says it."""
 

@@ -3,34 +3,59 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, File, Form, Request, UploadFile
+from fastapi import APIRouter, Depends, Request
+from pydantic import ValidationError
 
 from app.auth import check_key
-from app.errors import documented
+from app.errors import ProblemError, documented, is_multipart, unsupported_body
+from app.estimates import UploadError
 from app.pool import Watch
+from app.routes.forms import CheckQuery, check_fields, file_of, text_of
 from app.runtime import run_in_pool, runtime_of
-from app.schemas import FRAME, DeepstackPrediction, DeepstackResponse
+from app.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
+from app.wording import expected_and_got
 
 router = APIRouter(
     prefix="/v1/vision",
     tags=["compatibility"],
+    dependencies=[CheckQuery],
     responses=documented(400, 401, 408, 413, 415, 422, 503),
 )
 
+_DOCUMENTED: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {"schema": {"$ref": "#/components/schemas/DeepstackUpload"}}
+        },
+    }
+}
 
-@router.post("/detection", operation_id="detect_deepstack")
+
+async def _read_upload(request: Request) -> DeepstackUpload:
+    if not is_multipart(request):
+        raise unsupported_body(request)
+    async with request.form() as form:
+        check_fields(form, DeepstackUpload.model_fields)
+        image = await file_of(form, "image")
+        if image is None:
+            raise ProblemError(422, "image: expected an image file, got none", field="image")
+        given = {name: text_of(form, name) for name in ("min_confidence", "api_key")}
+    try:
+        return DeepstackUpload.model_validate(
+            {"image": image, **{name: text for name, text in given.items() if text}}
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = str(first["loc"][0])
+        raise ProblemError(422, f"{field}: {expected_and_got(first)}", field=field) from None
+
+
+@router.post("/detection", operation_id="detect_deepstack", openapi_extra=_DOCUMENTED)
 async def detect_deepstack(
-    request: Request,
-    image: Annotated[UploadFile, File(description=FRAME)],
-    min_confidence: Annotated[
-        float,
-        Form(ge=0, le=1, description="Detections below this score are left out.", examples=[0.4]),
-    ] = 0.4,
-    api_key: Annotated[
-        str | None, Form(description="Where the operator has set keys; a header does as well.")
-    ] = None,
+    request: Request, upload: Annotated[DeepstackUpload, Depends(_read_upload)]
 ) -> DeepstackResponse:
     """Find people, as DeepStack's clients ask for it.
 
@@ -39,11 +64,16 @@ async def detect_deepstack(
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
     bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
-    check_key(runtime.settings, (api_key, request.headers.get("x-api-key"), bearer))
+    check_key(runtime.settings, (upload.api_key, request.headers.get("x-api-key"), bearer))
     started = time.perf_counter()
-    data = await image.read()
 
     def work(watch: Watch) -> list[DeepstackPrediction]:
+        try:
+            people = estimator.detect(upload.image, watch.check)
+        except UploadError as error:
+            # The estimator knows it as a frame; here it has another name.
+            told = f"image{str(error).removeprefix(error.field)}"
+            raise UploadError("image", error.reason, told) from None
         return [
             DeepstackPrediction(
                 label="person",
@@ -53,8 +83,8 @@ async def detect_deepstack(
                 x_max=round(found.box.right),
                 y_max=round(found.box.bottom),
             )
-            for found in estimator.detect(data, watch.check)
-            if (found.detection_score or 0.0) >= min_confidence
+            for found in people
+            if (found.detection_score or 0.0) >= upload.min_confidence
         ]
 
     predictions = await run_in_pool(request, work)

@@ -12,13 +12,14 @@ from app.drawing import encode_png
 from app.errors import ProblemError, documented
 from app.estimator import Estimator
 from app.replies import entry_reply, index_reply
+from app.routes.forms import CheckQuery
 from app.routes.pose import PNG
 from app.routes.uploads import KeypointSetQuery
 from app.runtime import EstimatorDep, runtime_of
 from app.schemas import EntryResponse, IndexResponse
 from app.version import VERSION
 
-router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey])
+router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, CheckQuery])
 
 EntryNumber = Annotated[
     int, Path(ge=0, description="Number of the entry, as hypotheses name it.", examples=[20117])

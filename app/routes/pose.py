@@ -13,6 +13,7 @@ from app.errors import documented
 from app.estimates import Stopwatch
 from app.pool import Watch
 from app.replies import pose_reply
+from app.routes.forms import CheckQuery
 from app.routes.uploads import DOCUMENTED_UPLOAD, HypothesisCount, KeypointSetQuery, UploadForm
 from app.runtime import run_in_pool, runtime_of
 from app.schemas import PoseResponse
@@ -20,7 +21,7 @@ from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(
     tags=["pose"],
-    dependencies=[RequireKey],
+    dependencies=[RequireKey, CheckQuery],
     responses=documented(400, 401, 408, 413, 415, 422, 503),
 )
 

@@ -5,15 +5,20 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import Depends, Query, Request
-from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
-from starlette.datastructures import FormData, UploadFile
+from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 
-from app.errors import ProblemError, is_multipart, not_multipart
+from app.errors import ProblemError, is_image, is_multipart, unsupported_body
 from app.estimates import Upload
-from app.schemas import KeypointSetName
+from app.routes.forms import check_fields, file_of, text_of
+from app.schemas import FrameUpload, KeypointSetName
 from app.vision.people import Box
+from app.wording import expected_and_got
 
-_BOXES = TypeAdapter(list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]])
+# Strict: true and "12" are no numbers.
+_BOXES = TypeAdapter(
+    list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]],
+    config=ConfigDict(strict=True),
+)
 
 HypothesisCount = Annotated[
     int, Query(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7])
@@ -31,6 +36,8 @@ KeypointSetQuery = Annotated[
 DOCUMENTED_UPLOAD: dict[str, Any] = {
     "requestBody": {
         "required": True,
+        "description": "A photograph alone may also be the body itself, as `image/jpeg` or any "
+        "other type of image.",
         "content": {
             "multipart/form-data": {"schema": {"$ref": "#/components/schemas/FrameUpload"}}
         },
@@ -42,39 +49,25 @@ DOCUMENTED_UPLOAD: dict[str, Any] = {
 # FastAPI reads the form that a route declares before it asks for the key, and telling four fields
 # apart takes it nearly as long as all else that it does with a request.
 async def _read_upload(request: Request) -> Upload:
+    if is_image(request):
+        return Upload(await request.body())
     if not is_multipart(request):
-        raise not_multipart(request)
+        raise unsupported_body(request, "multipart/form-data or image/*")
     async with request.form() as form:
-        frame = await _file(form, "frame")
+        check_fields(form, FrameUpload.model_fields)
+        frame = await file_of(form, "frame")
         if frame is None:
             raise ProblemError(422, "frame: expected an image file, got none", field="frame")
-        boxes = _text(form, "boxes")
+        boxes = text_of(form, "boxes")
         return Upload(
             frame,
-            mask=await _file(form, "mask"),
-            background=await _file(form, "background"),
+            mask=await file_of(form, "mask"),
+            background=await file_of(form, "background"),
             boxes=_parse_boxes(boxes) if boxes else None,
         )
 
 
 UploadForm = Annotated[Upload, Depends(_read_upload)]
-
-
-async def _file(form: FormData, field: str) -> bytes | None:
-    """Content of a file; none is an empty field as well, which browsers send for no file."""
-    part = form.get(field)
-    if isinstance(part, UploadFile):
-        return None if not part.filename and not part.size else await part.read()
-    if part:
-        raise ProblemError(422, f"{field}: expected a file, got text", field=field)
-    return None
-
-
-def _text(form: FormData, field: str) -> str | None:
-    part = form.get(field)
-    if isinstance(part, UploadFile):
-        raise ProblemError(422, f"{field}: expected text, got a file", field=field)
-    return part
 
 
 def _parse_boxes(text: str) -> list[Box]:
@@ -86,7 +79,7 @@ def _parse_boxes(text: str) -> list[Box]:
         raise ProblemError(
             422,
             "boxes: expected a JSON list of [x, y, width, height], "
-            f"got a mistake at boxes{place}: {first['msg']}",
+            f"got a mistake at boxes{place}: {expected_and_got(first)}",
             field="boxes",
         ) from None
     except ValueError as error:

@@ -87,6 +87,9 @@ def test_sizes_must_agree(client: TestClient, photo: Photo, field: str) -> None:
         "[[1, 2, 3, 4, 5]]",
         '[["a", 2, 3, 4]]',
         "[[NaN, 2, 3, 4]]",
+        "[[true, 2, 3, 4]]",
+        '[["1", 2, 3, 4]]',
+        "[[1, 2, 30, null]]",
         "[[1e400, 2, 3, 4]]",
         "[[1, 2, 0, 4]]",
         "[[1, 2, -3, 4]]",
@@ -119,6 +122,76 @@ def test_bad_parameters(
     check_problem(response, 422, field)
 
 
+@pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "masc",
+            "masc: expected one of the fields frame, mask, background, boxes; did you mean mask?",
+        ),
+        ("frame", "frame: expected one part, got 2"),
+        ("mask", "mask: expected one part, got 2"),
+    ],
+)
+def test_no_part_is_left_out_silently(
+    client: TestClient, photo: Photo, path: str, name: str, said: str
+) -> None:
+    parts = [("frame", photo.frame_png), ("mask", photo.mask_png), (name, photo.mask_png)]
+    detail = check_problem(client.post(path, files=parts), 422, name)
+    assert detail == said
+
+
+@pytest.mark.parametrize(
+    ("query", "field", "said"),
+    [
+        ("m=3", "m", "m: expected one of the query parameters keypoints, n"),
+        ("keypoint=coco17", "keypoint", "; did you mean keypoints?"),
+        ("n=3&n=5", "n", "n: expected one value, got 2"),
+        ("N=3", "N", "N: expected one of the query parameters keypoints, n"),
+    ],
+)
+def test_no_query_parameter_is_left_out_silently(
+    client: TestClient, photo: Photo, query: str, field: str, said: str
+) -> None:
+    response = client.post(f"/pose?{query}", files={"frame": photo.frame_png})
+    assert said in check_problem(response, 422, field)
+
+
+def test_query_parameters_where_there_are_none(client: TestClient, photo: Photo) -> None:
+    response = client.post("/silhouette?n=3", files={"frame": photo.frame_png})
+    assert check_problem(response, 422, "n") == "n: expected no query parameters"
+    check_problem(client.get("/index?entry=3"), 422, "entry")
+    assert client.get("/index/entries/3?keypoints=coco17").status_code == 200
+    check_problem(client.get("/index/entries/3?keypoint=coco17"), 422, "keypoint")
+
+
+def test_a_wrong_parameter_is_told_in_our_own_words(client: TestClient, photo: Photo) -> None:
+    response = client.post("/pose?n=51", files={"frame": photo.frame_png})
+    assert check_problem(response, 422, "n") == "n: expected at most 50, got '51'"
+
+
+@pytest.mark.parametrize(
+    ("parts", "status", "field"),
+    [
+        ([("image", b"?")], 400, "image"),
+        ([], 422, "image"),
+        ([("image", b"?"), ("image", b"?")], 422, "image"),
+        ([("image", (None, b"text"))], 422, "image"),
+        ([("frame", b"?")], 422, "frame"),
+        ([("image", b"?"), ("min_confidence", (None, b"1.5"))], 422, "min_confidence"),
+        ([("image", b"?"), ("min_confidence", (None, b"much"))], 422, "min_confidence"),
+    ],
+)
+def test_errors_of_deepstack_name_what_its_clients_send(
+    client: TestClient, parts: list[tuple[str, Any]], status: int, field: str
+) -> None:
+    # An empty list would be no form at all.
+    parts = parts or [("api_key", (None, b"any"))]
+    response = client.post("/v1/vision/detection", files=parts)
+    assert check_problem(response, status, field).startswith(f"{field}: ")
+
+
 def test_a_missing_frame(client: TestClient, photo: Photo) -> None:
     check_problem(client.post("/pose", files={"mask": photo.mask_png}), 422, "frame")
 
@@ -149,10 +222,18 @@ def test_fields_left_empty_in_a_browser(client: TestClient, photo: Photo) -> Non
     check_problem(response, 422, "frame")
 
 
-@pytest.mark.parametrize("content_type", ["application/json", "image/jpeg", ""])
+@pytest.mark.parametrize("content_type", ["application/json", "video/mp4", ""])
 def test_other_media_types(client: TestClient, content_type: str) -> None:
     response = client.post("/pose", content=b"{}", headers={"content-type": content_type})
+    assert "multipart/form-data or image/*" in check_problem(response, 415)
+    response = client.post("/v1/vision/detection", content=b"{}", headers={"content-type": "a/b"})
     check_problem(response, 415)
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xd8\xff\xe0" + b"x" * 99])
+def test_a_body_that_is_no_image(client: TestClient, content: bytes) -> None:
+    headers = {"content-type": "image/jpeg"}
+    check_problem(client.post("/pose", content=content, headers=headers), 400, "frame")
 
 
 def test_media_types_may_be_in_upper_case(client: TestClient, photo: Photo) -> None:

@@ -1,0 +1,66 @@
+"""Forms and query parameters, read so that nothing a caller sends is silently left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+
+from fastapi import Depends, Request
+from fastapi.dependencies.models import Dependant
+from starlette.datastructures import FormData, UploadFile
+
+from app.errors import ProblemError
+from app.wording import suggestion
+
+_LONGEST_NAME = 60
+
+
+def check_fields(form: FormData, known: Collection[str]) -> None:
+    """Raise a 422 where a form holds an unknown field, or one of them twice."""
+    _check_names((name for name, _ in form.multi_items()), known, "fields", "part")
+
+
+async def file_of(form: FormData, field: str) -> bytes | None:
+    """Content of a file; none is an empty field as well, which browsers send for no file."""
+    part = form.get(field)
+    if isinstance(part, UploadFile):
+        return None if not part.filename and not part.size else await part.read()
+    if part:
+        raise ProblemError(422, f"{field}: expected a file, got text", field=field)
+    return None
+
+
+def text_of(form: FormData, field: str) -> str | None:
+    """Return the text of a field, None where it is missing."""
+    part = form.get(field)
+    if isinstance(part, UploadFile):
+        raise ProblemError(422, f"{field}: expected text, got a file", field=field)
+    return part
+
+
+async def _check_query(request: Request) -> None:
+    given = [name for name, _ in request.query_params.multi_items()]
+    if given:
+        known = sorted(_query_names(request.scope["route"].dependant))
+        _check_names(given, known, "query parameters", "value")
+
+
+CheckQuery = Depends(_check_query)
+"""Refuses query parameters that the route does not have, and those given twice."""
+
+
+def _query_names(dependant: Dependant) -> Iterator[str]:
+    yield from (parameter.alias for parameter in dependant.query_params)
+    for part in dependant.dependencies:
+        yield from _query_names(part)
+
+
+def _check_names(given: Iterable[str], known: Collection[str], kind: str, unit: str) -> None:
+    for name, count in Counter(given).items():
+        short = name[:_LONGEST_NAME]
+        if name not in known:
+            expected = f"one of the {kind} {', '.join(known)}" if known else f"no {kind}"
+            meant = suggestion(short, {one: one for one in known})
+            raise ProblemError(422, f"{short}: expected {expected}{meant}", field=short)
+        if count > 1:
+            raise ProblemError(422, f"{name}: expected one {unit}, got {count}", field=name)
