@@ -15,6 +15,56 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.errors import ProblemError, overloaded, problem_response
 from app.pool import FULL
 
+GRACE_S = 5.0
+MIN_BYTES_PER_S = 4096
+"""An upload that falls behind this rate after the time of grace is given up."""
+
+STALLED_S = 1.0
+"""After so long a silence an upload gives its place to another one that needs it."""
+
+
+class _Upload:
+    """One body that is being received.
+
+    Parameters
+    ----------
+    timeout_s : float
+        For all of it.
+    """
+
+    def __init__(self, timeout_s: float) -> None:
+        self._started = self._last = asyncio.get_running_loop().time()
+        self._timeout_s = timeout_s
+        self._timeout: asyncio.Timeout | None = None
+        self.received = 0
+        self.complete = False
+
+    async def next(self, receive: Receive) -> Message:
+        """Return the next part; raises TimeoutError where it does not come in time."""
+        grace_s = GRACE_S + self.received / MIN_BYTES_PER_S
+        deadline = self._started + min(self._timeout_s, grace_s)
+        try:
+            async with asyncio.timeout_at(deadline) as self._timeout:
+                message = await receive()
+        finally:
+            self._timeout = None
+        self._last = asyncio.get_running_loop().time()
+        self.received += len(message.get("body", b""))
+        self.complete = not message.get("more_body", False)
+        return message
+
+    def silent_s(self) -> float:
+        """Seconds since its last part, 0 where nobody waits for the next."""
+        if self._timeout is None:
+            return 0.0
+        return asyncio.get_running_loop().time() - self._last
+
+    def give_up(self) -> None:
+        """Have :meth:`next` time out now."""
+        if self._timeout is not None:
+            self._last = asyncio.get_running_loop().time()
+            self._timeout.reschedule(self._last)
+
 
 class Door:
     """ASGI middleware that refuses uploads which are too large, too slow or too many.
@@ -24,6 +74,8 @@ class Door:
     app : ASGI application
     is_full : callable
         Whether a frame more would be refused where frames are worked on.
+    retry_after_s : callable
+        Seconds until it probably would not be.
     max_bytes : int
         Of one request body.
     max_open : int
@@ -37,16 +89,18 @@ class Door:
         app: ASGIApp,
         *,
         is_full: Callable[[], bool],
+        retry_after_s: Callable[[], int],
         max_bytes: int,
         max_open: int,
         timeout_s: float,
     ) -> None:
         self.app = app
         self._is_full = is_full
+        self._retry_after_s = retry_after_s
         self._max_bytes = max_bytes
         self._max_open = max_open
         self._timeout_s = timeout_s
-        self._open = 0
+        self._uploads: set[_Upload] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -57,51 +111,56 @@ class Door:
         if refusal is not None:
             await problem_response(refusal)(scope, receive, send)
             return
-        self._open += 1
+        upload = _Upload(self._timeout_s)
+        self._uploads.add(upload)
         try:
-            await self._let_in(scope, receive, send)
+            await self._let_in(upload, scope, receive, send)
         finally:
-            self._open -= 1
+            self._uploads.discard(upload)
 
     def _refusal(self, scope: Scope) -> ProblemError | None:
         if self._is_full():
-            return overloaded(FULL, "queue_full")
-        if self._open >= self._max_open:
+            return overloaded(FULL, "queue_full", self._retry_after_s())
+        if len(self._uploads) >= self._max_open and not self._make_room():
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
         length = dict(scope["headers"]).get(b"content-length", b"")
         if length.isdigit() and int(length) > self._max_bytes:
             return self._too_large()
         return None
 
+    def _make_room(self) -> bool:
+        """Give up the upload that has been silent for longest, if it has been for long."""
+        stalled = max(self._uploads, key=_Upload.silent_s, default=None)
+        if stalled is None or stalled.silent_s() < STALLED_S:
+            return False
+        stalled.give_up()
+        return True
+
     def _too_large(self) -> ProblemError:
         return ProblemError(
             413, f"expected a request of at most {self._max_bytes} bytes", reason="too_many_bytes"
         )
 
-    async def _let_in(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _let_in(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
         refusal: ProblemError | None = None
-        received = 0
-        complete = False
         started = False
-        deadline = asyncio.get_running_loop().time() + self._timeout_s
 
         async def counting_receive() -> Message:
-            nonlocal refusal, received, complete
-            if complete:
+            nonlocal refusal
+            if upload.complete:
                 return await receive()
             try:
-                async with asyncio.timeout_at(deadline):
-                    message = await receive()
+                message = await upload.next(receive)
             except TimeoutError:
                 refusal = ProblemError(
                     408,
-                    f"the upload took longer than {self._timeout_s:g} seconds",
+                    f"expected the whole upload within {self._timeout_s:g} seconds, without a stop "
+                    "on the way",
                     reason="slow_upload",
+                    headers={"Connection": "close"},
                 )
                 raise refusal from None
-            received += len(message.get("body", b""))
-            complete = not message.get("more_body", False)
-            if received > self._max_bytes:
+            if upload.received > self._max_bytes:
                 refusal = self._too_large()
                 raise refusal
             return message

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any
+from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import Response
+from fastapi.responses import RedirectResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
 from app.estimates import UploadError
 from app.observation import note_rejection
-from app.pool import ClientGoneError, DeadlineError, OverloadedError
+from app.pool import BusyError, ClientGoneError
+from app.route_table import RouteTable
 from app.schemas import Problem
-from app.wording import expected_and_got
+from app.wording import expected_and_got, shortened
 
 MEDIA_TYPE = "application/problem+json"
-RETRY_AFTER_S = 1
 
 _MULTIPART = "multipart/form-data"
 
@@ -57,8 +58,8 @@ class ProblemError(Exception):
         self.headers = dict(headers or {})
 
 
-def problem_response(error: ProblemError) -> Response:
-    """Turn an error into its answer."""
+def problem_body(error: ProblemError) -> bytes:
+    """Write an error as JSON."""
     problem = Problem(
         type="about:blank",
         title=HTTPStatus(error.status).phrase,
@@ -66,7 +67,12 @@ def problem_response(error: ProblemError) -> Response:
         detail=error.detail,
         field=error.field,
     )
-    return _ProblemResponse(problem, error.headers, error.reason)
+    return problem.model_dump_json(exclude_none=True).encode()
+
+
+def problem_response(error: ProblemError) -> Response:
+    """Turn an error into its answer."""
+    return _ProblemResponse(error)
 
 
 class _ProblemResponse(Response):
@@ -74,18 +80,18 @@ class _ProblemResponse(Response):
 
     media_type = MEDIA_TYPE
 
-    def __init__(self, problem: Problem, headers: Mapping[str, str], reason: str) -> None:
-        super().__init__(problem.model_dump_json(exclude_none=True), problem.status, headers)
-        self._reason = reason
+    def __init__(self, error: ProblemError) -> None:
+        super().__init__(problem_body(error), error.status, error.headers)
+        self._reason = error.reason
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         note_rejection(scope, self._reason)
         await super().__call__(scope, receive, send)
 
 
-def overloaded(detail: str, reason: str) -> ProblemError:
+def overloaded(detail: str, reason: str, retry_after_s: int = 1) -> ProblemError:
     """Make a 503 that says when to come back."""
-    return ProblemError(503, detail, headers={"Retry-After": str(RETRY_AFTER_S)}, reason=reason)
+    return ProblemError(503, detail, headers={"Retry-After": str(retry_after_s)}, reason=reason)
 
 
 def is_multipart(request: Request) -> bool:
@@ -129,8 +135,19 @@ _MEANINGS = {
 _STATUS_OF_UPLOAD = {"undecodable": 400, "too_large": 413, "misfit": 422}
 
 
-def register_error_handlers(app: FastAPI) -> None:
-    """Have ``app`` answer all errors, its own and the framework's, as problems."""
+def register_error_handlers(
+    app: FastAPI, table: RouteTable, retry_after_s: Callable[[], int]
+) -> None:
+    """Have an application answer all errors, its own and the framework's, as problems.
+
+    Parameters
+    ----------
+    app : FastAPI
+    table : RouteTable
+        What is suggested to those who ask for a wrong path.
+    retry_after_s : callable
+        Seconds until the service has probably room for another frame.
+    """
 
     @app.exception_handler(ProblemError)
     async def _(request: Request, error: ProblemError) -> Response:
@@ -143,13 +160,9 @@ def register_error_handlers(app: FastAPI) -> None:
             ProblemError(status, str(error), field=error.field, reason=error.reason)
         )
 
-    @app.exception_handler(OverloadedError)
-    async def _(request: Request, error: OverloadedError) -> Response:
-        return problem_response(overloaded(str(error), "queue_full"))
-
-    @app.exception_handler(DeadlineError)
-    async def _(request: Request, error: DeadlineError) -> Response:
-        return problem_response(overloaded(str(error), "deadline"))
+    @app.exception_handler(BusyError)
+    async def _(request: Request, error: BusyError) -> Response:
+        return problem_response(overloaded(str(error), error.reason, retry_after_s()))
 
     @app.exception_handler(ClientGoneError)
     async def _(request: Request, error: ClientGoneError) -> Response:
@@ -167,6 +180,10 @@ def register_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def _(request: Request, error: HTTPException) -> Response:
+        if error.status_code == 404:
+            return _not_found(request, table)
+        if error.status_code == 405:
+            return _not_allowed(request, table)
         return problem_response(
             ProblemError(error.status_code, str(error.detail), headers=error.headers)
         )
@@ -174,3 +191,20 @@ def register_error_handlers(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def _(request: Request, error: Exception) -> Response:
         return problem_response(ProblemError(500, "an error of the service; its log says more"))
+
+
+def _not_found(request: Request, table: RouteTable) -> Response:
+    path = request.url.path
+    if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
+        # Relative, so that it also leads back behind a proxy that serves us under a path.
+        last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
+        return RedirectResponse(f"../{last}" + (f"?{query}" if query else ""))
+    detail = f"expected a path that /docs describes, got {shortened(path)}"
+    return problem_response(ProblemError(404, detail + table.suggestion(path)))
+
+
+def _not_allowed(request: Request, table: RouteTable) -> Response:
+    route = table.find(request.url.path)
+    methods = route.methods if route else table.methods
+    detail = f"expected {' or '.join(methods)}, got {request.method}"
+    return problem_response(ProblemError(405, detail, headers={"Allow": ", ".join(methods)}))

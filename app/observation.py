@@ -13,6 +13,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.metrics import Metrics
+from app.route_table import RouteTable
 
 log = logging.getLogger("app.request")
 
@@ -36,11 +37,14 @@ class Observation:
     ----------
     app : ASGI application
     metrics : Metrics
+    table : RouteTable
+        Tells which route a request was meant for, however far it gets.
     """
 
-    def __init__(self, app: ASGIApp, *, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, *, metrics: Metrics, table: RouteTable) -> None:
         self.app = app
         self._metrics = metrics
+        self._table = table
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -67,7 +71,8 @@ class Observation:
             request_id.reset(token)
 
     def _write_down(self, scope: Scope, notes: dict[str, Any], seconds: float) -> None:
-        route = getattr(scope.get("route"), "path", "other")
+        known = self._table.find(scope["path"])
+        route = known.path if known else "other"
         status, rejected = notes["status"], notes.get("rejected")
         self._metrics.requests.labels(route, str(status)).inc()
         self._metrics.seconds.labels(route).observe(seconds)

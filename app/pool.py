@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 import time
 from collections.abc import Callable, Coroutine
@@ -16,16 +17,29 @@ T = TypeVar("T")
 
 FULL = "the service is working to capacity; try again shortly"
 _LONG_S = 0.05
+# Of the running mean of how long a job takes.
+_NEWEST_COUNTS = 0.2
 _GONE = "the client closed the connection"
 _BUSY = "the service was too busy to answer in time; try again shortly"
 
 
-class OverloadedError(Exception):
+class BusyError(Exception):
+    """The service has more to do than it can; the message is one sentence for the caller."""
+
+    reason = "busy"
+    """One word for logs and metrics."""
+
+
+class OverloadedError(BusyError):
     """The queue is full."""
 
+    reason = "queue_full"
 
-class DeadlineError(Exception):
+
+class DeadlineError(BusyError):
     """The answer was not ready in time."""
+
+    reason = "deadline"
 
 
 class ClientGoneError(Exception):
@@ -57,16 +71,6 @@ class Watch:
         self._gone.set()
 
 
-def _tidily(work: Callable[[Watch], T], watch: Watch) -> T:
-    """Do work; where it took long it took much memory, some ten megabytes of which stay behind."""
-    started = time.monotonic()
-    try:
-        return work(watch)
-    finally:
-        if time.monotonic() - started > _LONG_S:
-            give_back_what_is_free()
-
-
 class WorkPool:
     """A bounded number of threads with a bounded queue.
 
@@ -81,17 +85,40 @@ class WorkPool:
     """
 
     def __init__(self, threads: int, queue_length: int, timeout_s: float) -> None:
+        self._count = threads
         self._threads = ThreadPoolExecutor(
             threads, thread_name_prefix="frame", initializer=give_way
         )
         self._capacity = threads + queue_length
         self._timeout_s = timeout_s
+        self._usual_s = 0.0
         self.inside = 0
         """Jobs that run or wait."""
+
+    @property
+    def capacity(self) -> int:
+        """Jobs that may run or wait at once."""
+        return self._capacity
 
     def is_full(self) -> bool:
         """Whether one job more would be refused."""
         return self.inside >= self._capacity
+
+    def retry_after_s(self) -> int:
+        """Seconds until the jobs inside are probably done, at least 1, at most the timeout."""
+        needed_s = self.inside * self._usual_s / self._count
+        return max(1, math.ceil(min(needed_s, self._timeout_s)))
+
+    def _do(self, work: Callable[[Watch], T], watch: Watch) -> T:
+        started = time.monotonic()
+        try:
+            return work(watch)
+        finally:
+            took_s = time.monotonic() - started
+            self._usual_s += _NEWEST_COUNTS * (took_s - self._usual_s)
+            # What took long took much memory, some ten megabytes of which stay behind.
+            if took_s > _LONG_S:
+                give_back_what_is_free()
 
     async def run(
         self, work: Callable[[Watch], T], until_gone: Callable[[], Coroutine[None, None, None]]
@@ -115,7 +142,7 @@ class WorkPool:
         watch = Watch(self._timeout_s)
         self.inside += 1
         # The log lines of the work carry the request's id.
-        job = self._threads.submit(copy_context().run, _tidily, work, watch)
+        job = self._threads.submit(copy_context().run, self._do, work, watch)
         done, gone = asyncio.wrap_future(job), asyncio.ensure_future(until_gone())
         try:
             await asyncio.wait(

@@ -16,6 +16,8 @@ from app.settings import Settings
 
 T = TypeVar("T")
 
+_LOADED_IN_S = 2
+
 
 @dataclass
 class Runtime:
@@ -31,6 +33,8 @@ class Runtime:
         None until the index is loaded.
     not_ready_because : str
         While there is no estimator: a sentence for the operator.
+    loading : bool
+        Whether there will soon be one.
     """
 
     settings: Settings
@@ -38,11 +42,14 @@ class Runtime:
     metrics: Metrics
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
+    loading: bool = True
 
     def ready_estimator(self) -> Estimator:
         """Return the estimator, or raise a problem with status 503."""
         if self.estimator is None:
-            raise ProblemError(503, self.not_ready_because, reason="not_ready")
+            # What is broken is not mended by coming back.
+            headers = {"Retry-After": str(_LOADED_IN_S)} if self.loading else {}
+            raise ProblemError(503, self.not_ready_because, reason="not_ready", headers=headers)
         return self.estimator
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Awaitable, Callable
 from inspect import iscoroutinefunction
 from types import ModuleType
 
@@ -15,6 +16,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from app.door import Door
+from app.errors import ProblemError
 from app.pool import OverloadedError, Watch, WorkPool
 from app.process import give_way
 from app.routes import deepstack, health, index, pose
@@ -41,17 +43,28 @@ async def answer(
 
 
 async def reading(scope: Scope, receive: Receive, send: Send) -> None:
-    await receive()
-    await PlainTextResponse("done")(scope, receive, send)
+    response = PlainTextResponse("done")
+    try:
+        await receive()
+    except ProblemError:  # As the framework does where a body cannot be read.
+        response = PlainTextResponse("cannot be read", 400)
+    await response(scope, receive, send)
 
 
-def door(*, full: bool = False, max_open: int = 4) -> Door:
-    return Door(reading, is_full=lambda: full, max_bytes=100, max_open=max_open, timeout_s=1)
+def door(*, full: bool = False, max_open: int = 4, timeout_s: float = 1) -> Door:
+    return Door(
+        reading,
+        is_full=lambda: full,
+        retry_after_s=lambda: 7,
+        max_bytes=100,
+        max_open=max_open,
+        timeout_s=timeout_s,
+    )
 
 
 def test_a_frame_too_many_is_refused_unread() -> None:
     status, headers, read = anyio.run(answer, door(full=True))
-    assert (status, headers[b"retry-after"], read) == (503, b"1", 0)
+    assert (status, headers[b"retry-after"], read) == (503, b"7", 0)
 
 
 def test_an_upload_too_many_is_refused_unread() -> None:
@@ -118,3 +131,55 @@ def test_dependencies_do_not_hop_between_threads(routes: ModuleType) -> None:
     assert found
     for call in {call for route in found for call in functions(route.dependant)}:
         assert iscoroutinefunction(call) or iscoroutinefunction(type(call).__call__), call
+
+
+class StalledUploads:
+    """Requests whose bodies never come, at a door with room for two uploads."""
+
+    def __init__(self) -> None:
+        self.door = door(max_open=2, timeout_s=30)
+        self.statuses: list[int] = []
+
+    async def stall(self) -> None:
+        async def send(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                self.statuses.append(message["status"])
+
+        scope = {"type": "http", "method": "POST", "headers": []}
+        await self.door(scope, anyio.sleep_forever, send)
+
+
+def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.door.STALLED_S", 0.05)
+    stalled = StalledUploads()
+
+    async def ask() -> None:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(2):
+                tasks.start_soon(stalled.stall)
+            await anyio.wait_all_tasks_blocked()
+            assert (await answer(stalled.door))[0] == 503  # They have only just begun.
+            await anyio.sleep(0.06)
+            for _ in range(3):
+                assert (await answer(stalled.door))[0] == 200
+                await anyio.wait_all_tasks_blocked()
+            assert stalled.statuses == [408] * len(stalled.statuses) != []
+            tasks.cancel_scope.cancel()
+
+    anyio.run(ask)
+
+
+def test_a_stalled_upload_is_given_up_long_before_a_slow_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("app.door.GRACE_S", 0.05)
+    stalled = StalledUploads()
+    with_deadline = anyio.run(_within, stalled.stall)
+    assert with_deadline
+    assert stalled.statuses == [408]
+
+
+async def _within(job: Callable[[], Awaitable[None]]) -> bool:
+    with anyio.move_on_after(5) as scope:
+        await job()
+    return not scope.cancelled_caught

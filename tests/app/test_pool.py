@@ -141,6 +141,23 @@ async def test_who_waited_in_vain_hears_that_the_service_was_busy() -> None:
         release.set()
 
 
+async def test_how_long_to_wait_follows_from_what_is_to_be_done() -> None:
+    pool = WorkPool(threads=1, queue_length=9, timeout_s=10)
+    assert pool.retry_after_s() == 1
+    await pool.run(lambda watch: time.sleep(0.5), never)  # The mean is then at least 0.1 s.
+    release = threading.Event()
+    async with anyio.create_task_group() as tasks:
+        for _ in range(10):
+            tasks.start_soon(pool.run, lambda watch: release.wait(), never)
+        await anyio.wait_all_tasks_blocked()
+        assert 1 <= pool.retry_after_s() <= 10
+        few = pool.retry_after_s()
+        pool.inside *= 100
+        assert few < pool.retry_after_s() == 10
+        pool.inside //= 100
+        release.set()
+
+
 async def test_the_work_knows_whose_it_is() -> None:
     pool = WorkPool(threads=1, queue_length=1, timeout_s=5)
     request_id.set("mine")

@@ -1,0 +1,175 @@
+"""What HTTP itself asks of the service, whichever route is meant."""
+
+from __future__ import annotations
+
+import gzip
+import json
+
+import httpx
+import pytest
+from fastapi.testclient import TestClient
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
+from tests.app.test_errors import check_problem
+from tests.conftest import Photo
+
+ORIGIN = "https://yard.example"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/",
+        "/docs",
+        "/openapi.json",
+        "/healthz",
+        "/readyz",
+        "/metrics",
+        "/index",
+        "/index/entries/3",
+        "/index/entries/3/silhouette.png",
+        "/static/page.js",
+    ],
+)
+def test_head_is_wherever_get_is(client: TestClient, path: str) -> None:
+    head, get = client.head(path), client.get(path)
+    assert head.status_code == get.status_code == 200
+    assert head.content == b""
+    assert head.headers["content-type"] == get.headers["content-type"]
+    if path != "/metrics":  # It has counted the request before.
+        assert head.headers["content-length"] == get.headers["content-length"]
+
+
+def test_head_of_a_problem_has_no_body_either(client: TestClient) -> None:
+    response = client.head("/index/entries/9999")
+    assert (response.status_code, response.content) == (404, b"")
+    response = client.head("/pose")
+    assert (response.status_code, response.headers["allow"]) == (405, "POST")
+
+
+@pytest.mark.parametrize(
+    ("path", "location"),
+    [
+        ("/pose/", "../pose"),
+        ("/pose/?n=3", "../pose?n=3"),
+        ("/index/entries/3/", "../3"),
+        ("/v1/vision/detection/", "../detection"),
+    ],
+)
+def test_redirects_are_relative(client: TestClient, path: str, location: str) -> None:
+    response = client.get(path, follow_redirects=False)
+    assert (response.status_code, response.headers["location"]) == (307, location)
+
+
+def test_a_redirected_frame_is_answered(client: TestClient, photo: Photo) -> None:
+    files = {"frame": photo.frame_png, "mask": photo.mask_png}
+    response = client.post("/pose/?n=1", files=files)
+    assert response.status_code == 200
+    assert response.json()["persons"]
+
+
+@pytest.mark.parametrize("path", ["//evil.example/", "/static/", "//", "/nothing/", "/pose//"])
+def test_nothing_else_is_redirected(client: TestClient, path: str) -> None:
+    response = client.get(f"http://testserver{path}", follow_redirects=False)
+    assert response.status_code in (200, 404)
+    assert "location" not in response.headers
+
+
+@pytest.mark.parametrize(
+    ("path", "meant"),
+    [("/poses", "/pose"), ("/health", "/healthz"), ("/silhouettes", "/silhouette")],
+)
+def test_a_wrong_path_is_told_the_right_one(client: TestClient, path: str, meant: str) -> None:
+    detail = check_problem(client.get(path), 404)
+    assert path in detail
+    assert detail.endswith(f"; did you mean {meant}?")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allow"),
+    [
+        ("GET", "/pose", "POST"),
+        ("PUT", "/pose", "POST"),
+        ("PROPFIND", "/pose", "POST"),
+        ("OPTIONS", "/pose", "POST"),
+        ("POST", "/index", "GET, HEAD"),
+        ("DELETE", "/static/page.js", "GET, HEAD"),
+    ],
+)
+def test_a_wrong_method_is_told_the_right_ones(
+    client: TestClient, method: str, path: str, allow: str
+) -> None:
+    response = client.request(method, path)
+    detail = check_problem(response, 405)
+    assert detail == f"expected {allow.replace(', ', ' or ')}, got {method}"
+    assert response.headers["allow"] == allow
+
+
+def test_answers_are_compressed_for_those_who_take_it(client: TestClient, photo: Photo) -> None:
+    def ask(encoding: str) -> httpx.Response:
+        files = {"frame": photo.frame_png, "mask": photo.mask_png}
+        headers = {"accept-encoding": encoding}
+        with client.stream("POST", "/pose", files=files, headers=headers) as response:
+            response.raw = b"".join(response.iter_raw())
+        return response
+
+    packed, plain = ask("gzip, br"), ask("identity")
+    assert packed.headers["content-encoding"] == "gzip"
+    assert "content-encoding" not in plain.headers
+    assert "Accept-Encoding" in packed.headers["vary"]
+    assert len(packed.raw) < len(plain.raw) / 2
+    answers = [json.loads(text) for text in (gzip.decompress(packed.raw), plain.raw)]
+    assert answers[0]["persons"] == answers[1]["persons"]
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/index/entries/3/silhouette.png"])
+def test_what_is_small_or_a_picture_is_not(client: TestClient, path: str) -> None:
+    response = client.get(path, headers={"accept-encoding": "gzip"})
+    assert "content-encoding" not in response.headers
+
+
+@pytest.fixture
+def open_to_yard(settings: Settings, estimator: Estimator) -> TestClient:
+    allowing = settings.model_copy(update={"cors_origins": (ORIGIN,)})
+    return TestClient(create_app(allowing, estimator))
+
+
+def preflight(client: TestClient, **asked: str) -> httpx.Response:
+    headers = {f"access-control-request-{name}": value for name, value in asked.items()}
+    origin = headers.pop("access-control-request-origin", ORIGIN)
+    return client.options("/pose", headers={"origin": origin, **headers})
+
+
+def test_an_allowed_preflight_says_what_there_is(open_to_yard: TestClient) -> None:
+    response = preflight(open_to_yard, method="POST", headers="x-api-key")
+    assert response.status_code == 200
+    assert response.headers["access-control-allow-origin"] == ORIGIN
+    assert response.headers["access-control-allow-methods"] == "GET, HEAD, POST"
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"method": "DELETE"},
+        {"method": "POST", "origin": "https://other.example"},
+        {"method": "POST", "headers": "x-other"},
+    ],
+)
+def test_a_refused_preflight_advertises_nothing(
+    open_to_yard: TestClient, asked: dict[str, str]
+) -> None:
+    response = preflight(open_to_yard, **asked)
+    check_problem(response, 400)
+    assert [name for name in response.headers if name.startswith("access-control-")] == []
+    assert "Origin" in response.headers["vary"]
+
+
+def test_while_the_index_is_loaded_clients_are_told_to_come_back(settings: Settings) -> None:
+    app = create_app(settings)  # Without its lifespan nothing is loaded.
+    response = TestClient(app).get("/readyz")
+    check_problem(response, 503)
+    assert int(response.headers["retry-after"]) >= 1
+    app.state.runtime.loading = False
+    assert "retry-after" not in TestClient(app).get("/readyz").headers
