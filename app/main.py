@@ -80,9 +80,10 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     runtime = Runtime(
         settings,
         WorkPool(settings.concurrency, settings.queue_length, settings.request_timeout_s),
-        Metrics(),
+        Metrics(settings.request_timeout_s),
     )
-    runtime.metrics.watch_in_flight(lambda: runtime.pool.inside)
+    runtime.metrics.observe_pool(lambda: runtime.pool.inside, runtime.pool.capacity)
+    runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
         _become_ready(runtime, estimator)
 

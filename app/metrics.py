@@ -14,17 +14,36 @@ from prometheus_client import (
 )
 
 from app.estimates import Person
+from app.settings import Settings
 
 # A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.
-_MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 500, 1000, 5000)
-_SECONDS = tuple(milliseconds / 1000 for milliseconds in _MILLISECONDS)
+_MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 350, 500, 750)
+_SECONDS = (*(milliseconds / 1000 for milliseconds in _MILLISECONDS), 1, 1.5, 2, 3, 5, 7.5, 10)
+
+
+def buckets_until(deadline_s: float) -> tuple[float, ...]:
+    """Bounds of a histogram of times, the last of which is the deadline.
+
+    Examples
+    --------
+    >>> buckets_until(0.002)
+    (0.00025, 0.0005, 0.001, 0.002)
+    """
+    return (*(bound for bound in _SECONDS if bound < deadline_s), deadline_s)
 
 
 class Metrics:
-    """The metrics of one application, in a registry of their own."""
+    """The metrics of one application, in a registry of their own.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    deadline_s : float
+        By when a frame is answered or given up.
+    """
+
+    def __init__(self, deadline_s: float = 10.0) -> None:
         self.registry = CollectorRegistry()
+        buckets = buckets_until(deadline_s)
         ProcessCollector(registry=self.registry)
         self.requests = Counter(
             "pose_requests",
@@ -36,7 +55,7 @@ class Metrics:
             "pose_request_seconds",
             "From the first byte of a request to the last of its answer.",
             ["route"],
-            buckets=_SECONDS,
+            buckets=buckets,
             registry=self.registry,
         )
         self.rejected = Counter(
@@ -49,7 +68,7 @@ class Metrics:
             "pose_stage_seconds",
             "Time of one frame in one stage.",
             ["stage"],
-            buckets=_SECONDS,
+            buckets=buckets,
             registry=self.registry,
         )
         self._persons = Histogram(
@@ -67,6 +86,17 @@ class Metrics:
         self._in_flight = Gauge(
             "pose_in_flight", "Frames worked on or waiting.", registry=self.registry
         )
+        self._capacity_used = Gauge(
+            "pose_capacity_used_ratio",
+            "Frames worked on or waiting, as a share of those there is room for.",
+            registry=self.registry,
+        )
+        self._build = Gauge(
+            "pose_build_info",
+            "Always 1; the labels say which build serves, and how it is set.",
+            ["version", "revision", "concurrency", "queue_length", "request_timeout_s"],
+            registry=self.registry,
+        )
         self._index = Gauge(
             "pose_index_info",
             "Always 1; the labels say which index is loaded.",
@@ -74,9 +104,28 @@ class Metrics:
             registry=self.registry,
         )
 
-    def watch_in_flight(self, count: Callable[[], float]) -> None:
-        """Ask ``count`` for the frames in flight whenever metrics are read."""
-        self._in_flight.set_function(count)
+    def observe_pool(self, inside: Callable[[], int], capacity: int) -> None:
+        """Ask for the frames in flight whenever metrics are read.
+
+        Parameters
+        ----------
+        inside : callable
+            Frames worked on or waiting.
+        capacity : int
+            Frames there is room for.
+        """
+        self._in_flight.set_function(inside)
+        self._capacity_used.set_function(lambda: inside() / capacity)
+
+    def observe_build(self, version: str, settings: Settings) -> None:
+        """Say which build serves, and with which settings."""
+        self._build.labels(
+            version=version,
+            revision=settings.revision,
+            concurrency=settings.concurrency,
+            queue_length=settings.queue_length,
+            request_timeout_s=f"{settings.request_timeout_s:g}",
+        ).set(1)
 
     def observe_index(self, name: str, version: str) -> None:
         """Say which index is loaded."""
