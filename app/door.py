@@ -73,7 +73,7 @@ class Door:
     ----------
     app : ASGI application
     is_full : callable
-        Whether a frame more would be refused where frames are worked on.
+        Whether a request of this scope would be refused where frames are worked on.
     retry_after_s : callable
         Seconds until it probably would not be.
     max_bytes : int
@@ -88,7 +88,7 @@ class Door:
         self,
         app: ASGIApp,
         *,
-        is_full: Callable[[], bool],
+        is_full: Callable[[Scope], bool],
         retry_after_s: Callable[[], int],
         max_bytes: int,
         max_open: int,
@@ -119,7 +119,7 @@ class Door:
             self._uploads.discard(upload)
 
     def _refusal(self, scope: Scope) -> ProblemError | None:
-        if self._is_full():
+        if self._is_full(scope):
             return overloaded(FULL, "queue_full", self._retry_after_s())
         if len(self._uploads) >= self._max_open and not self._make_room():
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")

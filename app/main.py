@@ -12,6 +12,8 @@ from fastapi import FastAPI
 from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 
+from app.cameras import HEADER as CAMERA_HEADER
+from app.cameras import camera_stream
 from app.cors import CorsMiddleware
 from app.door import Door
 from app.errors import register_error_handlers
@@ -126,7 +128,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     MultiPartParser.spool_max_size = settings.max_upload_bytes
     app.add_middleware(
         Door,
-        is_full=pool.is_full,
+        is_full=lambda scope: pool.is_full(camera_stream(scope)),
         retry_after_s=pool.retry_after_s,
         max_bytes=settings.max_upload_bytes,
         max_open=settings.max_requests,
@@ -137,7 +139,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
             CorsMiddleware,
             allow_origins=list(settings.cors_origins),
             allow_methods=list(table.methods),
-            allow_headers=["X-API-Key", "Authorization", "X-Request-ID"],
+            allow_headers=["X-API-Key", "Authorization", "X-Request-ID", CAMERA_HEADER],
             expose_headers=["Retry-After", "X-Request-ID"],
         )
     app.add_middleware(HeadMiddleware)

@@ -8,6 +8,7 @@ from typing import Annotated, TypeVar, cast
 
 from fastapi import Depends, Request
 
+from app.cameras import camera_stream
 from app.errors import ProblemError
 from app.estimator import Estimator
 from app.metrics import Metrics
@@ -78,4 +79,4 @@ async def run_in_pool(request: Request, work: Callable[[Watch], T]) -> T:
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    return await runtime_of(request).pool.run(work, until_gone)
+    return await runtime_of(request).pool.run(work, until_gone, camera_stream(request.scope))

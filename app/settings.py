@@ -76,7 +76,8 @@ class Settings(BaseSettings):
         ge=1,
         description="Frames worked on at once: a thread each, and two beside it for photographs.",
     )
-    queue_length: int = Field(default=16, ge=0, description="Frames that may wait for a thread.")
+    # Every frame that waits makes the answers to all behind it older.
+    queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")
     request_timeout_s: float = Field(
         default=10.0,
         gt=0,

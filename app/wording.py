@@ -23,6 +23,7 @@ _EXPECTED = {
     "literal_error": "{expected}",
     "string_too_short": "some text",
     "string_type": "text",
+    "string_pattern_mismatch": "text of the form {pattern}",
     "list_type": "a list",
     "json_invalid": "valid JSON",
 }

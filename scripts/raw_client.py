@@ -21,11 +21,14 @@ class Call:
     method, path : str
     parts : dict of str to bytes
         Form fields; those named like images are sent as files.
+    headers : dict of str to str
+        Further ones.
     """
 
     method: str
     path: str
     parts: dict[str, bytes] = field(default_factory=dict)
+    headers: dict[str, str] = field(default_factory=dict)
 
     def body(self) -> bytes:
         """Encode the form."""
@@ -40,6 +43,7 @@ class Call:
 def request_bytes(call: Call) -> bytes:
     """Write a request as it goes over the wire, to be sent as often as one likes."""
     head = [f"{call.method} {call.path} HTTP/1.1", "Host: localhost"]
+    head += [f"{name}: {value}" for name, value in call.headers.items()]
     body = b""
     if call.method == "POST":
         body = call.body()

@@ -38,11 +38,11 @@ def percentile(values: list[float], share: float) -> float:
     return float(np.percentile(values, share)) if values else 0.0
 
 
-def measurement_parser(description: str) -> argparse.ArgumentParser:
+def measurement_parser(description: str, page: Path = RELIABILITY) -> argparse.ArgumentParser:
     """Make a command line with what every measurement of a server takes."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
-    parser.add_argument("--write", action="store_true", help=f"into {RELIABILITY.name}")
+    parser.add_argument("--write", action="store_true", help=f"into {page.name}")
     return parser
 
 

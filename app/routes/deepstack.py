@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 
 from app.auth import check_key
+from app.cameras import NamesCamera
 from app.errors import ProblemError, documented, is_multipart, unsupported_body
 from app.estimates import UploadError
 from app.pool import Watch
@@ -20,7 +21,7 @@ from app.wording import expected_and_got
 router = APIRouter(
     prefix="/v1/vision",
     tags=["compatibility"],
-    dependencies=[CheckQuery],
+    dependencies=[CheckQuery, NamesCamera],
     responses=documented(400, 401, 408, 413, 415, 422, 503),
 )
 

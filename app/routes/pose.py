@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from app.auth import RequireKey
+from app.cameras import NamesCamera
 from app.drawing import draw_labels, draw_overlay, encode_png
 from app.errors import documented
 from app.estimates import Stopwatch
@@ -21,7 +22,7 @@ from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(
     tags=["pose"],
-    dependencies=[RequireKey, CheckQuery],
+    dependencies=[RequireKey, CheckQuery, NamesCamera],
     responses=documented(400, 401, 408, 413, 415, 422, 503),
 )
 

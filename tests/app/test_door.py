@@ -54,7 +54,7 @@ async def reading(scope: Scope, receive: Receive, send: Send) -> None:
 def door(*, full: bool = False, max_open: int = 4, timeout_s: float = 1) -> Door:
     return Door(
         reading,
-        is_full=lambda: full,
+        is_full=lambda scope: full,
         retry_after_s=lambda: 7,
         max_bytes=100,
         max_open=max_open,

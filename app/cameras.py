@@ -1,0 +1,55 @@
+"""Live cameras: which frames come from the same one, so that the newest may count."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, NamedTuple
+
+from fastapi import Depends, Header
+from starlette.types import Scope
+
+HEADER = "X-Camera-ID"
+_PATTERN = "^[A-Za-z0-9._-]{1,64}$"
+_HEADER_BYTES = HEADER.lower().encode()
+_PATTERN_BYTES = re.compile(_PATTERN.encode())
+
+
+class CameraStream(NamedTuple):
+    """What makes two frames those of one camera: same name, same caller, same question."""
+
+    camera: str
+    path: str
+    api_key: bytes
+    authorization: bytes
+
+
+def camera_stream(scope: Scope) -> CameraStream | None:
+    """Return the stream a request belongs to, None where it names no camera."""
+    headers = dict(scope["headers"])
+    camera = headers.get(_HEADER_BYTES)
+    if camera is None or not _PATTERN_BYTES.match(camera):
+        return None
+    return CameraStream(
+        camera.decode(),
+        scope["path"],
+        headers.get(b"x-api-key", b""),
+        headers.get(b"authorization", b""),
+    )
+
+
+async def _camera_header(
+    camera: Annotated[
+        str | None,
+        Header(
+            alias=HEADER,
+            pattern=_PATTERN,
+            description="Name of the camera, for live use: while a frame of it waits, a newer one "
+            "takes its place, and the older is answered at once with a 503.",
+            examples=["yard-2"],
+        ),
+    ] = None,
+) -> None:
+    """Check the name and describe the header; :func:`camera_stream` reads it."""
+
+
+NamesCamera = Depends(_camera_header)
