@@ -21,7 +21,7 @@ from app.estimator import Estimator
 from app.head import HeadMiddleware
 from app.metrics import Metrics
 from app.observation import Observation
-from app.openapi import add_openapi
+from app.openapi import SERVERS, TAGS, add_openapi
 from app.pool import WorkPool
 from app.process import (
     give_back_freed_memory,
@@ -101,6 +101,10 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         title="Silhouette pose",
         version=VERSION,
         description=DESCRIPTION,
+        summary="3D human pose from one camera frame, on a plain CPU.",
+        contact={"name": "The silhouette-pose authors"},
+        openapi_tags=TAGS,
+        servers=SERVERS,
         license_info={"name": "Apache License 2.0", "identifier": "Apache-2.0"},
         lifespan=lifespan,
         docs_url=None,

@@ -11,6 +11,31 @@ from app.schemas import DeepstackUpload, FrameUpload, Problem
 
 _FORMS = (FrameUpload, DeepstackUpload)
 
+TAGS = [
+    {"name": "pose", "description": "A frame in; its people, their silhouettes and poses out."},
+    {"name": "index", "description": "The simulated silhouettes that people are compared with."},
+    {"name": "compatibility", "description": "Other services' protocols, for their clients."},
+    {"name": "health", "description": "Whether the service runs, and whether it takes frames."},
+]
+
+SERVERS = [
+    {"url": "/", "description": "The service this document came from."},
+    {"url": "http://127.0.0.1:8000", "description": "As `make run` serves it."},
+]
+
+HEADERS: dict[str, Any] = {
+    "X-Request-ID": {
+        "description": "The request's own `X-Request-ID` if it had a plain one, else a new one; "
+        "it stands in the service's log.",
+        "schema": {"type": "string"},
+    },
+    "Retry-After": {
+        "description": "Seconds until there is probably room for another frame, or the index is "
+        "loaded. Missing where waiting does not help.",
+        "schema": {"type": "integer", "minimum": 1},
+    },
+}
+
 
 def add_openapi(app: FastAPI) -> None:
     """Have ``app`` describe its errors, and its uploads so that generated clients work.
@@ -25,24 +50,50 @@ def add_openapi(app: FastAPI) -> None:
             document = get_openapi(
                 title=app.title,
                 version=app.version,
+                summary=app.summary,
                 description=app.description,
+                contact=app.contact,
                 license_info=app.license_info,
+                tags=app.openapi_tags,
+                servers=app.servers,
                 routes=app.routes,
             )
-            schemas = document["components"]["schemas"]
+            components = document["components"]
+            components["headers"] = HEADERS
             for model in (Problem, *_FORMS):
-                schemas[model.__name__] = model.model_json_schema()
-            for name, schema in schemas.items():
-                # The models here allow no others, but a later version may add fields: clients
-                # that refuse what they do not know would break. (And openapi-generator warns.)
-                schema.pop("additionalProperties", None)
-                if name in {form.__name__ for form in _FORMS}:
-                    properties = schema["properties"]
-                    schema["properties"] = {k: _form_field(v) for k, v in properties.items()}
+                components["schemas"][model.__name__] = model.model_json_schema()
+            for name, schema in components["schemas"].items():
+                _mend_schema(name, schema)
+            for path in document["paths"].values():
+                for operation in path.values():
+                    _mend_operation(operation)
             app.openapi_schema = document
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _mend_schema(name: str, schema: dict[str, Any]) -> None:
+    # The models here allow no others, but a later version may add fields: clients that refuse
+    # what they do not know would break. (And openapi-generator warns.)
+    schema.pop("additionalProperties", None)
+    properties = schema.get("properties", {})
+    if name in {form.__name__ for form in _FORMS}:
+        properties = {field: _form_field(value) for field, value in properties.items()}
+        schema["properties"] = properties
+    for value in properties.values():
+        value.pop("title", None)  # Pydantic's are the name again, in capitals.
+
+
+def _mend_operation(operation: dict[str, Any]) -> None:
+    for parameter in operation.get("parameters", ()):
+        parameter["schema"].pop("title", None)
+    for status, response in operation["responses"].items():
+        names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
+        response["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in names}
+    if "security" in operation:
+        # Keys are asked for only where the operator has set some.
+        operation["security"].append({})
 
 
 def _form_field(schema: dict[str, Any]) -> dict[str, Any]:

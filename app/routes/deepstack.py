@@ -54,7 +54,12 @@ async def _read_upload(request: Request) -> DeepstackUpload:
         raise ProblemError(422, f"{field}: {expected_and_got(first)}", field=field) from None
 
 
-@router.post("/detection", operation_id="detect_deepstack", openapi_extra=_DOCUMENTED)
+@router.post(
+    "/detection",
+    operation_id="detect_deepstack",
+    summary="People by their boxes, as DeepStack answers",
+    openapi_extra=_DOCUMENTED,
+)
 async def detect_deepstack(
     request: Request, upload: Annotated[DeepstackUpload, Depends(_read_upload)]
 ) -> DeepstackResponse:

@@ -13,13 +13,18 @@ from app.schemas import Health
 router = APIRouter(tags=["health"])
 
 
-@router.get("/healthz", operation_id="liveness")
+@router.get("/healthz", operation_id="liveness", summary="Whether the process answers")
 async def liveness() -> Health:
     """Tell that the process answers; nothing else is looked at."""
     return Health()
 
 
-@router.get("/readyz", operation_id="readiness", responses=documented(503))
+@router.get(
+    "/readyz",
+    operation_id="readiness",
+    summary="Whether frames can be answered",
+    responses=documented(503),
+)
 async def readiness(estimator: EstimatorDep) -> Health:
     """Tell whether frames can be answered; otherwise why not."""
     return Health()

@@ -26,13 +26,23 @@ EntryNumber = Annotated[
 ]
 
 
-@router.get("", operation_id="describe_index", responses=documented(401, 503))
+@router.get(
+    "",
+    operation_id="describe_index",
+    summary="What the index holds",
+    responses=documented(401, 503),
+)
 async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
     """Describe the index: what it holds, how it was built, whose data it rests on."""
     return index_reply(estimator.index, VERSION, runtime_of(request).settings.revision)
 
 
-@router.get("/entries/{entry}", operation_id="get_entry", responses=documented(401, 404, 422, 503))
+@router.get(
+    "/entries/{entry}",
+    operation_id="get_entry",
+    summary="One entry of the index",
+    responses=documented(401, 404, 422, 503),
+)
 async def get_entry(
     entry: EntryNumber, estimator: EstimatorDep, keypoints: KeypointSetQuery = "native"
 ) -> EntryResponse:
@@ -44,6 +54,7 @@ async def get_entry(
 @router.get(
     "/entries/{entry}/silhouette.png",
     operation_id="get_entry_silhouette",
+    summary="The silhouette of an entry",
     response_class=Response,
     responses={**PNG, **documented(401, 404, 422, 503)},
 )

@@ -28,8 +28,12 @@ router = APIRouter(
 
 PNG: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "A PNG image.",
-        "content": {"image/png": {"schema": {"type": "string", "format": "binary"}}},
+        "description": "A PNG image; its type is always `image/png`.",
+        # openapi-python-client knows no images, and leaves out what it does not know.
+        "content": {
+            media_type: {"schema": {"type": "string", "format": "binary"}}
+            for media_type in ("image/png", "application/octet-stream")
+        },
     }
 }
 
@@ -37,6 +41,7 @@ PNG: dict[int | str, dict[str, Any]] = {
 @router.post(
     "/pose",
     operation_id="estimate_pose",
+    summary="3D poses of the people in a frame",
     response_model=PoseResponse,
     openapi_extra=DOCUMENTED_UPLOAD,
 )
@@ -66,6 +71,7 @@ async def estimate_pose(
 @router.post(
     "/pose/overlay",
     operation_id="draw_pose",
+    summary="The frame with people's poses drawn on it",
     response_class=Response,
     responses=PNG,
     openapi_extra=DOCUMENTED_UPLOAD,
@@ -90,6 +96,7 @@ async def draw_pose(
 @router.post(
     "/silhouette",
     operation_id="extract_silhouettes",
+    summary="The silhouettes of the people in a frame",
     response_class=Response,
     responses=PNG,
     openapi_extra=DOCUMENTED_UPLOAD,

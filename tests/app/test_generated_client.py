@@ -23,7 +23,6 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("client")
     command = [sys.executable, "-m", "openapi_python_client", "generate"]
     command += ["--path", str(ROOT / "openapi.json"), "--output-path", str(folder / "out")]
-    command += ["--config", str(ROOT / "scripts" / "openapi-python-client.yaml")]
     # Its formatter, ruff, stands beside the interpreter.
     path = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin"}
     result = subprocess.run(command, capture_output=True, text=True, check=False, env=path)
@@ -61,3 +60,27 @@ def test_it_reads_problems_and_pictures(package: Any, server: Server, photo: Pho
     assert problem.field == "frame"
     picture = load("api.index.get_entry_silhouette").sync(entry=3, client=client)
     assert picture.payload.read().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("operation", ["draw_pose", "extract_silhouettes"])
+def test_it_gets_pictures_of_a_frame(
+    package: Any, server: Server, photo: Photo, operation: str
+) -> None:
+    file = load("types").File
+    body = load("models").FrameUpload(
+        frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
+        mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
+    )
+    client = package.Client(server.url)
+    picture = load(f"api.pose.{operation}").sync(client=client, body=body)
+    assert picture.payload.read().startswith(b"\x89PNG")
+
+
+def test_it_asks_for_boxes_as_deepstack_does(package: Any, server: Server, photo: Photo) -> None:
+    body = load("models").DeepstackUpload(
+        image=load("types").File(io.BytesIO(photo.frame_png), "image.png", "image/png"),
+        min_confidence=0.9,
+    )
+    client = package.Client(server.url)
+    answer = load("api.compatibility.detect_deepstack").sync(client=client, body=body)
+    assert answer.success

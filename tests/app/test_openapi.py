@@ -54,6 +54,51 @@ def test_every_operation_and_field_is_described(document: dict[str, Any]) -> Non
             assert value.get("description") or target, f"{name}.{field}"
 
 
+def test_titles_and_summaries_are_written_by_a_person(document: dict[str, Any]) -> None:
+    for operation in operations(document):
+        made_up = operation["operationId"].replace("_", " ").title()
+        assert operation["summary"] not in ("", made_up)
+    for schema in document["components"]["schemas"].values():
+        assert [k for k, v in schema.get("properties", {}).items() if "title" in v] == []
+
+
+def test_tags_servers_and_contact_are_told(document: dict[str, Any]) -> None:
+    described = {tag["name"] for tag in document["tags"] if tag["description"]}
+    assert described == {tag for operation in operations(document) for tag in operation["tags"]}
+    assert [server["url"] for server in document["servers"]] == ["/", "http://127.0.0.1:8000"]
+    assert document["info"]["contact"]["name"]
+
+
+def test_keys_are_optional_since_they_are(document: dict[str, Any]) -> None:
+    secured = [operation for operation in operations(document) if "security" in operation]
+    assert secured
+    for operation in secured:
+        assert {} in operation["security"]
+
+
+def test_headers_of_answers_are_declared(document: dict[str, Any], client: TestClient) -> None:
+    for operation in operations(document):
+        for status, response in operation["responses"].items():
+            assert "X-Request-ID" in response["headers"]
+            assert ("Retry-After" in response["headers"]) == (status == "503")
+    for name in document["components"]["headers"]:
+        assert f'"#/components/headers/{name}"' in json.dumps(document)
+    assert client.get("/healthz").headers["x-request-id"]
+
+
+def test_pictures_are_of_a_type_that_every_generator_knows(document: dict[str, Any]) -> None:
+    for path in ("/pose/overlay", "/silhouette"):
+        content = document["paths"][path]["post"]["responses"]["200"]["content"]
+        assert set(content) == {"image/png", "application/octet-stream"}
+
+
+def test_cameras_may_name_themselves(document: dict[str, Any]) -> None:
+    for path in ("/pose", "/pose/overlay", "/silhouette", "/v1/vision/detection"):
+        parameters = {p["name"]: p for p in document["paths"][path]["post"]["parameters"]}
+        assert parameters["X-Camera-ID"]["in"] == "header"
+        assert not parameters["X-Camera-ID"]["required"]
+
+
 def test_uploads_are_binary_for_generators(document: dict[str, Any]) -> None:
     body = document["components"]["schemas"]["FrameUpload"]
     for field in ("frame", "mask", "background"):
