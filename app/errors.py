@@ -14,11 +14,11 @@ from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
 from app.estimates import UploadError
+from app.messages import expected_and_got, shortened
 from app.observation import note_rejection
 from app.pool import BusyError, ClientGoneError
 from app.route_table import RouteTable
 from app.schemas import Problem
-from app.wording import expected_and_got, shortened
 
 MEDIA_TYPE = "application/problem+json"
 

@@ -28,6 +28,7 @@ class HttpProtocol(HttpToolsProtocol):
 
     _head_timer: asyncio.TimerHandle | None = None
     _head_begun = False
+    _head_is_new = False
     _head_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -42,12 +43,14 @@ class HttpProtocol(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Take some bytes of a request."""
+        self._head_is_new = False
         super().data_received(data)
         if self.transport.is_closing():
             return
         if self._head_begun:
-            # A header is only seen once it is complete, however long it gets.
-            self._head_bytes += len(data)
+            # A header is only seen once it is complete, however long it gets. What came with the
+            # first bytes of the head may belong to the request before.
+            self._head_bytes += 0 if self._head_is_new else len(data)
             if self._head_bytes > self.max_head_bytes:
                 self._refuse(self._head_too_large())
         elif self._head_timer is None and self._is_idle():
@@ -56,7 +59,7 @@ class HttpProtocol(HttpToolsProtocol):
     def on_message_begin(self) -> None:
         """Begin to read a head."""
         self._wait_for_head()
-        self._head_begun = True
+        self._head_begun = self._head_is_new = True
         self._head_bytes = 0
         super().on_message_begin()
 
@@ -116,6 +119,7 @@ class HttpProtocol(HttpToolsProtocol):
             f"content-length: {len(body)}\r\n"
             "connection: close\r\n\r\n"
         )
+        self.logger.info("refused before it was a request: %s", problem.detail)
         self._stop_waiting()
         self.transport.write(head.encode() + body)
         self.transport.close()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from starlette.routing import BaseRoute
 
-from app.wording import suggestion
+from app.messages import suggestion
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from app.wording import expected_and_got, shortened, suggestion
+from app.messages import expected_and_got, shortened, suggestion
 from index.store import DEFAULT_PATH
 
 DEFAULT_MODELS = Path(__file__).resolve().parent.parent / "models"

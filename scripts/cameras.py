@@ -124,7 +124,7 @@ def rejections(url: str) -> Counter[str]:
     return Counter({reason.decode(): int(float(count)) for reason, count in found})
 
 
-async def film(
+async def send_frames(
     url: str, cameras: int, rate: float, seconds: float, frames: Sequence[bytes]
 ) -> list[Tally]:
     """Have all cameras send at once, each at a moment of its own between two of another."""
@@ -143,9 +143,9 @@ def measure(
     url: str, cameras: int, rate: float, seconds: float, frames: Sequence[bytes]
 ) -> Outcome:
     """Let some cameras send for a while."""
-    asyncio.run(film(url, cameras, rate, _WARM_UP_S, frames))
+    asyncio.run(send_frames(url, cameras, rate, _WARM_UP_S, frames))
     before = rejections(url)
-    tallies = asyncio.run(film(url, cameras, rate, seconds, frames))
+    tallies = asyncio.run(send_frames(url, cameras, rate, seconds, frames))
     return Outcome(tallies, seconds, rejections(url) - before)
 
 

@@ -12,11 +12,11 @@ from app.auth import check_key
 from app.cameras import NamesCamera
 from app.errors import ProblemError, documented, is_multipart, unsupported_body
 from app.estimates import UploadError
+from app.messages import expected_and_got
 from app.pool import Watch
 from app.routes.forms import CheckQuery, check_fields, file_of, text_of
 from app.runtime import run_in_pool, runtime_of
 from app.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
-from app.wording import expected_and_got
 
 router = APIRouter(
     prefix="/v1/vision",

@@ -10,7 +10,7 @@ from fastapi.dependencies.models import Dependant
 from starlette.datastructures import FormData, UploadFile
 
 from app.errors import ProblemError
-from app.wording import suggestion
+from app.messages import suggestion
 
 _LONGEST_NAME = 60
 

@@ -9,10 +9,10 @@ from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationErro
 
 from app.errors import ProblemError, is_image, is_multipart, unsupported_body
 from app.estimates import Upload
+from app.messages import expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
 from app.schemas import FrameUpload, KeypointSetName
 from app.vision.people import Box
-from app.wording import expected_and_got
 
 # Strict: true and "12" are no numbers.
 _BOXES = TypeAdapter(

@@ -101,6 +101,12 @@ async def test_nor_are_those_of_the_next_request() -> None:
     assert problem(rest)["status"] == 408
 
 
+async def test_the_body_before_counts_for_no_head() -> None:
+    post = b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5000\r\n\r\n" + b"x" * 5000
+    answer = await talk(post + HEAD, b"Connection: close\r\n\r\n")
+    assert answer.count(b"HTTP/1.1 200 OK") == 2
+
+
 @pytest.mark.parametrize(
     "parts",
     [

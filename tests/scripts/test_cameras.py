@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from scripts.cameras import Outcome, calls_of, film, rejections, report
+from scripts.cameras import Outcome, calls_of, rejections, report, send_frames
 from scripts.open_loop import Answer, Tally
 from scripts.raw_client import Call, RawClient, request_bytes
 from tests.conftest import Photo, Server
@@ -57,8 +57,10 @@ def test_each_camera_has_a_name_and_a_stretch_of_its_own() -> None:
     assert b"\r\nX-Camera-ID: camera-1\r\n" in request_bytes(first[0])
 
 
-async def test_cameras_film_whether_or_not_they_are_answered(server: Server, photo: Photo) -> None:
-    tallies = await film(server.url, cameras=2, rate=20, seconds=0.5, frames=[photo.frame_png])
+async def test_cameras_send_whether_or_not_they_are_answered(server: Server, photo: Photo) -> None:
+    tallies = await send_frames(
+        server.url, cameras=2, rate=20, seconds=0.5, frames=[photo.frame_png]
+    )
     assert [len(tally.late_ms) for tally in tallies] == [10, 10]
     answered = [len(tally.of(200)) + len(tally.of(503)) for tally in tallies]
     assert answered == [10, 10]
