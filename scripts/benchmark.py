@@ -1,66 +1,105 @@
-"""Measure a real server: time until ready, resident memory, and the latency of /pose.
+"""Measure whole requests to a real server, beside yardsticks in the same minutes.
 
-python -m scripts.benchmark [--index index/data] [--requests 500] [--write docs/results/bench.md]
+    python -m scripts.benchmark [--mediapipe PYTHON] [--rounds 30] [--write docs/results/bench.md]
+
+Every kind of request is sent a few times in a row, kind after kind, round after round, so that a
+slow minute of the machine hits all alike. OpenCV's search for people and MediaPipe Pose, in an
+environment of its own, take their turns in the same rounds.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import json
+import shlex
+import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from index.artefact import ArtefactError
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import DEFAULT_PATH
+from scripts.benchmark_cases import (
+    WALKERS,
+    Case,
+    Street,
+    mask_call,
+    street_cases,
+    walkers_case,
+    yardstick,
+)
+from scripts.benchmark_report import Measured, Row, report
+from scripts.experiments.real_peer import LivePeer, why_absent
 from scripts.raw_client import Call, RawClient, request_bytes
-from scripts.results import machine
+from scripts.results import ROOT
 from scripts.server_process import ServerProcess
-from scripts.street import encode, street
 
-WALKERS = Path(__file__).resolve().parents[1] / "tests" / "data" / "walkers.jpg"
-TARGETS = "targets: /pose with a mask under 10 ms at the median, ready within 2 s, under 300 MB"
+REPEATS = 3
+"""Requests in a row: most are then sent to a server whose caches hold what they need."""
+
+HOG = "yardstick: OpenCV's `detectMultiScale`, 640x480, one thread"
+MEDIAPIPE = "MediaPipe Pose 0.10.21 on the person of the box, cut out and decoded"
+Task = Callable[[], object]
 
 
-@dataclass(frozen=True)
-class Latency:
-    """Round trips of one kind of request, in milliseconds, and what the machine was kept from.
+def interleaved(
+    tasks: Mapping[str, Task], rounds: int, repeats: int = REPEATS
+) -> dict[str, list[float]]:
+    """Milliseconds of every run: ``repeats`` in a row, task after task, round after round."""
+    times: dict[str, list[float]] = {name: [] for name in tasks}
+    for _ in range(rounds):
+        for name, task in tasks.items():
+            for _ in range(repeats):
+                started = time.perf_counter()
+                task()
+                times[name].append((time.perf_counter() - started) * 1000)
+    return times
 
-    From the moment the request is handed to the socket to the last byte of the answer.
 
-    Parameters
-    ----------
-    what : str
-    tenth, median, p99 : float
-    stolen : float
-        Share of the processors' time that the host of a virtual machine gave to others.
-    requests : int
-    """
+def answer(client: RawClient, request: bytes) -> bytes:
+    """Return the body of an answer that must be 200."""
+    status, body = client.exchange(request)
+    if status != 200:
+        raise RuntimeError(f"expected status 200, got {status}: {body.decode(errors='replace')}")
+    return body
 
-    what: str
-    tenth: float
-    median: float
-    p99: float
-    stolen: float
-    requests: int
 
-    @classmethod
-    def measure(cls, client: RawClient, what: str, files: dict[str, bytes], n: int) -> Latency:
-        """Send the same request one after another; the first tenth warms up."""
-        times = []
-        request = request_bytes(Call("POST", "/pose", files))
-        before = processor_time()
-        for _ in range(n + n // 10):
-            started = time.perf_counter()
-            status, body = client.exchange(request)
-            times.append((time.perf_counter() - started) * 1000)
-            if status != 200:
-                raise RuntimeError(f"expected status 200, got {status}: {body.decode()}")
-        spent = processor_time() - before
-        tenth, median, p99 = np.percentile(times[n // 10 :], (10, 50, 99)).tolist()
-        return cls(what, tenth, median, p99, float(spent[7] / max(1, spent.sum())), n)
+def sender(client: RawClient, calls: Sequence[Call]) -> Task:
+    """Return what sends the next of some calls, round and round, and takes the whole answer."""
+    requests = itertools.cycle([request_bytes(call) for call in calls])
+    return lambda: answer(client, next(requests))
+
+
+def people_found(client: RawClient, calls: Sequence[Call]) -> str:
+    """Count the people of each answer."""
+    bodies = [answer(client, request_bytes(call)) for call in calls]
+    return ", ".join(str(len(json.loads(body)["persons"])) for body in bodies)
+
+
+def make_cases(client: RawClient, street: Street | None) -> list[Case]:
+    """All cases, or the one that needs no street."""
+    if street is None:
+        return [walkers_case()]
+    mask = answer(client, request_bytes(mask_call(street)))
+    return [walkers_case(), *street_cases(street, mask)]
+
+
+def make_yardstick(street: Street | None) -> Task:
+    """Return OpenCV's search; without the street, in the other picture."""
+    if street is None:
+        return yardstick(np.asarray(cv2.imread(str(WALKERS)), np.uint8))
+    return yardstick(street.busy[0])
+
+
+def describe_index(reply: bytes) -> str:
+    """Write the reply of ``GET /index`` in a line."""
+    index = json.loads(reply)
+    return f"{index['name']}, {index['entries']} entries, {index['version'][:19]}"
 
 
 def processor_time() -> NDArray[np.int64]:
@@ -69,59 +108,84 @@ def processor_time() -> NDArray[np.int64]:
         return np.array(file.readline().split()[1:9], np.int64)
 
 
-def benchmark(index_path: Path, requests: int) -> str:
-    """Measure and return a report in Markdown."""
-    index = PoseIndex.load(index_path)
-    picture, person = street(index)
-    frame, mask = encode(".jpg", picture), encode(".png", person)
-    with ServerProcess(index_path) as server:
-        ready_s = server.wait_until_ready()
-        client = RawClient(server.url)
-        latencies = [
-            Latency.measure(client, what, files, count)
-            for what, files, count in (
-                ("768x576 with a mask of one", {"frame": frame, "mask": mask}, requests),
-                ("768x576, nobody found in it", {"frame": frame}, requests // 5),
-                ("298x320, four walkers found", {"frame": WALKERS.read_bytes()}, requests // 5),
-            )
-        ]
-        memory_mb = server.memory_mb()
+def benchmark(
+    server: ServerProcess, street: Street | None, peer: LivePeer | None, rounds: int
+) -> Measured:
+    """Measure a server that was just started."""
+    ready_s = server.wait_until_ready()
+    client = RawClient(server.url)
+    cases = make_cases(client, street)
+    tasks = {HOG: make_yardstick(street)}
+    tasks |= {case.what: sender(client, case.calls) for case in cases}
+    if peer:
+        tasks[MEDIAPIPE] = peer.ask
+    interleaved(tasks, rounds=1)  # Warms up.
+    before = processor_time()
+    times = interleaved(tasks, rounds)
+    spent = processor_time() - before
     rows = [
-        f"| /pose {row.what} | {row.tenth:.1f} ms | {row.median:.1f} ms | {row.p99:.1f} ms "
-        f"| {row.stolen:.0%} | {row.requests} |"
-        for row in latencies
-    ]
-    return "\n".join(
-        [
-            f"Machine: {machine()}.",
-            f"Index: {index.name}, {len(index)} entries, {index.version[:19]}.",
-            "",
-            "| request | fastest tenth within | median | p99 | stolen by the host | requests |",
-            "|---|---|---|---|---|---|",
-            *rows,
-            "",
-            f"Ready {ready_s:.2f} s after its start; {memory_mb:.0f} MB resident after the "
-            "requests.",
-            f"({TARGETS}.)",
-        ]
-    )
+        Row(
+            case.what, times[case.what], people_found(client, case.calls),
+            case.wanted_ms, case.wanted_ratio,
+        )
+        for case in cases
+    ]  # fmt: skip
+    if peer:
+        rows.append(Row(MEDIAPIPE, times[MEDIAPIPE], str(int(peer.ask()))))
+    index = answer(client, request_bytes(Call("GET", "/index")))
+    client.close()
+    return Measured(
+        Row(HOG, times[HOG]), rows, float(spent[7] / max(1, spent.sum())), describe_index(index),
+        ready_s, server.memory_mb(), server.memory_mb("VmHWM"),
+    )  # fmt: skip
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description="Measure a real server.")
-    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
-    parser.add_argument("--requests", type=int, default=500)
-    parser.add_argument("--write", type=Path, help="also write the report to this file")
-    options = parser.parse_args()
+def read_street(folder: Path) -> tuple[Street | None, list[str]]:
+    """Return the street, or None and what is left out for that."""
     try:
-        report = benchmark(options.index, options.requests)
-    except ArtefactError as error:
-        raise SystemExit(f"benchmark: {error}") from None
-    print(report)
+        return Street.read(folder), []
+    except FileNotFoundError as error:
+        return None, [f"all cases but that of {WALKERS.name} ({error})"]
+
+
+def find_peer(python: Path | None, street: Street | None) -> tuple[LivePeer | None, list[str]]:
+    """Return MediaPipe, or None and why it is left out."""
+    reason = why_absent(python)
+    if python is None or reason:
+        return None, [f"MediaPipe Pose, as {reason}"]
+    return (LivePeer(python, street.crop), []) if street else (None, [])
+
+
+def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--mediapipe", type=Path, metavar="PYTHON", help="that has it, 0.10.21")
+    parser.add_argument("--rounds", type=int, default=30, help=f"of {REPEATS} requests a kind")
+    parser.add_argument("--write", type=Path, help="also write the report to this file")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    options = options_of(arguments)
+    street, left_out = read_street(options.shared / "real" / "vtest")
+    peer, without_peer = find_peer(options.mediapipe, street)
+    with ExitStack() as stack:
+        if peer:
+            stack.enter_context(peer)
+        server = stack.enter_context(ServerProcess(options.index))
+        try:
+            measured = benchmark(server, street, peer, options.rounds)
+        except (OSError, RuntimeError) as error:  # A server that is never ready among them.
+            raise SystemExit(f"benchmark: {error}") from None
+    command = shlex.join(["python", "-m", "scripts.benchmark", *(arguments or sys.argv[1:])])
+    page = report(measured, command, left_out + without_peer)
+    print(page)
     if options.write:
         options.write.parent.mkdir(parents=True, exist_ok=True)
-        options.write.write_text(f"# `make bench`\n\n{report}\n")
+        options.write.write_text(page)
 
 
 if __name__ == "__main__":

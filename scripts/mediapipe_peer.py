@@ -1,11 +1,16 @@
 """Run MediaPipe Pose on images, in an environment of its own.
 
     /path/to/mediapipe-env/bin/python scripts/mediapipe_peer.py images.npz answers.npz
+    /path/to/mediapipe-env/bin/python scripts/mediapipe_peer.py --again image.npy
 
 ``images.npz`` holds BGR images by name. ``answers.npz`` holds for every name: ``NAME/found``,
 ``NAME/milliseconds`` and, where somebody was found, ``NAME/mask`` (h, w) bool, ``NAME/points_2d``
 (12, 2) in pixels and ``NAME/points_3d`` (12, 3) in metres about the hips (x right, y down,
-z away). Made for mediapipe 0.10.21; it imports nothing of this project.
+z away).
+
+``image.npy`` holds one BGR image. After ``ready`` every line of standard input has it looked at
+again, and answered with ``1`` where somebody was found and ``0`` where not: so it can be timed in
+turns with something else. Made for mediapipe 0.10.21; it imports nothing of this project.
 """
 
 from __future__ import annotations
@@ -21,15 +26,20 @@ import numpy as np
 ROWS = (11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28)
 
 
-def main() -> None:
-    """Command line."""
-    _, source, target = sys.argv
+def make_pose() -> Any:
+    """Set MediaPipe Pose up; the first image would else be answered late."""
     pose = importlib.import_module("mediapipe").solutions.pose.Pose(
         static_image_mode=True, model_complexity=1, enable_segmentation=True
     )
+    pose.process(np.zeros((256, 256, 3), np.uint8))
+    return pose
+
+
+def answer_all(source: str, target: str) -> None:
+    """Answer about every image of a file."""
+    pose = make_pose()
     answers: dict[str, Any] = {}
     with np.load(source, allow_pickle=False) as images:
-        pose.process(np.zeros((256, 256, 3), np.uint8))  # The first call sets the networks up.
         for name in images.files:
             image = np.ascontiguousarray(images[name][..., ::-1])
             height, width = image.shape[:2]
@@ -49,6 +59,24 @@ def main() -> None:
                 [[world[i].x, world[i].y, world[i].z] for i in ROWS]
             )
     np.savez_compressed(target, **answers)
+
+
+def answer_again(source: str) -> None:
+    """Look at one image as often as a line comes in."""
+    pose = make_pose()
+    image = np.ascontiguousarray(np.load(source, allow_pickle=False)[..., ::-1])
+    print("ready", flush=True)
+    for _ in sys.stdin:
+        print(int(pose.process(image).pose_landmarks is not None), flush=True)
+
+
+def main() -> None:
+    """Command line."""
+    first, second = sys.argv[1:]
+    if first == "--again":
+        answer_again(second)
+    else:
+        answer_all(first, second)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,64 @@ def ask(python: Path, images: Mapping[str, NDArray[np.uint8]]) -> dict[str, Peer
             raise ValueError(f"MediaPipe failed: {result.stderr.strip()[-500:]}")
         with np.load(target, allow_pickle=False) as answers:
             return {name: _answer(answers, name) for name in images}
+
+
+class LivePeer:
+    """MediaPipe in a process that looks at one image as often as it is asked.
+
+    Parameters
+    ----------
+    python : Path
+    image : (h, w, 3) uint8 array
+        BGR.
+    """
+
+    def __init__(self, python: Path, image: NDArray[np.uint8]) -> None:
+        self._python = python
+        self._image = image
+
+    def __enter__(self) -> LivePeer:
+        """Start it, and wait until it has set its networks up."""
+        with tempfile.TemporaryDirectory() as folder:
+            source = Path(folder, "image.npy")
+            np.save(source, self._image)
+            self._process = subprocess.Popen(
+                [str(self._python), str(SCRIPT), "--again", str(source)],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                text=True, bufsize=1,
+            )  # fmt: skip
+            try:
+                self._expect("ready")
+            except RuntimeError:
+                self._stop()
+                raise
+        return self
+
+    def ask(self) -> bool:
+        """Return whether somebody is found, once the image was looked at again."""
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n")
+        return self._expect("0", "1") == "1"
+
+    def _expect(self, *answers: str) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline().strip()
+        if line not in answers:
+            raise RuntimeError(f"expected MediaPipe to say {' or '.join(answers)}, got {line!r}")
+        return line
+
+    def _stop(self) -> None:
+        # Its input ends here, which ends it.
+        self._process.communicate()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End it."""
+        self._stop()
 
 
 def _answer(answers: Mapping[str, NDArray[np.generic]], name: str) -> PeerAnswer:

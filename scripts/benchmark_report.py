@@ -1,0 +1,102 @@
+"""The page of ``make bench``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from scripts.results import machine, revision
+
+READY_WANTED_S, MEMORY_WANTED_MB = 2, 300
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table.
+
+    Parameters
+    ----------
+    what : str
+    milliseconds : list of float
+    people : str, optional
+        How many were found in each picture.
+    wanted_ms, wanted_ratio : float, optional
+        See :class:`scripts.benchmark_cases.Case`.
+    """
+
+    what: str
+    milliseconds: list[float]
+    people: str = ""
+    wanted_ms: float | None = None
+    wanted_ratio: float | None = None
+
+    @property
+    def median(self) -> float:
+        """Median in milliseconds."""
+        return float(np.median(self.milliseconds))
+
+    def markdown(self, yardstick_ms: float) -> str:
+        """Write the line; ratios are multiples of the yardstick's median."""
+        cells = [
+            self.what,
+            self.people,
+            f"{np.percentile(self.milliseconds, 10):.1f} ms",
+            f"{self.median:.1f} ms",
+            "" if self.wanted_ms is None else f"{self.wanted_ms:.0f} ms",
+            f"{self.median / yardstick_ms:.3f}",
+            "" if self.wanted_ratio is None else f"{self.wanted_ratio:.2f}",
+        ]
+        return f"| {' | '.join(cells)} |"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a run of the benchmark found.
+
+    Parameters
+    ----------
+    yardstick : Row
+    rows : list of Row
+    stolen : float
+        Share of the processors' time that the host of a virtual machine gave to others.
+    index : str
+        Described in a line.
+    ready_s : float
+        From the server's start.
+    memory_mb, most_memory_mb : float
+        Resident after the requests, and at the most.
+    """
+
+    yardstick: Row
+    rows: list[Row]
+    stolen: float
+    index: str
+    ready_s: float
+    memory_mb: float
+    most_memory_mb: float
+
+
+def report(measured: Measured, command: str, left_out: Sequence[str]) -> str:
+    """Write the page in Markdown, with sentences on what was left out and why."""
+    yardstick_ms = measured.yardstick.median
+    rows = [row.markdown(yardstick_ms) for row in [measured.yardstick, *measured.rows]]
+    return f"""# `make bench`
+
+`{command}`, revision {revision()}.
+Machine: {machine()}; its host gave {measured.stolen:.0%} of the processors' time to others.
+Index: {measured.index}.
+
+Whole requests to `/pose` over a real socket, {len(measured.yardstick.milliseconds)} of each kind \
+and the yardsticks as often, in turns.
+
+| | people found | fastest tenth within | median | wanted | median over yardstick's | wanted |
+|---|---|---|---|---|---|---|
+{chr(10).join(rows)}
+
+Ready {measured.ready_s:.2f} s after the start (wanted: {READY_WANTED_S} s); \
+{measured.memory_mb:.0f} MB resident after the requests (wanted: {MEMORY_WANTED_MB} MB), \
+{measured.most_memory_mb:.0f} MB at the most.
+Wanted times are for two quiet cores; where the machine is slower, the ratio decides.
+{"".join(f"{chr(10)}Left out: {reason}.{chr(10)}" for reason in left_out)}"""
