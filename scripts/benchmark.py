@@ -16,7 +16,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -172,14 +172,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = options_of(arguments)
     street, left_out = read_street(options.shared / "real" / "vtest")
     peer, without_peer = find_peer(options.mediapipe, street)
-    with ExitStack() as stack:
-        if peer:
-            stack.enter_context(peer)
-        server = stack.enter_context(ServerProcess(options.index))
-        try:
+    try:
+        # The server last: what else starts meanwhile would make it ready later.
+        with peer or nullcontext(), ServerProcess(options.index) as server:
             measured = benchmark(server, street, peer, options.rounds)
-        except (OSError, RuntimeError) as error:  # A server that is never ready among them.
-            raise SystemExit(f"benchmark: {error}") from None
+    except (OSError, RuntimeError) as error:  # A server that is never ready among them.
+        raise SystemExit(f"benchmark: {error}") from None
     command = shlex.join(["python", "-m", "scripts.benchmark", *(arguments or sys.argv[1:])])
     page = report(measured, command, left_out + without_peer)
     print(page)

@@ -1,5 +1,8 @@
 """Run MediaPipe Pose on images, in an environment of its own.
 
+    python3.11 -m venv /path/to/mediapipe-env  # It has wheels for CPython 3.9 to 3.12.
+    /path/to/mediapipe-env/bin/pip install mediapipe==0.10.21
+
     /path/to/mediapipe-env/bin/python scripts/mediapipe_peer.py images.npz answers.npz
     /path/to/mediapipe-env/bin/python scripts/mediapipe_peer.py --again image.npy
 
@@ -10,7 +13,7 @@ z away).
 
 ``image.npy`` holds one BGR image. After ``ready`` every line of standard input has it looked at
 again, and answered with ``1`` where somebody was found and ``0`` where not: so it can be timed in
-turns with something else. Made for mediapipe 0.10.21; it imports nothing of this project.
+turns with something else. It imports nothing of this project.
 """
 
 from __future__ import annotations
