@@ -59,6 +59,11 @@ class Candidates:
         every = cls(*(np.concatenate([getattr(one, name) for one in some]) for name in names))
         return every.take(np.argsort(every.distances, kind="stable"))
 
+    def unique(self) -> Candidates:
+        """Return each entry, mirrored or not and leaning so far, once."""
+        same = np.stack([self.numbers, self.mirrored, self.lean_deg], axis=1)
+        return self.take(np.sort(np.unique(same, axis=0, return_index=True)[1]))
+
 
 def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> Candidates:
     """Find the ``k`` nearest among all entries and all their mirror images.
@@ -86,18 +91,46 @@ def find_candidates_of_each(
     queries = index.descriptor.describe(silhouettes)
     both = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
     distances, nearest, variants = index.search(both, k)
-    rows = np.repeat(np.arange(len(queries)), nearest.shape[1])
-    numbers, mirrored = nearest.ravel(), variants.ravel() == 1
+    of_query = np.repeat(queries, nearest.shape[1], axis=0)
+    every = _candidates(index, nearest.ravel(), variants.ravel() == 1, of_query, distances.ravel())
+    ends = nearest.shape[1] * np.arange(len(queries) + 1)
+    return [every.take(slice(*pair)) for pair in pairwise(ends.tolist())]
+
+
+def candidates_of(
+    index: PoseIndex,
+    silhouette: NDArray[np.uint8],
+    numbers: NDArray[np.int64],
+    mirrored: NDArray[np.bool_],
+) -> Candidates:
+    """Compare a silhouette ``(128, 48)`` with entries ``(K,)`` that were found in another way."""
+    queries = np.repeat(index.descriptor.describe(silhouette[None]), len(numbers), axis=0)
+    unordered = _candidates(index, numbers, mirrored, queries)
+    return unordered.take(np.argsort(unordered.distances, kind="stable"))
+
+
+def _candidates(
+    index: PoseIndex,
+    numbers: NDArray[np.int64],
+    mirrored: NDArray[np.bool_],
+    queries: NDArray[np.float32],
+    distances: NDArray[np.float32] | None = None,
+) -> Candidates:
+    """Entries ``(K,)`` beside a query of each, ``(K, D)``; distances are computed if not given."""
     vectors = index.vectors[numbers]
     points_3d, points_normalised = index.points(numbers)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])
     points_3d[mirrored] = mirror_3d(points_3d[mirrored])
     points_normalised[mirrored] = mirror_normalised(points_normalised[mirrored])
-    offsets = vectors - queries[rows]
-    lean_deg = np.zeros(len(numbers))
-    ascending = distances.ravel().astype(np.float64)
-    every = Candidates(
-        numbers, mirrored, ascending, offsets, lean_deg, points_3d, points_normalised
+    offsets = vectors - queries
+    if distances is None:
+        distances = np.linalg.norm(offsets, axis=1)
+    return Candidates(
+        numbers,
+        mirrored,
+        distances.astype(np.float64),
+        offsets,
+        np.zeros(len(numbers)),
+        points_3d,
+        points_normalised,
     )
-    ends = nearest.shape[1] * np.arange(len(queries) + 1)
-    return [every.take(slice(*pair)) for pair in pairwise(ends.tolist())]

@@ -10,8 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
-from index.candidates import Candidates, find_candidates_of_each
+from index.candidates import Candidates, candidates_of, find_candidates_of_each
+from index.keypoint_search import Nearest
 from index.store import PoseIndex
+
+STEP_DEG = 15.0
+"""People lean by multiples of this, as far as candidates are looked for."""
+
+LEANS, LEAST_SHARE = 5, 0.03
+"""So many leans are looked at, upright among them: those that most entries near the keypoints
+have, and at least such a share of them."""
+
+FARTHEST_DEG = 60.0
 
 _FINER = 2
 
@@ -62,6 +72,55 @@ def find_leaning_candidates(index: PoseIndex, leanings: Sequence[Leaning], k: in
     found = find_candidates_of_each(index, np.stack([one.upright for one in leanings]), k)
     return Candidates.merged(
         [_turned_back(some, one) for some, one in zip(found, leanings, strict=True)]
+    )
+
+
+def likely_leans(roll_deg: NDArray[np.float64]) -> tuple[float, ...]:
+    """Upright, and the leans that most entries near the keypoints have.
+
+    Parameters
+    ----------
+    roll_deg : (K,) float64 array
+        Of :class:`index.keypoint_search.Nearest`.
+
+    Returns
+    -------
+    tuple of float
+        Ascending multiples of :data:`STEP_DEG`.
+    """
+    steps = np.clip(np.rint(roll_deg / STEP_DEG) * STEP_DEG, -FARTHEST_DEG, FARTHEST_DEG)
+    leans, counts = np.unique(steps[steps != 0], return_counts=True)
+    order = np.argsort(-counts, kind="stable")[: LEANS - 1]
+    likeliest = leans[order][counts[order] >= LEAST_SHARE * len(steps)]
+    return tuple(sorted({0.0, *likeliest.tolist()}))
+
+
+def leaning_candidates_of(
+    index: PoseIndex, leanings: Sequence[Leaning], nearest: Nearest
+) -> Candidates:
+    """Compare a silhouette with entries near its keypoints, each with the lean nearest to its own.
+
+    Returns
+    -------
+    Candidates
+        In ascending distance, as :func:`find_leaning_candidates` gives them.
+    """
+    leans = np.array([one.lean_deg for one in leanings])
+    which = np.abs(nearest.roll_deg[:, None] - leans).argmin(axis=1)
+    return Candidates.merged(
+        [
+            _turned_back(
+                candidates_of(
+                    index,
+                    leaning.upright,
+                    nearest.numbers[which == position],
+                    nearest.mirrored[which == position],
+                ),
+                leaning,
+            )
+            for position, leaning in enumerate(leanings)
+            if (which == position).any()
+        ]
     )
 
 

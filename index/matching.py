@@ -10,25 +10,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
-from index.bending import bend
 from index.candidates import Candidates
 from index.confidence import RIGHT_BELOW_PX, Calibration
-from index.joint_maps import JointMaps
-from index.leans import Leaning, find_leaning_candidates, turned_clockwise
-from index.modes import Modes, candidate_weights, find_modes
+from index.keypoint_fit import fit_to_keypoints
+from index.keypoints import Keypoints
+from index.leans import (
+    Leaning,
+    find_leaning_candidates,
+    leaning_candidates_of,
+    likely_leans,
+    turned_clockwise,
+)
+from index.modes import Modes, candidate_weights, find_modes, mode_weights
 from index.skeleton import JOINTS, POINTS
 from index.store import PoseIndex
 
-CANDIDATES, CANDIDATES_SEEN = 160, 200
-"""Nearest entries that are looked at, without and with maps of the joints; of more, few add a mode
-worth offering."""
+CANDIDATES = 160
+"""Nearest entries that are looked at by the silhouette alone; of more, few add a mode worth
+offering."""
 
-SPARE_MODES, SPARE_MODES_SEEN = 4, 14
-"""Modes looked at beyond those asked for, without and with maps of the joints: a thin one may fit
-best, or agree best with what else is known of the person."""
+SPARE_MODES = 4
+"""Modes looked at beyond those asked for, by the silhouette alone: a thin one may fit best."""
 
-LEANS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
-"""How far people are looked for who lean, where more is known than the silhouette."""
+BY_SILHOUETTE, BY_KEYPOINTS, KEPT = 150, 150, 200
+"""With keypoints: nearest entries by the silhouette for each lean, by the keypoints, and how many
+of all these the modes are made of."""
+
+SPARE_MODES_SEEN = 9
+"""With keypoints, modes looked at beyond those asked for: one may agree best with the keypoints."""
 
 AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
 AGREEMENT_FALL_OFFS = (0.15, 0.5)
@@ -60,8 +69,8 @@ class Hypothesis:
     lean_deg : float
         How far the entry is turned clockwise in the picture.
     log_likelihood, side_odds : float
-        Of what else is known of the joints, given this pose, and how much likelier it is than
-        with left and right exchanged; see :class:`index.joint_maps.Look`. 0 where nothing is.
+        Agreement with the keypoints, and how much better it is than with left and right exchanged;
+        see :class:`index.keypoints.Agreement`. 0 without keypoints.
     """
 
     entry: int
@@ -111,24 +120,32 @@ def match(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypot
 
 
 def match_with_spares(
-    index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None = None
+    index: PoseIndex,
+    silhouette: NDArray[np.uint8],
+    n: int,
+    keypoints: Keypoints | None = None,
 ) -> list[Hypothesis]:
-    """As :func:`match`, and some more for a caller who has more to go by.
+    """As :func:`match`, and some more for a caller who re-ranks them.
 
-    Where maps of the joints are given, people who lean are looked for as well, candidates count as
-    the maps agree with them, and poses are interpolated to the maps as well as to the silhouette,
-    and bent to the maps at last.
+    Where keypoints are given, candidates come from them as well, people who lean are looked for,
+    candidates count as they agree with the keypoints, and poses are interpolated and at last fitted
+    to them.
     """
-    return match_with_features(index, silhouette, n, maps)[0]
+    return match_with_features(index, silhouette, n, keypoints)[0]
 
 
 def match_with_features(
-    index: PoseIndex, silhouette: NDArray[np.uint8], n: int, maps: JointMaps | None = None
+    index: PoseIndex,
+    silhouette: NDArray[np.uint8],
+    n: int,
+    keypoints: Keypoints | None = None,
 ) -> tuple[list[Hypothesis], NDArray[np.float64]]:
     """As :func:`match_with_spares`, with the features ``(N, F)`` behind the confidences."""
-    leans = (0.0,) if maps is None else LEANS_DEG
-    leanings = [Leaning.of(silhouette, lean) for lean in leans]
-    candidates, modes = _enough_modes(index, leanings, n, maps)
+    if keypoints is None:
+        leanings = [Leaning.of(silhouette, 0.0)]
+        candidates, modes = _modes_by_silhouette(index, leanings, n)
+    else:
+        leanings, candidates, modes = _modes_by_both(index, silhouette, keypoints, n)
     modes = modes.nearest()
     numbers, mirrored = candidates.numbers[modes.centres], candidates.mirrored[modes.centres]
     lean_deg = candidates.lean_deg[modes.centres]
@@ -139,11 +156,11 @@ def match_with_features(
     confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
     points_3d, points_normalised = modes.points_3d, modes.points_normalised
     log_likelihood = side_odds = np.zeros(len(modes))
-    if maps is not None:
-        # Poses that had to be bent far are less likely: they are judged as they were found.
-        look = maps.look(points_normalised)
-        log_likelihood, side_odds = look.log_likelihood, look.side_odds
-        points_3d, points_normalised = bend(maps, points_3d, points_normalised)
+    if keypoints is not None:
+        # Poses that must change far to fit are less likely: they are judged as they were found.
+        agreement = keypoints.compare(points_normalised)
+        log_likelihood, side_odds = agreement.log_likelihood, agreement.side_odds
+        points_3d, points_normalised = fit_to_keypoints(keypoints, points_3d, points_normalised)
     columns = (
         numbers, mirrored, modes.distances, errors, confidences, lean_deg, log_likelihood, side_odds
     )  # fmt: skip
@@ -167,29 +184,39 @@ def match_with_features(
     return hypotheses, features
 
 
-def _enough_modes(
-    index: PoseIndex, leanings: Sequence[Leaning], n: int, maps: JointMaps | None
+def _modes_by_silhouette(
+    index: PoseIndex, leanings: Sequence[Leaning], n: int
 ) -> tuple[Candidates, Modes]:
     """Look at more candidates until they hold ``n`` modes or the index has no more."""
-    fewest, spare = (
-        (CANDIDATES, SPARE_MODES) if maps is None else (CANDIDATES_SEEN, SPARE_MODES_SEEN)
-    )
-    wanted, most = n + spare, 16 * fewest
-    k = max(fewest, 20 * n)
+    k, most = max(CANDIDATES, 20 * n), 16 * CANDIDATES
     while True:
         candidates = find_leaning_candidates(index, leanings, k)
-        if maps is None:
-            modes = find_modes(candidates, wanted)
-        else:
-            look = maps.look(candidates.points_normalised)
-            weights = candidate_weights(candidates.distances) * look.weights()
-            # In ascending distance, as they came.
-            best = np.sort(np.argsort(-weights, kind="stable")[:k])
-            candidates = candidates.take(best)
-            modes = find_modes(candidates, wanted, look=look.take(best))
+        modes = find_modes(candidates, n + SPARE_MODES)
         if len(modes) >= n or len(candidates) < k or k >= most:
             return candidates, modes
         k *= 2
+
+
+def _modes_by_both(
+    index: PoseIndex, silhouette: NDArray[np.uint8], keypoints: Keypoints, n: int
+) -> tuple[list[Leaning], Candidates, Modes]:
+    """As :func:`_modes_by_silhouette`, of candidates near the silhouette or the keypoints."""
+    more = max(1, -(-20 * n // BY_SILHOUETTE))
+    nearest = index.keypoint_search.nearest(keypoints, more * BY_KEYPOINTS)
+    leanings = [Leaning.of(silhouette, lean) for lean in likely_leans(nearest.roll_deg)]
+    while True:
+        by_silhouette = find_leaning_candidates(index, leanings, more * BY_SILHOUETTE)
+        by_keypoints = leaning_candidates_of(index, leanings, nearest)
+        candidates = Candidates.merged([by_silhouette, by_keypoints]).unique()
+        agreement = keypoints.compare(candidates.points_normalised)
+        weights = mode_weights(candidates.distances, agreement)
+        # The best, in ascending distance, as they came.
+        best = np.sort(np.argsort(-weights, kind="stable")[: more * KEPT])
+        candidates, agreement = candidates.take(best), agreement.take(best)
+        modes = find_modes(candidates, n + SPARE_MODES_SEEN, agreement=agreement)
+        if len(modes) >= n or len(candidates) < more * KEPT or more >= 16:
+            return leanings, candidates, modes
+        more *= 2
 
 
 def match_features(

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.joint_maps import Look
+from index.keypoints import Agreement
 from index.skeleton import JOINTS, NATIVE, POINTS
 
 DISTINCT_M = 0.11
@@ -37,8 +37,9 @@ BANDWIDTH_M = 0.08
 SUPPRESSION = 1.5
 """A mode takes its surroundings with it, by so much more than its bandwidth."""
 
-FALL_OFF = 0.3
-"""A candidate farther than the nearest by twice this share of its distance weighs 1/e."""
+FALL_OFF, FALL_OFF_SEEN = 0.3, 0.6
+"""A candidate farther than the nearest by twice this share of its distance weighs 1/e, without and
+with keypoints, which tell near candidates apart better than descriptors do."""
 
 NEAREST_SHARE = 0.02
 """The nearest counts as at least so far off as this share of the farthest's distance.
@@ -104,7 +105,7 @@ def find_modes(
     candidates: Candidates,
     count: int,
     *,
-    look: Look | None = None,
+    agreement: Agreement | None = None,
     bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
     """Up to ``count`` modes, the densest first, no two of their centres alike.
@@ -113,8 +114,8 @@ def find_modes(
     ----------
     candidates : Candidates
     count : int
-    look : Look, optional
-        What else is known of each candidate: it weighs them, and modes are pulled to it.
+    agreement : Agreement, optional
+        Of each candidate with keypoints: it weighs them, and modes are pulled to the keypoints.
     bandwidth_m : float
         Smaller where an index covers few motions densely, as in the paper's experiments.
 
@@ -123,10 +124,9 @@ def find_modes(
     Modes
         Fewer than ``count`` where the candidates hold fewer distinct poses.
     """
-    weights, offsets = candidate_weights(candidates.distances), candidates.offsets
-    if look is not None:
-        weights = weights * look.weights()
-        pulls = PULL * look.pulls.reshape(len(candidates), -1)
+    weights, offsets = mode_weights(candidates.distances, agreement), candidates.offsets
+    if agreement is not None:
+        pulls = PULL * agreement.pulls.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -pulls], axis=1)
     # The ridge keeps the regression far from where single precision would matter.
     offsets = offsets.astype(np.float32)
@@ -169,6 +169,15 @@ def _densest(
         yield centre, remaining * kernel[centre]
         remaining = remaining * (1 - kernel[centre] ** (1 / SUPPRESSION**2))
         free[apart[centre] < DISTINCT_M] = -np.inf
+
+
+def mode_weights(
+    distances: NDArray[np.float64], agreement: Agreement | None
+) -> NDArray[np.float64]:
+    """How much candidates at ascending distances ``(K,)`` count for the modes, ``(K,)``."""
+    if agreement is None:
+        return candidate_weights(distances)
+    return candidate_weights(distances, FALL_OFF_SEEN) * agreement.weights()
 
 
 def candidate_weights(

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from descriptor.descriptor import Descriptor, restore
 from index.artefact import ArtefactError, npy_bytes, read_array, read_bytes
 from index.folders import clear_left_overs, lock, replace_folder
+from index.keypoint_search import SEARCHED, KeypointSearch
 from index.nearest import NearestVectors
 from index.silhouettes import Silhouettes
 from index.skeleton import (
@@ -54,6 +55,8 @@ ENTRY_DTYPE = np.dtype(
     ]
 )
 
+
+_BLOCK = 8192
 
 _INCOMPRESSIBLE = "silhouettes.npy"
 """Lies in the artefact as it is; every other file is compressed as a whole."""
@@ -145,6 +148,8 @@ class PoseIndex:
     silhouette_store: Silhouettes
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
+    keypoint_search: KeypointSearch = field(init=False, repr=False, compare=False)
+    """The entries' projected skeletons, searchable by keypoints."""
     _flat: Any = field(init=False, repr=False, compare=False)
     _nearest: NearestVectors = field(init=False, repr=False, compare=False)
 
@@ -174,6 +179,7 @@ class PoseIndex:
         # The vectors live on inside FAISS; one copy is enough.
         view = faiss.rev_swig_ptr(flat.get_xb(), self.vectors.size).reshape(self.vectors.shape)
         object.__setattr__(self, "vectors", view)
+        object.__setattr__(self, "keypoint_search", KeypointSearch(self._searched_points()))
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -204,26 +210,28 @@ class PoseIndex:
         return np.sqrt(np.maximum(squared, 0)), numbers, variants
 
     def points(
-        self, numbers: NDArray[np.integer]
+        self, numbers: NDArray[np.integer], rows: Sequence[int] | slice = slice(None)
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Skeletons of some entries.
 
         Parameters
         ----------
         numbers : (B,) int array
+        rows : sequence of int, optional
+            Which of their 24 points; by default all.
 
         Returns
         -------
-        points_3d : (B, 24, 3) float64 array
+        points_3d : (B, P, 3) float64 array
             Camera axes, metres, pelvis at the origin.
-        points_normalised : (B, 24, 2) float64 array
+        points_normalised : (B, P, 2) float64 array
             Pixels of the normalised frame.
         """
         entries = self.entries[numbers]
         rotations = camera_rotation(
             entries["azimuth_deg"], entries["elevation_deg"], entries["roll_deg"]
         )
-        body = self.skeletons[entries["skeleton"]].astype(np.float64)
+        body = self.skeletons[entries["skeleton"]][:, rows].astype(np.float64)
         # Matrices that lie in one piece are multiplied in a third of the time.
         points_3d = body @ np.ascontiguousarray(rotations.swapaxes(1, 2))
         points_normalised = project(points_3d, entries["distance"])
@@ -231,6 +239,15 @@ class PoseIndex:
         for axis, offset in enumerate(("offset_x", "offset_y")):
             points_normalised[..., axis] += entries[offset][:, None]
         return points_3d, points_normalised
+
+    def _searched_points(self) -> NDArray[np.float32]:
+        """What :class:`index.keypoint_search.KeypointSearch` compares, ``(E, 10, 2)``."""
+        points = np.empty((len(self), len(SEARCHED), 2), np.float32)
+        # In blocks: all points of all entries take gigabytes where an index is large.
+        for start in range(0, len(self), _BLOCK):
+            rows = np.arange(start, min(start + _BLOCK, len(self)))
+            points[rows] = self.points(rows, SEARCHED)[1]
+        return points
 
     def entry(self, number: int, *, mirrored: bool = False) -> Entry:
         """One entry, or its mirror image; raises as :meth:`label` does."""

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.candidates import find_candidates, find_candidates_of_each
+from index.candidates import (
+    Candidates,
+    candidates_of,
+    find_candidates,
+    find_candidates_of_each,
+)
 from index.skeleton import POINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 
@@ -89,3 +96,32 @@ def test_several_at_once_get_what_each_gets(toy_index: PoseIndex) -> None:
         assert_array_equal(ours.mirrored, alone.mirrored)
         assert_allclose(ours.distances, alone.distances, atol=1e-5)
         assert_allclose(ours.points_normalised, alone.points_normalised)
+
+
+def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -> None:
+    silhouette = toy_index.silhouette(77)
+    found = find_candidates(toy_index, silhouette, 25)
+    shuffled = np.random.default_rng(0).permutation(25)
+    again = candidates_of(toy_index, silhouette, found.numbers[shuffled], found.mirrored[shuffled])
+    assert (np.diff(again.distances) >= 0).all()
+    assert_allclose(again.distances, found.distances, atol=ATOL)
+    # Where distances tie up to rounding, the order may differ.
+    key = np.lexsort((again.mirrored, again.numbers)), np.lexsort((found.mirrored, found.numbers))
+    assert_array_equal(again.numbers[key[0]], found.numbers[key[1]])
+    assert_allclose(again.offsets[key[0]], found.offsets[key[1]], atol=1e-4)
+    assert_allclose(again.points_3d[key[0]], found.points_3d[key[1]])
+
+
+def test_what_came_in_two_ways_comes_once(toy_index: PoseIndex) -> None:
+    found = find_candidates(toy_index, toy_index.silhouette(77), 30)
+    leaning = replace(found.take(slice(0, 5)), lean_deg=np.full(5, 15.0))
+    every = Candidates.merged([found, found.take(slice(10, 20)), leaning])
+    once = every.unique()
+    assert len(every) == 45 and len(once) == 35
+    keys = list(
+        zip(once.numbers.tolist(), once.mirrored.tolist(), once.lean_deg.tolist(), strict=True)
+    )
+    assert len(set(keys)) == 35
+    assert (np.diff(once.distances) >= 0).all()
+    assert_array_equal(once.unique().numbers, once.numbers)
+    assert_array_equal(found.unique().distances, found.distances)

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.candidates import find_candidates
-from index.leans import Leaning, find_leaning_candidates, turned
+from index.keypoint_search import Nearest
+from index.leans import (
+    FARTHEST_DEG,
+    LEANS,
+    LEAST_SHARE,
+    STEP_DEG,
+    Leaning,
+    find_leaning_candidates,
+    leaning_candidates_of,
+    likely_leans,
+    turned,
+)
 from index.skeleton import JOINTS
 from index.store import PoseIndex
 
@@ -85,3 +98,55 @@ def test_a_single_pixel_can_be_turned() -> None:
     dot = np.zeros((HEIGHT, WIDTH), np.uint8)
     dot[60, 20] = 1
     assert turned(dot, 33.0)[0].any()
+
+
+@given(rolls=st.lists(st.floats(-180, 180), min_size=1, max_size=60))
+def test_likely_leans_are_few_and_upright_is_among_them(rolls: list[float]) -> None:
+    leans = likely_leans(np.array(rolls))
+    assert list(leans) == sorted(set(leans))
+    assert 0.0 in leans
+    assert len(leans) <= LEANS
+    steps = np.clip(np.rint(np.array(rolls) / STEP_DEG) * STEP_DEG, -FARTHEST_DEG, FARTHEST_DEG)
+    for lean in set(leans) - {0.0}:
+        assert (steps == lean).mean() >= LEAST_SHARE
+        assert abs(lean) <= FARTHEST_DEG
+    # Nobody likelier was left out.
+    if len(leans) > 1:
+        rarest = min((steps == lean).sum() for lean in set(leans) - {0.0})
+        others = {lean for lean in steps.tolist() if lean} - set(leans)
+        assert all((steps == lean).sum() <= rarest for lean in others) or len(leans) < LEANS
+
+
+@pytest.mark.parametrize("lean", [-45.0, -15.0, 30.0, 60.0])
+def test_the_lean_that_most_have_is_likely(lean: float) -> None:
+    rolls = np.random.default_rng(1).normal(lean, 4, 100)
+    assert set(likely_leans(rolls)) >= {0.0, lean}
+
+
+def test_mirrored_leans_are_as_likely() -> None:
+    rolls = np.array([14.0] * 30 + [-31.0] * 20 + [3.0] * 50)
+    assert likely_leans(rolls) == (-30.0, 0.0, 15.0)
+    assert likely_leans(-rolls) == (-15.0, 0.0, 30.0)
+
+
+def test_entries_near_keypoints_lean_as_they_do(toy_index: PoseIndex) -> None:
+    numbers, lean = np.array([40, 41, 40, 42]), 15.0
+    mirrored = np.array([False, False, True, False])
+    nearest = Nearest(numbers, mirrored, np.array([13.0, -2.0, 80.0, 8.0]), np.zeros(4))
+    silhouette = turned(toy_index.silhouette(40), lean)[0]
+    found = leaning_candidates_of(toy_index, leanings(silhouette, 0.0, lean), nearest)
+    assert (np.diff(found.distances) >= 0).all()
+    assert (found.numbers[0], found.lean_deg[0]) == (40, lean)
+    leans = {
+        (number, is_mirrored): lean
+        for number, is_mirrored, lean in zip(
+            found.numbers.tolist(), found.mirrored.tolist(), found.lean_deg.tolist(), strict=True
+        )
+    }
+    assert leans == {(40, False): lean, (41, False): 0.0, (40, True): lean, (42, False): lean}
+    # As they would be found by the silhouette.
+    (same,) = np.flatnonzero((found.numbers == 41) & ~found.mirrored)
+    upright = find_candidates(toy_index, silhouette, 2 * len(toy_index))
+    (there,) = np.flatnonzero((upright.numbers == 41) & ~upright.mirrored)
+    assert found.distances[same] == pytest.approx(upright.distances[there], abs=0.1)
+    assert_allclose(found.points_normalised[same], upright.points_normalised[there])

@@ -1,0 +1,107 @@
+"""Skeletons fitted to keypoints: nearer to them, with the same bones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from index.keypoint_fit import fit_to_keypoints
+from index.keypoints import Keypoints
+from index.skeleton import JOINTS, LIMBS, NATIVE, POINT_NAMES, exchange_sides
+from index.store import PoseIndex
+
+ROWS = tuple(POINT_NAMES.index(name) for name in LIMBS)
+NUMBERS = np.arange(3, 576, 37)
+
+
+def keypoints_of(points: NDArray[np.float64], rows: tuple[int, ...] = ROWS) -> Keypoints:
+    return Keypoints(rows, points[list(rows)], np.full(len(rows), 0.9))
+
+
+def bone_lengths(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
+    parents, children = np.array(NATIVE.bones).T
+    return np.linalg.norm(points_3d[..., children, :] - points_3d[..., parents, :], axis=-1)
+
+
+def apart(points: NDArray[np.float64], keypoints: Keypoints) -> float:
+    away = points[list(keypoints.rows)] - keypoints.positions
+    return float(np.linalg.norm(away, axis=-1).mean())
+
+
+@pytest.mark.parametrize("target", range(0, 576, 52))
+def test_bones_stay_as_long_and_keypoints_come_nearer(toy_index: PoseIndex, target: int) -> None:
+    """Poses that are found near keypoints, among them those that hardly fit."""
+    keypoints = keypoints_of(toy_index.entry(target).points_normalised)
+    nearest = toy_index.keypoint_search.nearest(keypoints, 60)
+    near = (nearest.numbers != target) & ~nearest.mirrored & (np.abs(nearest.roll_deg) < 15)
+    points_3d, placed = toy_index.points(nearest.numbers[near])
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert fitted.shape == points_3d.shape and fitted_placed.shape == placed.shape
+    assert_allclose(bone_lengths(fitted), bone_lengths(points_3d), rtol=1e-6)
+    assert_allclose(fitted[:, 0], 0, atol=1e-12)
+    agreement, better = keypoints.compare(placed), keypoints.compare(fitted_placed)
+    before, after = [], []
+    for row, odds in enumerate(agreement.side_odds):
+        twin = exchange_sides if odds < 0 else np.asarray
+        before.append(apart(twin(placed[row]), keypoints))
+        after.append(apart(twin(fitted_placed[row]), keypoints))
+    assert np.mean(after) < 0.75 * np.mean(before)
+    assert (np.array(after) <= np.array(before) + 0.5).all()
+    assert (better.log_likelihood >= agreement.log_likelihood - 0.1).all()
+
+
+@pytest.mark.parametrize("number", [3, 300])
+def test_a_pose_that_fits_stays(toy_index: PoseIndex, number: int) -> None:
+    points_3d, placed = toy_index.points(np.array([number]))
+    fitted, fitted_placed = fit_to_keypoints(keypoints_of(placed[0]), points_3d, placed)
+    assert_allclose(fitted, points_3d, atol=1e-9)
+    assert_allclose(fitted_placed, placed, atol=1e-9)
+
+
+def test_a_wrist_is_followed_and_the_rest_stays(toy_index: PoseIndex) -> None:
+    points_3d, placed = toy_index.points(np.array([100]))
+    wrist, elbow = (POINT_NAMES.index(f"left_{name}") for name in ("wrist", "elbow"))
+    seen = placed[0].copy()
+    # Square to the forearm as it is seen, so that its length allows for it.
+    forearm = seen[wrist] - seen[elbow]
+    seen[wrist] += 6 * np.array([-forearm[1], forearm[0]]) / np.linalg.norm(forearm)
+    keypoints = keypoints_of(seen)
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    left = np.linalg.norm(fitted_placed[0, wrist] - seen[wrist])
+    assert left < 2.5, f"expected the wrist to come from 6 px to under 2.5, got {left}"
+    others = [row for row in range(JOINTS) if row not in (wrist, elbow)]
+    assert np.linalg.norm(fitted_placed[0, others] - placed[0, others], axis=-1).max() < 2
+    right_leg = [POINT_NAMES.index(f"right_{name}") for name in ("hip", "knee", "ankle", "toe")]
+    assert_allclose(fitted[0, right_leg], points_3d[0, right_leg], atol=1e-3)
+
+
+def test_all_moves_with_keypoints_that_are_moved(toy_index: PoseIndex) -> None:
+    """A pose laid a little aside is put in its place, and is the same pose."""
+    points_3d, placed = toy_index.points(np.array([200]))
+    keypoints = keypoints_of(placed[0] + (3, -2))
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert apart(fitted_placed[0], keypoints) < 0.6
+    centred = fitted[0, :JOINTS] - points_3d[0, :JOINTS]
+    assert np.linalg.norm(centred, axis=-1).mean() < 0.03
+
+
+def test_sides_that_are_exchanged_are_fitted_as_they_are_meant(toy_index: PoseIndex) -> None:
+    """Keypoints that take left for right pull the other side's points, not across the body."""
+    points_3d, placed = toy_index.points(np.array([100]))
+    mistaken = keypoints_of(exchange_sides(placed[0]))
+    assert mistaken.compare(placed).side_odds[0] < 0
+    fitted, _ = fit_to_keypoints(mistaken, points_3d, placed)
+    assert_allclose(fitted, points_3d, atol=1e-9)
+
+
+def test_several_at_once_are_fitted_as_each(toy_index: PoseIndex) -> None:
+    keypoints = keypoints_of(toy_index.entry(40).points_normalised)
+    points_3d, placed = toy_index.points(NUMBERS)
+    together = fit_to_keypoints(keypoints, points_3d, placed)
+    for row in range(0, len(NUMBERS), 5):
+        one = slice(row, row + 1)
+        alone = fit_to_keypoints(keypoints, points_3d[one], placed[one])
+        assert_allclose(together[0][one], alone[0], atol=1e-9)
+        assert_allclose(together[1][one], alone[1], atol=1e-9)
