@@ -8,7 +8,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-SegmenterName = Literal["network", "grabcut", "background", "mask"]
+SegmenterName = Literal["network", "background", "mask"]
+
+COCO_NAMES = (
+    "nose", "left_eye", "right_eye", "left_ear", "right_ear",
+    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
+    "left_wrist", "right_wrist", "left_hip", "right_hip",
+    "left_knee", "right_knee", "left_ankle", "right_ankle",
+)  # fmt: skip
+"""The 17 COCO keypoints, in their order; left and right are the person's own."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +101,38 @@ class Box:
 
 
 @dataclass(frozen=True)
+class ObservedKeypoints:
+    """Where a photograph shows a person's keypoints.
+
+    Parameters
+    ----------
+    positions : (17, 2) float64 array
+        Pixels, x before y; rows are :data:`COCO_NAMES`.
+    scores : (17,) float64 array
+        How sure each is, 0 to 1.
+    """
+
+    positions: NDArray[np.float64]
+    scores: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(COCO_NAMES)
+        if self.positions.shape != (count, 2) or self.scores.shape != (count,):
+            raise ValueError(
+                f"expected positions of shape ({count}, 2) and scores of shape ({count},), "
+                f"got {self.positions.shape} and {self.scores.shape}"
+            )
+
+    def scaled(self, factor: float) -> ObservedKeypoints:
+        """Return the same keypoints in a picture resized by ``factor``."""
+        return ObservedKeypoints((self.positions + 0.5) * factor - 0.5, self.scores)
+
+    def moved(self, x: float, y: float) -> ObservedKeypoints:
+        """Return the same keypoints farther right and down."""
+        return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
+
+
+@dataclass(frozen=True)
 class Detection:
     """A person found in a frame.
 
@@ -103,8 +143,8 @@ class Detection:
     score : float
         Probability that the box holds a person, 0 to 1.
     turns : int
-        Quarter turns counterclockwise that set the person upright: 0, or 1 for somebody who lies
-        with the head on the right of the picture, and 3 with it on the left.
+        Quarter turns counterclockwise that set the person upright, 0 to 3: 1 for somebody who lies
+        with the head on the right of the picture, 3 with it on the left.
     """
 
     box: Box
@@ -114,8 +154,8 @@ class Detection:
     def __post_init__(self) -> None:
         if not 0 <= self.score <= 1:
             raise ValueError(f"expected a score from 0 to 1, got {self.score}")
-        if self.turns not in (0, 1, 3):
-            raise ValueError(f"expected 0, 1 or 3 quarter turns, got {self.turns}")
+        if self.turns not in range(4):
+            raise ValueError(f"expected 0 to 3 quarter turns, got {self.turns}")
 
 
 @dataclass(frozen=True)
@@ -129,7 +169,7 @@ class Silhouette:
     left, top : int
         Column and row of the crop's first pixel in the frame.
     segmenter : str
-        What drew it: ``network``, ``grabcut``, ``background`` or ``mask``.
+        What drew it: ``network``, ``background`` or ``mask``.
     truncated : bool
         Whether the frame's border or another person cuts the body.
     """

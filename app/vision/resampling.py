@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TypeVar
 
 import cv2
@@ -13,6 +12,9 @@ from numpy.typing import NDArray
 Window = tuple[int, int, int, int]
 
 Scalar = TypeVar("Scalar", np.uint8, np.float32)
+
+# Windows with more pixels are not cut out before they are resized.
+_LARGEST_CUT = 2**24
 
 
 def cut(image: NDArray[Scalar], window: Window) -> NDArray[Scalar]:
@@ -43,6 +45,27 @@ def cut(image: NDArray[Scalar], window: Window) -> NDArray[Scalar]:
     return result
 
 
+def cut_resized(image: NDArray[Scalar], window: Window, width: int, height: int) -> NDArray[Scalar]:
+    """Cut a window out of an image, as :func:`cut`, and resize it to ``width`` and ``height``.
+
+    A window about somebody may be many times as large as the image: a box as wide as the image and
+    two pixels high has a window of a person's proportions. Where it is, only what lies within the
+    image is resized, good to a pixel of the result; it takes no more memory than the image.
+    """
+    left, top, columns, rows = window
+    if columns * rows <= _LARGEST_CUT:
+        return resize(cut(image, window), width, height)
+    result = np.zeros((height, width, *image.shape[2:]), image.dtype)
+    x0, x1 = (min(max(x, 0), image.shape[1]) for x in (left, left + columns))
+    y0, y1 = (min(max(y, 0), image.shape[0]) for y in (top, top + rows))
+    first, last = (round((x - left) * width / columns) for x in (x0, x1))
+    upper, lower = (round((y - top) * height / rows) for y in (y0, y1))
+    if last > first and lower > upper:
+        inside = image[y0:y1, x0:x1]
+        result[upper:lower, first:last] = resize(inside, last - first, lower - upper)
+    return result
+
+
 def resize(image: NDArray[Scalar], width: int, height: int) -> NDArray[Scalar]:
     """Resize by averaging areas where the image shrinks, bilinearly where it grows.
 
@@ -62,23 +85,3 @@ def resize(image: NDArray[Scalar], width: int, height: int) -> NDArray[Scalar]:
     shrinks = width < columns or height < rows
     kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     return cv2.resize(image, (width, height), interpolation=kind).astype(image.dtype, copy=False)
-
-
-def planes_of(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Channels of pictures ``(H, W)`` or ``(H, W, C)`` of one size, one below the other.
-
-    Returns
-    -------
-    (C, H, W) uint8 array
-        Of all pictures, in their order.
-    """
-    channels = sum(1 if picture.ndim == 2 else picture.shape[2] for picture in pictures)
-    planes = np.empty((channels, *pictures[0].shape[:2]), np.uint8)
-    cv2.mixChannels(pictures, list(planes), np.repeat(np.arange(channels), 2).tolist())
-    return planes
-
-
-def resize_mask(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.bool_]:
-    """Resize a two-valued mask: a pixel is set where at least half of it is covered."""
-    grey: NDArray[np.float32] = mask.astype(np.float32)
-    return resize(grey, width, height) >= 0.5

@@ -1,21 +1,20 @@
-"""What the tests of vision share: a small street scene, and the network where it was fetched."""
+"""What the tests of vision share: a small street scene, and the networks that ship."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.networks import BODY_FILE, PERSON_FILE, Networks, PersonNetwork
+from app.vision.detection.detector import NetworkDetector
+from app.vision.keypoints.movenet import MoveNet
+from app.vision.keypoints.reader import KeypointReader
 from app.vision.people import Box
-from app.vision.refine import Refiner
-from app.vision.segment import NetworkSegmenter
-
-ROOT = Path(__file__).resolve().parents[2]
-MODELS = ROOT / "models"
+from app.vision.segmentation.body_network import BodyNetwork
+from app.vision.segmentation.segment import NetworkSegmenter
+from app.vision.weights import network_path
+from tests.conftest import ROOT
 
 
 @pytest.fixture(scope="session")
@@ -31,27 +30,31 @@ def walkers() -> list[Box]:
 
 
 @pytest.fixture(scope="session")
-def models() -> Path:
-    if not all((MODELS / file).is_file() for file in (PERSON_FILE, BODY_FILE)):
-        pytest.skip(f"{MODELS} lacks a network; python -m scripts.fetch_models fetches it")
-    return MODELS
+def far_walkers() -> list[Box]:
+    """The two people at the upper edge of `street`, marked by hand."""
+    return [Box(207, 0, 24, 55), Box(232, 0, 24, 57)]
 
 
 @pytest.fixture(scope="session")
-def person_model(models: Path) -> Path:
-    return models / PERSON_FILE
+def movenet() -> MoveNet:
+    return MoveNet(network_path("movenet"))
 
 
 @pytest.fixture(scope="session")
-def networks(models: Path) -> Networks:
-    return Networks.load(models)
+def reader(movenet: MoveNet) -> KeypointReader:
+    return KeypointReader(movenet)
 
 
 @pytest.fixture(scope="session")
-def network(networks: Networks) -> PersonNetwork:
-    return networks.person
+def detector(movenet: MoveNet) -> NetworkDetector:
+    return NetworkDetector(movenet)
 
 
 @pytest.fixture(scope="session")
-def segmenter(networks: Networks) -> NetworkSegmenter:
-    return NetworkSegmenter(networks, Refiner())
+def body() -> BodyNetwork:
+    return BodyNetwork(network_path("body_mask"))
+
+
+@pytest.fixture(scope="session")
+def segmenter(body: BodyNetwork) -> NetworkSegmenter:
+    return NetworkSegmenter(body)

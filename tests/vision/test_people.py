@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
-from app.vision.truncation import hidden_by_others, touches_border, with_truncation
+from app.vision.people import (
+    COCO_NAMES,
+    Box,
+    Detection,
+    ObservedKeypoints,
+    Silhouette,
+    silhouette_from_mask,
+)
+from index.skeleton import COCO17
 
 numbers = st.floats(-50, 50)
 sizes = st.floats(0.5, 60)
@@ -77,25 +84,35 @@ def test_a_silhouette_is_a_tight_crop() -> None:
         Silhouette(mask.astype(np.uint8), 0, 0, "mask", False)
 
 
-def block(left: int, top: int, width: int, height: int) -> Silhouette:
-    return Silhouette(np.ones((height, width), bool), left, top, "mask", False)
+def test_names_are_those_of_the_index() -> None:
+    assert COCO17.names == COCO_NAMES
 
 
-def test_a_body_at_the_border_is_cut() -> None:
-    assert touches_border(block(0, 5, 10, 20), (40, 40))
-    assert touches_border(block(5, 20, 10, 20), (40, 40))
-    assert not touches_border(block(5, 5, 10, 20), (40, 40))
+def some_keypoints(seed: int = 0) -> ObservedKeypoints:
+    rng = np.random.default_rng(seed)
+    return ObservedKeypoints(rng.uniform(-20, 300, (17, 2)), rng.uniform(0, 1, 17))
 
 
-def test_one_toe_at_the_border_is_no_cut() -> None:
-    crop = np.ones((20, 30), bool)
-    crop[-1, 2:] = False
-    assert not touches_border(Silhouette(crop, 5, 20, "mask", False), (40, 40))
+@given(factor=st.floats(0.1, 9), x=numbers, y=numbers)
+def test_keypoints_follow_a_box_wherever_it_goes(factor: float, x: float, y: float) -> None:
+    """A keypoint in a corner of a box stays there."""
+    box = Box(x, y, 20, 30)
+    corner = ObservedKeypoints(np.tile([box.right, box.y], (17, 1)), np.ones(17))
+    moved = corner.scaled(factor).moved(x, y)
+    scaled = box.scaled(factor)
+    assert moved.positions[3] == pytest.approx([scaled.right + x, scaled.y + y], abs=1e-6)
+    again = moved.moved(-x, -y).scaled(1 / factor)
+    assert again.positions == pytest.approx(corner.positions, abs=1e-6)
+    assert again.scores is corner.scores
 
 
-def test_the_nearer_person_hides_the_farther() -> None:
-    near, far = block(14, 10, 10, 30), block(5, 5, 12, 30)
-    both = with_truncation([near, far], [near.box, far.box], (80, 80))
-    assert [one is not None and one.truncated for one in both] == [False, True]
-    assert hidden_by_others(far, [near.box])
-    assert with_truncation([None], [near.box], (80, 80)) == [None]
+@pytest.mark.parametrize(("rows", "scores"), [(16, 17), (17, 16), (0, 0)])
+def test_keypoints_are_seventeen(rows: int, scores: int) -> None:
+    with pytest.raises(ValueError, match="expected positions of shape"):
+        ObservedKeypoints(np.zeros((rows, 2)), np.zeros(scores))
+
+
+@pytest.mark.parametrize("turns", [-1, 4])
+def test_there_are_four_ways_up(turns: int) -> None:
+    with pytest.raises(ValueError, match="quarter turns"):
+        Detection(Box(0, 0, 1, 1), 0.5, turns)

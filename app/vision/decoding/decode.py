@@ -1,0 +1,215 @@
+"""Encoded bytes to pixels: photographs and masks, with every oddity settled here."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.decoding.image_header import ImageError, ImageHeader, read_header
+from app.vision.decoding.png_chunks import check_png_chunks
+
+__all__ = ["ImageError", "ImageTooLargeError", "LabelImage", "decode_image", "decode_mask"]
+
+Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+# A label image with more different values than this is a mask with soft edges, not a crowd.
+MAX_LABELS = 100
+
+
+class ImageTooLargeError(ImageError):
+    """The image has more pixels than allowed."""
+
+
+@dataclass(frozen=True)
+class LabelImage:
+    """Where people are: 0 is background, k is person k.
+
+    Parameters
+    ----------
+    labels : (H, W) array of uint8 or uint16
+    present : list of int
+        The labels it holds, ascending, without 0.
+    left, top : int
+        Where the part begins.
+    part : (h, w) array
+        What is within the borders of all labels: most of a mask is background.
+    """
+
+    labels: Labels
+    present: list[int]
+    left: int
+    top: int
+    part: Labels
+
+    @classmethod
+    def of(cls, labels: Labels) -> LabelImage:
+        """Look for labels.
+
+        Raises
+        ------
+        ValueError
+            If the array is not two-dimensional.
+        """
+        if labels.ndim != 2:
+            raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
+        # OpenCV has no bounds of 16 bits.
+        marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
+        left, top, width, height = cv2.boundingRect(marked)
+        part = labels[top : top + height, left : left + width].copy()
+        return cls(labels, _labels_in(part), left, top, part)
+
+    def of_one(self) -> LabelImage:
+        """Take all labels for the same person's, number 1."""
+        labels, part = ((image != 0).view(np.uint8) for image in (self.labels, self.part))
+        return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
+
+
+def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
+    """Decode a photograph.
+
+    The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR,
+    16 bits become 8, an alpha channel is dropped, of an animation the first picture counts.
+
+    Parameters
+    ----------
+    data : bytes
+        PNG, JPEG, WebP, BMP, TIFF or GIF.
+    max_pixels : int
+        Width times height allowed; checked on the header, before anything is decoded.
+
+    Returns
+    -------
+    (H, W, 3) uint8 array
+        BGR.
+
+    Raises
+    ------
+    ImageTooLargeError
+        If the image has more than ``max_pixels`` pixels.
+    ImageError
+        If the bytes are no image, or a broken one.
+    """
+    header = _checked_header(data, max_pixels)
+    return _decode(data, header, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
+
+
+def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
+    """Decode a label image: 0 is background, k is person k.
+
+    Grey and palette images keep their stored values exactly, whatever their bit depth (of a
+    palette image the index counts, not the colour). An image of two values, 0 and any other,
+    is one person, label 1; so is an image of lossy compression (JPEG, WebP), which cannot
+    keep labels: there, values from 128 up are the person. EXIF orientation is applied, as it
+    is to the frame; an alpha channel is dropped.
+
+    Parameters
+    ----------
+    data : bytes
+        As in :func:`decode_image`; three channels are accepted where they are equal.
+    max_pixels : int
+        Width times height allowed.
+
+    Returns
+    -------
+    LabelImage
+
+    Raises
+    ------
+    ImageTooLargeError
+        If the image has more than ``max_pixels`` pixels.
+    ImageError
+        If the bytes are no image, the image is coloured, or it holds more than 100 labels.
+    """
+    header = _checked_header(data, max_pixels)
+    step = 1
+    if header.format == "png":
+        data, step = _png_with_stored_values(data)
+    pixels = _decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    if not np.issubdtype(pixels.dtype, np.unsignedinteger):
+        raise ImageError(f"expected a mask of whole numbers, got {pixels.dtype} values")
+    if pixels.ndim == 3:
+        tolerance = 16 if header.lossy else 0
+        if int(np.ptp(pixels.astype(np.int32), axis=2).max()) > tolerance:
+            raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
+        pixels = pixels[:, :, 0]
+    if header.lossy:
+        return LabelImage.of(np.asarray(pixels >= 128).view(np.uint8))
+    labels: Labels = pixels if step == 1 else pixels // step
+    if labels.dtype != np.uint8:
+        labels = labels.astype(np.uint16, copy=False)
+    image = LabelImage.of(labels)
+    if len(image.present) == 1 and image.present != [1]:
+        return image.of_one()
+    if len(image.present) > MAX_LABELS:
+        raise ImageError(
+            f"expected a mask of at most {MAX_LABELS} labels, got {len(image.present)}: "
+            "a mask with soft edges must be thresholded first"
+        )
+    return image
+
+
+def _labels_in(part: Labels) -> list[int]:
+    """The labels of a part of a label image ``(h, w)`` in one piece, ascending, without 0."""
+    # Several times as fast as np.unique or np.bincount, and the more so the less there is to count.
+    if part.size == 0:
+        return []
+    bins = int(part.max()) + 1
+    counts = cv2.calcHist([part], [0], None, [bins], [0, bins])
+    return (np.flatnonzero(counts[1:]) + 1).tolist()
+
+
+def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:
+    header = read_header(data)
+    if header.width * header.height > max_pixels:
+        raise ImageTooLargeError(
+            f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
+        )
+    check_png_chunks(data)
+    return header
+
+
+def _decode(data: bytes, header: ImageHeader, flags: int) -> NDArray[Any]:
+    """Decode with OpenCV, turning its two ways to fail into one."""
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise ImageError(f"the {header.format.upper()} image is broken") from error
+    if pixels is None:
+        raise ImageError(f"the {header.format.upper()} image is broken")
+    return pixels
+
+
+def _png_with_stored_values(data: bytes) -> tuple[bytes, int]:
+    """Make OpenCV return the stored values of a PNG of few bits or with a palette.
+
+    OpenCV replaces palette indices by colours and stretches 1, 2 and 4 bits to 0..255. The
+    first is avoided by relabelling the image as grey; the second is undone by a division.
+
+    Returns
+    -------
+    data : bytes
+        The PNG, without its palette if it had one.
+    step : int
+        What the decoded values are to be divided by.
+    """
+    if len(data) < 33:
+        raise ImageError("the image ends before its header does")
+    depth, colour_type = data[24], data[25]
+    step = 255 // ((1 << depth) - 1) if depth in (1, 2, 4) and colour_type in (0, 3) else 1
+    if colour_type != 3:
+        return data, step
+    header = b"IHDR" + data[16:25] + b"\0" + data[26:29]
+    parts = [data[:8], struct.pack(">I", 13), header, struct.pack(">I", zlib.crc32(header))]
+    position = 33
+    while position + 8 <= len(data):
+        end = position + 12 + struct.unpack_from(">I", data, position)[0]
+        if data[position + 4 : position + 8] not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
+            parts.append(data[position:end])
+        position = end
+    return b"".join(parts), step

@@ -1,0 +1,1 @@
+"""Frame to people: boxes with scores, and which way up each person is."""

@@ -1,1 +1,0 @@
-"""How the network that reads joints is made, and what it is worth."""

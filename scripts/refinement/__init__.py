@@ -1,1 +1,0 @@
-"""How the network that refines silhouettes was trained: simulated people before photographs."""

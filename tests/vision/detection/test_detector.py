@@ -1,0 +1,193 @@
+"""Finding people."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from app.vision.detection.detector import (
+    Detector,
+    HogDetector,
+    NetworkDetector,
+    hog_people,
+    log_odds,
+    logit,
+    sigmoid,
+)
+from app.vision.keypoints.movenet import MoveNet
+from app.vision.people import Box, Detection
+from app.vision.turning import turned_box
+
+
+def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box]) -> float:
+    boxes = [one.box for one in detector.detect(frame)]
+    return float(np.mean([max([p.iou(b) for b in boxes], default=0) >= 0.5 for p in people]))
+
+
+def moved(box: Box, x: float, y: float) -> Box:
+    return Box(box.x + x, box.y + y, box.width, box.height)
+
+
+@pytest.mark.parametrize("name", ["network", "hog"])
+def test_walkers_are_found_and_nobody_else(
+    detector: NetworkDetector,
+    street: NDArray[np.uint8],
+    walkers: list[Box],
+    far_walkers: list[Box],
+    name: str,
+) -> None:
+    chosen: Detector = detector if name == "network" else HogDetector()
+    assert chosen.name == name
+    assert found_share(chosen, street, walkers) == 1
+    found = chosen.detect(street)
+    assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
+    for one in found:
+        assert one.turns == 0
+        assert max(one.box.iou(person) for person in (*walkers, *far_walkers)) > 0.4
+
+
+def test_the_network_is_surer_of_walkers_than_of_who_is_far_away(
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    scores = [
+        max(one.score for one in detector.detect(street) if one.box.iou(box) > 0.5)
+        for box in walkers
+    ]
+    assert min(scores) > 0.75
+
+
+def test_a_large_frame_is_searched_at_reduced_size(
+    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    large = cv2.resize(street, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    people = [box.scaled(4) for box in walkers]
+    for detector in (
+        HogDetector(min_person_px=200), NetworkDetector(movenet, min_person_px=200)
+    ):  # fmt: skip
+        assert found_share(detector, large, people) == 1
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (60, 45, 3), (20, 900, 3), (700, 20, 3)])
+@pytest.mark.parametrize("level", [0, 90, 255])
+def test_blank_frames_of_any_shape_hold_nobody(
+    detector: NetworkDetector, shape: tuple[int, ...], level: int
+) -> None:
+    blank = np.full(shape, level, np.uint8)
+    assert HogDetector().detect(blank) == []
+    assert detector.detect(blank) == []
+
+
+def crowd(street: NDArray[np.uint8], walkers: list[Box]) -> tuple[NDArray[np.uint8], list[Box]]:
+    """A frame of 894x640 pixels, which is shown in tiles, and its eighteen walkers."""
+    height, width = street.shape[:2]
+    people = [moved(box, x * width, y * height) for x in range(3) for y in range(2)
+              for box in walkers]  # fmt: skip
+    return np.tile(street, (2, 3, 1)), people
+
+
+def test_a_crowd_is_found_once_each(
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    frame, people = crowd(street, walkers)
+    assert found_share(detector, frame, people) > 0.9
+    boxes = [one.box for one in detector.detect(frame)]
+    for number, box in enumerate(boxes):
+        assert all(box.iou(other) < 0.4 for other in boxes[number + 1 :])
+
+
+@pytest.mark.parametrize("x", range(380, 560, 20))
+def test_one_person_across_two_tiles_is_one(
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], x: int
+) -> None:
+    """A walker moved pixel by pixel across the seams of a frame of 1000x500 on plain asphalt."""
+    left, top = round(walkers[1].x) - 12, round(walkers[1].y) - 12
+    patch = street[top : top + 130, left : left + 64]
+    frame = np.full((500, 1000, 3), street[240:300, 90:130].mean(axis=(0, 1)), np.uint8)
+    frame[200:330, x : x + 64] = patch
+    found = [one.box for one in detector.detect(frame)]
+    expected = moved(walkers[1], x - left, 200 - top)
+    assert [box.iou(expected) > 0.6 for box in found] == [True]
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_somebody_who_lies_is_found_and_told_to_lie(
+    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], turns: int
+) -> None:
+    lying = np.ascontiguousarray(np.rot90(street, turns))
+    large = cv2.resize(lying, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    truths = [turned_box(box, street.shape, turns).scaled(2) for box in walkers]
+    found = NetworkDetector(movenet, min_person_px=100).detect(large)
+    told = [one.turns for truth in truths for one in found if one.box.iou(truth) > 0.5]
+    assert told, "expected somebody who lies, found nobody"
+    assert set(told) == {-turns % 4}
+
+
+def test_threads_agree(detector: NetworkDetector, street: NDArray[np.uint8]) -> None:
+    for chosen in (detector, HogDetector()):
+        expected = chosen.detect(street)
+        with ThreadPoolExecutor(4) as pool:
+            for found in pool.map(lambda _, it=chosen: it.detect(street), range(6)):
+                assert found == expected
+
+
+def test_who_is_less_sure_than_asked_is_left_out(
+    movenet: MoveNet, street: NDArray[np.uint8]
+) -> None:
+    for make in (lambda least: NetworkDetector(movenet, min_score=least),
+                 lambda least: HogDetector(min_score=least)):  # fmt: skip
+        all_of_them: list[Detection] = make(0.0).detect(street)
+        second = all_of_them[1].score
+        assert make(second).detect(street) == all_of_them[:2]
+        assert len(all_of_them) > 2
+        assert make(1.0).detect(street) == []
+
+
+def test_candidates_are_judged_by_both(
+    detector: NetworkDetector, street: NDArray[np.uint8]
+) -> None:
+    boxes, turns, scores = detector.candidates(street)
+    assert len(boxes) == len(turns) == len(scores) >= len(detector.detect(street))
+    assert (np.diff(scores[:, 0]) <= 0).all()
+    best = detector.detect(street)[0]
+    assert best.score == pytest.approx(
+        sigmoid(log_odds(scores[:, 0], scores[:, 1])).max(), abs=1e-12
+    )
+
+
+def test_impossible_limits_are_refused(movenet: MoveNet) -> None:
+    for make in (HogDetector, lambda **limits: NetworkDetector(movenet, **limits)):
+        with pytest.raises(ValueError, match="min_person_px"):
+            make(min_person_px=0)
+        with pytest.raises(ValueError, match="min_score"):
+            make(min_score=2)
+
+
+@given(score=st.floats(0, 1), margin=st.floats(-5, 5), more=st.floats(0.01, 2))
+def test_each_detector_makes_the_other_surer(score: float, margin: float, more: float) -> None:
+    def odds(score: float, margin: float) -> float:
+        return float(log_odds(np.array([score]), np.array([margin]))[0])
+
+    assert np.isfinite(odds(score, margin))
+    assert odds(score, margin + more) > odds(score, margin)
+    assert odds(min(1, score + more), margin) >= odds(score, margin)
+
+
+@given(probability=st.floats(0.0002, 0.9998))
+def test_odds_and_probabilities_are_inverse(probability: float) -> None:
+    scores = np.array([probability])
+    assert sigmoid(logit(scores)) == pytest.approx(scores)
+
+
+def test_hog_gives_one_box_a_person(street: NDArray[np.uint8], walkers: list[Box]) -> None:
+    boxes, margins = hog_people(street, 50)
+    assert len(boxes) == len(margins) >= len(walkers)
+    assert (margins > 0).all()
+    for walker in walkers:
+        near = [walker.iou(Box(*box)) for box in boxes.tolist()]
+        assert sum(iou > 0.3 for iou in near) == 1

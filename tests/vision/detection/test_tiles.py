@@ -1,0 +1,137 @@
+"""How a frame is shown to the network: all of it, and at no more cost than a square frame."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from app.vision.detection.tiles import (
+    LARGEST_TILE_PX,
+    LONGEST_PX,
+    OVERLAP_PX,
+    OVERVIEW_PX,
+    SMALLEST_PERSON_PX,
+    THINNEST_PX,
+    WORTHWHILE,
+    Tile,
+    tiles_of,
+)
+
+people = st.integers(16, 400)
+sides = st.integers(1, 6000)
+
+
+def shown_px(tiles: list[Tile]) -> int:
+    return sum(math.prod(tile.size) for tile in tiles)
+
+
+@given(width=sides, height=sides, min_person_px=people)
+def test_tiles_cover_the_frame_and_stay_within_it(
+    width: int, height: int, min_person_px: int
+) -> None:
+    tiles = tiles_of(width, height, min_person_px)
+    assume(tiles)
+    assert tiles[0].window == (0, 0, width, height)
+    for tile in tiles:
+        left, top, columns, rows = tile.window
+        assert left >= 0 and top >= 0 and left + columns <= width and top + rows <= height
+    if len(tiles) > 1:
+        # Tiles are a grid, so along each side their spans must leave no gap.
+        for start, length, side in ((0, 2, width), (1, 3, height)):
+            spans = sorted({(one.window[start], one.window[length]) for one in tiles[1:]})
+            covered = 0
+            for first, size in spans:
+                assert first <= covered
+                covered = max(covered, first + size)
+            assert covered == side
+
+
+@given(width=sides, height=sides, min_person_px=people)
+def test_neighbouring_tiles_overlap(width: int, height: int, min_person_px: int) -> None:
+    tiles = tiles_of(width, height, min_person_px)[1:]
+    for start, length in ((0, 2), (1, 3)):
+        spans = sorted({(one.window[start], one.window[length]) for one in tiles})
+        for (first, size), (second, _) in pairwise(spans):
+            # Windows are whole pixels.
+            assert (first + size - second) >= OVERLAP_PX / tiles[0].factor - 2
+
+
+@given(width=sides, height=sides, min_person_px=people)
+def test_nothing_larger_is_shown_than_allowed(width: int, height: int, min_person_px: int) -> None:
+    for tile in tiles_of(width, height, min_person_px):
+        columns, rows = tile.size
+        # Windows end on whole pixels: up to two more on each side, as shown.
+        more = 2 * max(tile.factor, 1)
+        assert (columns - more) * (rows - more) <= LARGEST_TILE_PX
+        assert max(columns, rows) <= LONGEST_PX + more
+
+
+@given(width=sides, height=sides, min_person_px=people)
+def test_the_smallest_wanted_person_is_shown_as_large_as_needed(
+    width: int, height: int, min_person_px: int
+) -> None:
+    tiles = tiles_of(width, height, min_person_px)
+    assume(tiles)
+    finest = max(tile.factor for tile in tiles)
+    longer = max(width, height)
+    wanted = min(SMALLEST_PERSON_PX / min_person_px, LONGEST_PX / longer)
+    assert finest * WORTHWHILE >= wanted * (1 - 1e-9)
+    # Nor finer than that.
+    assert finest <= wanted * (1 + 1e-9)
+
+
+ONLY_JUST_WORTHWHILE = int((WORTHWHILE * OVERVIEW_PX) ** 2)
+"""What all tiles show together where they are only just worth the while."""
+
+
+@given(pixels=st.integers(1, 12_500_000), aspect=st.floats(-7, 7), min_person_px=people)
+def test_no_shape_costs_more_than_a_square_of_as_many_pixels(
+    pixels: int, aspect: float, min_person_px: int
+) -> None:
+    """But for a constant: a frame that is longer may be worth tiles where the square is not."""
+    width = min(pixels, max(1, round(math.sqrt(pixels * 10**aspect))))
+    height = max(1, pixels // width)
+    side = math.isqrt(width * height)
+    ours, square = (
+        shown_px(tiles_of(*frame, min_person_px)) for frame in ((width, height), (side, side))
+    )
+    assert ours <= square + ONLY_JUST_WORTHWHILE
+
+
+@given(width=st.integers(1, 10**7), height=st.integers(1, 10**7), min_person_px=people)
+def test_a_frame_of_any_size_takes_a_bounded_time(
+    width: int, height: int, min_person_px: int
+) -> None:
+    tiles = tiles_of(width, height, min_person_px)
+    # The finest resolution, every pixel of it twice at most, and the overview.
+    assert shown_px(tiles) <= 2 * LONGEST_PX**2 + OVERVIEW_PX**2
+
+
+@pytest.mark.parametrize("frame", [(2000, 2), (2, 2000), (10**6, 12), (1, 1), (11, 11)])
+def test_nobody_is_looked_for_in_thin_frames(frame: tuple[int, int]) -> None:
+    assert tiles_of(*frame, 50) == []
+
+
+@given(width=sides, height=sides, min_person_px=people)
+def test_who_is_shown_at_all_is_not_too_thin(width: int, height: int, min_person_px: int) -> None:
+    tiles = tiles_of(width, height, min_person_px)
+    assume(tiles)
+    finest = max(tile.factor for tile in tiles)
+    assert min(width, height) * finest >= THINNEST_PX * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("frame", [(298, 320), (640, 480), (1280, 720), (200, 2000)])
+def test_a_turned_frame_has_turned_tiles(frame: tuple[int, int]) -> None:
+    def windows(tiles: list[Tile]) -> np.ndarray:
+        return np.array(sorted(tile.window for tile in tiles))
+
+    here, there = tiles_of(*frame, 40), tiles_of(*frame[::-1], 40)
+    assert shown_px(here) == pytest.approx(shown_px(there), rel=0.02)
+    assert sorted(map(tuple, windows(there)[:, [1, 0, 3, 2]].tolist())) == sorted(
+        map(tuple, windows(here).tolist())
+    )

@@ -1,0 +1,124 @@
+"""Keypoints of one person: the window about them, and the right one of several people."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from app.vision.keypoints.reader import LONG_PX, ROOM, SHORT_PX, KeypointReader, keypoint_window
+from app.vision.people import COCO_NAMES, Box
+from app.vision.resampling import resize
+
+sides, places = st.floats(1, 900), st.floats(-300, 900)
+
+
+@given(places, places, sides, sides)
+def test_the_person_is_in_the_middle_of_the_window_with_room(
+    x: float, y: float, width: float, height: float
+) -> None:
+    box = Box(x, y, width, height)
+    (left, top, columns, rows), shown_columns, shown_rows = keypoint_window(box)
+    # Whole pixels: up to one and a half of them on each side.
+    assert left - 1.5 <= box.x and box.right <= left + columns + 0.5
+    assert top - 1.5 <= box.y and box.bottom <= top + rows + 0.5
+    assert abs(left - 0.5 + columns / 2 - (x + width / 2)) <= 1
+    assert abs(top - 0.5 + rows / 2 - (y + height / 2)) <= 1
+    assert max(width / columns, height / rows) == pytest.approx(1 / ROOM, rel=0.6 / min(columns, 1))
+    # The long side is along the person, and nothing is squeezed.
+    assert (shown_columns, shown_rows) == (
+        (LONG_PX, SHORT_PX) if width > height else (SHORT_PX, LONG_PX)
+    )
+    assert abs(columns * shown_rows - rows * shown_columns) <= max(shown_rows, shown_columns)
+
+
+@given(places, places, sides, sides)
+def test_windows_of_somebody_turned_are_turned(
+    x: float, y: float, width: float, height: float
+) -> None:
+    if width == height:
+        return
+    (_, _, columns, rows), *shown = keypoint_window(Box(x, y, width, height))
+    (_, _, rows_turned, columns_turned), *shown_turned = keypoint_window(Box(y, x, height, width))
+    assert (columns, rows, shown) == (columns_turned, rows_turned, shown_turned[::-1])
+
+
+def test_keypoints_lie_in_the_box_and_the_head_is_up(
+    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
+) -> None:
+    for box in (*walkers, *far_walkers):
+        seen = reader.read(street, box)
+        assert seen is not None
+        reach = 0.1 * box.height
+        x, y = seen.positions.T
+        assert ((x > box.x - reach) & (x < box.right + reach)).all()
+        assert ((y > box.y - reach) & (y < box.bottom + reach)).all()
+        rows = dict(zip(COCO_NAMES, y, strict=True))
+        for side in ("left", "right"):
+            order = [rows[f"{side}_{name}"] for name in ("ear", "shoulder", "hip", "knee", "ankle")]
+            assert order == sorted(order)
+
+
+def test_the_right_one_of_two_neighbours_is_read(
+    reader: KeypointReader, street: NDArray[np.uint8], far_walkers: list[Box]
+) -> None:
+    """They stand a body's width apart: each is in the window of the other."""
+    left, right = far_walkers
+    (x, _, columns, _), _, _ = keypoint_window(left)
+    assert right.x < x + columns
+    for box in far_walkers:
+        seen = reader.read(street, box)
+        assert seen is not None
+        assert box.x < np.median(seen.positions[:, 0]) < box.right
+
+
+def test_a_picture_of_another_size_has_the_same_keypoints(
+    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    large = resize(street, 3 * street.shape[1], 3 * street.shape[0])
+    for box in walkers:
+        here, there = reader.read(street, box), reader.read(large, box.scaled(3))
+        assert here is not None and there is not None
+        apart = np.linalg.norm(there.scaled(1 / 3).positions - here.positions, axis=1)
+        # What is resized twice is blurred: a fiftieth of the person's height.
+        assert np.median(apart) < 2
+
+
+def test_keypoints_move_with_the_person(
+    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    """The window moves with the box, so what the network sees is the same to the last bit."""
+    large = np.zeros((400, 400, 3), np.uint8)
+    large[60:380, 70:368] = street
+    bordered = np.zeros((400, 400, 3), np.uint8)
+    bordered[:320, :298] = street
+    for box in walkers:
+        here = reader.read(bordered, box)
+        there = reader.read(large, Box(box.x + 70, box.y + 60, box.width, box.height))
+        assert here is not None and there is not None
+        assert_allclose(there.positions, np.add(here.positions, (70, 60)))
+        assert_allclose(there.scores, here.scores)
+
+
+@pytest.mark.parametrize("level", [0, 127, 255])
+def test_where_nobody_is_nothing_is_read(reader: KeypointReader, level: int) -> None:
+    blank = np.full((240, 320, 3), level, np.uint8)
+    assert reader.read(blank, Box(100, 40, 60, 150)) is None
+
+
+@pytest.mark.parametrize("box", [Box(-40, -30, 20, 60), Box(60, 200, 30, 80)])
+def test_a_box_beside_people_has_none_of_theirs(
+    reader: KeypointReader, street: NDArray[np.uint8], box: Box
+) -> None:
+    assert reader.read(street, box) is None
+
+
+@pytest.mark.parametrize("box", [Box(5, 5, 1, 1), Box(0, 0, 298, 2), Box(-500, 20, 2000, 100)])
+def test_odd_boxes_are_survived(
+    reader: KeypointReader, street: NDArray[np.uint8], box: Box
+) -> None:
+    seen = reader.read(street, box)
+    assert seen is None or np.isfinite(seen.positions).all()

@@ -1,0 +1,90 @@
+"""Networks run by LiteRT: the same numbers for all threads, and a clear word on other files."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from app.vision.runtime.tflite import NetworkError, TfliteNetwork
+from app.vision.segmentation.body_network import COLUMNS, ROWS
+from app.vision.weights import network_path
+
+ENTERING, LEAVING = (ROWS, COLUMNS, 3), [(ROWS, COLUMNS, 1)]
+HEADS = [(None, None, channels) for channels in (1, 2, 2, 34, 17, 34)]
+
+
+@pytest.fixture(scope="module")
+def path() -> Path:
+    return network_path("body_mask")
+
+
+def images(count: int, *shape: int) -> list[np.ndarray]:
+    return list(np.random.default_rng(0).random((count, *shape), np.float32))
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_threads_agree(path: Path, copies: int) -> None:
+    network = TfliteNetwork(path, ENTERING, LEAVING, copies=copies)
+    shown = images(8, *ENTERING)
+    expected = [network.run(image)[0] for image in shown]
+    with ThreadPoolExecutor(4) as pool:
+        for (found,), wanted in zip(pool.map(network.run, shown), expected, strict=True):
+            assert_array_equal(found, wanted)
+
+
+def test_a_pass_shared_by_two_threads_gives_the_same(path: Path) -> None:
+    (image,) = images(1, *ENTERING)
+    alone, shared = (
+        TfliteNetwork(path, ENTERING, LEAVING, threads=threads).run(image)[0] for threads in (1, 2)
+    )
+    # Sums may be added in another order, in single precision.
+    assert_allclose(shared, alone, atol=1e-3)
+
+
+def test_what_it_gave_stays_when_it_runs_again(path: Path) -> None:
+    network = TfliteNetwork(path, ENTERING, LEAVING)
+    first, second = images(2, *ENTERING)
+    (given,) = network.run(first)
+    kept = given.copy()
+    network.run(second)
+    assert_array_equal(given, kept)
+
+
+def test_where_sizes_are_open_any_size_after_any_other_gives_the_same() -> None:
+    path = network_path("movenet")
+    network = TfliteNetwork(path, (None, None, 3), HEADS)
+    for height, width in ((64, 96), (128, 32), (64, 96), (32, 32)):
+        (image,) = images(1, height, width, 3)
+        fresh = TfliteNetwork(path, (None, None, 3), HEADS)
+        for ours, theirs in zip(network.run(255 * image), fresh.run(255 * image), strict=True):
+            assert ours.shape[:2] == (height // 4, width // 4)
+            assert_array_equal(ours, theirs)
+
+
+def test_a_missing_or_broken_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(NetworkError, match="cannot read"):
+        TfliteNetwork(tmp_path / "missing.tflite", ENTERING, LEAVING)
+    broken = tmp_path / "broken.tflite"
+    for content in (b"", b"not a network" * 100):
+        broken.write_bytes(content)
+        with pytest.raises(NetworkError, match=r"broken\.tflite is not a network LiteRT can run"):
+            TfliteNetwork(broken, ENTERING, LEAVING)
+
+
+def test_half_a_network_is_told(path: Path, tmp_path: Path) -> None:
+    half = tmp_path / "half.tflite"
+    content = path.read_bytes()
+    half.write_bytes(content[: len(content) // 2])
+    with pytest.raises(NetworkError, match="LiteRT"):
+        TfliteNetwork(half, ENTERING, LEAVING)
+
+
+def test_another_network_is_told(path: Path) -> None:
+    with pytest.raises(NetworkError, match=r"outputs \[\(256, 192, 2\)\], got .*256, 192, 1"):
+        TfliteNetwork(path, ENTERING, [(ROWS, COLUMNS, 2)])
+    with pytest.raises(NetworkError, match="one input"):
+        TfliteNetwork(path, (None, None, 3), HEADS)
