@@ -15,6 +15,8 @@ import uvicorn
 
 from app.logs import log_config
 from app.settings import Settings, SettingsError, read_settings
+from app.vision.runtime.tflite import NetworkError
+from app.vision.weights import check_networks
 
 GRACE_S = 15
 # Longer than a camera that sends a frame a minute waits between two.
@@ -26,7 +28,8 @@ def main() -> None:
     try:
         settings = read_settings()
         check_address(settings.host, settings.port)
-    except SettingsError as error:
+        check_networks()
+    except (SettingsError, NetworkError) as error:
         sys.exit(str(error))
     serve(settings)
 

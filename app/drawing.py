@@ -6,18 +6,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Estimate, Scene
+from app.estimates import Estimate, Person, Scene
 from index.skeleton import KeypointSet
 
-COLOURS = ((66, 165, 255), (80, 220, 100), (255, 120, 80), (230, 110, 230), (90, 230, 240))
-"""Of people, BGR; bright enough for night scenes, dark enough for snow."""
+PEOPLE = (
+    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224), (25, 195, 224), (196, 196, 35),
+)  # fmt: skip
+"""Of people, BGR, as the debug page draws them; bright enough for night, dark enough for snow."""
 
 SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
 """Of limbs, BGR: the person's own left orange, right blue; as the debug page draws them."""
 
+OUTLINE = (255, 255, 255)
+
+LEGEND = (("person's left", SIDES["left"]), ("right", SIDES["right"]), ("silhouette", OUTLINE))
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT_PX = 22
+"""Height of a capital letter at scale 1."""
+
 
 def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
-    """Draw the frame with boxes, outlines of silhouettes and the best skeletons.
+    """Draw the frame with numbered boxes, outlines of silhouettes and the best skeletons.
 
     Parameters
     ----------
@@ -27,29 +37,75 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
 
     Returns
     -------
-    (H, W, 3) uint8 array
-        BGR, a copy.
+    (H + L, W, 3) uint8 array
+        BGR: the frame, and below it L rows that say what the colours mean.
     """
     picture = estimate.frame.copy()
-    line = max(1, round(max(picture.shape[:2]) / 500))
-    for number, person in enumerate(estimate.persons):
-        colour = COLOURS[number % len(COLOURS)]
+    longer = max(picture.shape[:2])
+    line, letter = max(1, round(longer / 500)), max(11, longer // 50)
+    for number, person in enumerate(estimate.persons, start=1):
+        _draw_person(picture, person, PEOPLE[(number - 1) % len(PEOPLE)], keypoints, line)
+    # Afterwards: a number is not covered by whoever stands behind.
+    for number, person in enumerate(estimate.persons, start=1):
         box = person.found.box
-        corners = np.round([box.x, box.y, box.x + box.width, box.y + box.height]).astype(int)
-        cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, line)
-        silhouette = person.found.silhouette
-        if silhouette is not None:
-            outlines, _ = cv2.findContours(
-                silhouette.crop.astype(np.uint8),
-                cv2.RETR_EXTERNAL,
-                cv2.CHAIN_APPROX_NONE,
-                offset=(silhouette.left, silhouette.top),
-            )
-            cv2.drawContours(picture, outlines, -1, (255, 255, 255), line)
-        if person.hypotheses:
-            points = person.hypotheses[0].points_2d[list(keypoints.indices)]
-            draw_skeleton(picture, points, keypoints, line + 1)
-    return picture
+        corner = max(0, round(box.x)), max(letter + 2, round(box.y) - 2 - line)
+        _write(picture, str(number), corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
+    return np.vstack([picture, _legend(picture.shape[1], letter)])
+
+
+def _draw_person(
+    picture: NDArray[np.uint8],
+    person: Person,
+    colour: tuple[int, int, int],
+    keypoints: KeypointSet,
+    line: int,
+) -> None:
+    box, silhouette = person.found.box, person.found.silhouette
+    # Who is small would vanish under lines that suit the frame.
+    thin = min(line, max(1, round(box.height / 100)))
+    corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
+    cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, thin)
+    if silhouette is not None:
+        outlines, _ = cv2.findContours(
+            silhouette.crop.astype(np.uint8),
+            cv2.RETR_EXTERNAL,
+            cv2.CHAIN_APPROX_NONE,
+            offset=(silhouette.left, silhouette.top),
+        )
+        cv2.drawContours(picture, outlines, -1, OUTLINE, thin)
+    if person.hypotheses:
+        points = person.hypotheses[0].points_2d[list(keypoints.indices)]
+        bone = min(line + 1, max(1, round(box.height / 60)))
+        draw_skeleton(picture, points, keypoints, bone)
+
+
+def _legend(width: int, letter: int) -> NDArray[np.uint8]:
+    """Draw a strip that tells the colours; in a narrow one the letters shrink."""
+    text = "   ".join(name for name, _ in LEGEND)
+    samples = 2 * letter * len(LEGEND)
+    wide = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0] + samples + 2 * letter
+    letter = max(1, min(letter, letter * width // wide))
+    strip = np.full((3 * letter, width, 3), 32, np.uint8)
+    left = letter
+    for name, colour in LEGEND:
+        cv2.line(strip, (left, 3 * letter // 2), (left + letter, 3 * letter // 2), colour, 3)
+        left = _write(strip, name, (left + 3 * letter // 2, 2 * letter), letter, (235, 235, 235))
+        left += letter
+    return strip
+
+
+def _write(
+    picture: NDArray[np.uint8],
+    text: str,
+    corner: tuple[int, int],
+    letter: int,
+    colour: tuple[int, int, int],
+) -> int:
+    """Write with a dark seam from the bottom left corner on; return the column where it ends."""
+    scale, line = letter / _FONT_PX, max(1, letter // 9)
+    for width, paint in ((line + 2, (0, 0, 0)), (line, colour)):
+        cv2.putText(picture, text, corner, _FONT, scale, paint, width, cv2.LINE_AA)
+    return corner[0] + int(cv2.getTextSize(text, _FONT, scale, line)[0][0])
 
 
 def draw_labels(scene: Scene) -> NDArray[np.uint8]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.facing import Facing
-from app.vision.people import Box, Silhouette
+from app.vision.people import Box, ObservedKeypoints, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
 
-Source = Literal["hog", "mask", "boxes", "background"]
+Source = Literal["detector", "mask", "boxes", "background"]
 
-STAGES = ("decode", "detect", "segment", "describe", "search")
+Evidence = Literal["photograph", "silhouette"]
+"""What poses are estimated from: silhouettes and what the photograph shows, or they alone."""
+
+STAGES = ("decode", "detect", "segment", "keypoints", "describe", "search")
 
 
 class UploadError(ValueError):
@@ -48,8 +51,8 @@ class Upload:
 
     Parameters
     ----------
-    frame : bytes
-        Encoded photograph.
+    frame : bytes, optional
+        Encoded photograph; may be missing where there is a mask.
     mask : bytes, optional
         Encoded label image of the same size: 0 background, k = person k.
     background : bytes, optional
@@ -58,12 +61,14 @@ class Upload:
         In pixels of the frame. A mask says all, so neither of the others may come with it.
     """
 
-    frame: bytes
+    frame: bytes | None = None
     mask: bytes | None = None
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
 
     def __post_init__(self) -> None:
+        if self.frame is None and self.mask is None:
+            raise UploadError("frame", "misfit", "frame: expected an image file, got none")
         for name in ("background", "boxes"):
             if self.mask is not None and getattr(self, name) is not None:
                 raise UploadError(name, "misfit", f"expected a mask or {name}, got both")
@@ -81,7 +86,9 @@ class Found:
     detection_score : float or None
         None where nothing was detected because the caller said where people are.
     silhouette : Silhouette or None
-        None where a caller's box holds none.
+        Of the frame as it came; None where a caller's box holds none.
+    keypoints : ObservedKeypoints or None
+        Pixels of the frame; None where none were read.
     turns : int
         Quarter turns that set the person upright; see :class:`app.vision.people.Detection`.
     """
@@ -90,6 +97,7 @@ class Found:
     source: Source
     detection_score: float | None
     silhouette: Silhouette | None
+    keypoints: ObservedKeypoints | None = None
     turns: int = 0
 
 
@@ -101,7 +109,7 @@ class PlacedHypothesis:
     ----------
     hypothesis : Hypothesis
     distance, confidence : float
-        From all that is known of the person; see :class:`app.weighing.Weighed`.
+        From all that is known of the person; see :class:`app.reranking.Ranked`.
     label : Label
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
@@ -150,28 +158,13 @@ class Scene:
 
     Parameters
     ----------
-    decoded : callable
-        Gives the frame, (H, W, 3) uint8, BGR; it may have to wait for it.
+    frame : (H, W, 3) uint8 array
+        BGR; black where the caller sent a mask alone.
     people : tuple of Found
     """
 
-    decoded: Callable[[], NDArray[np.uint8]]
+    frame: NDArray[np.uint8]
     people: tuple[Found, ...]
-
-    def turned(self, turns: int) -> Scene:
-        """The same scene turned counterclockwise by so many quarters, without the people."""
-        return Scene(lambda: np.rot90(self.frame, turns), ())
-
-    @property
-    def frame(self) -> NDArray[np.uint8]:
-        """The decoded frame.
-
-        Raises
-        ------
-        UploadError
-            If people were found without it, and it cannot be used.
-        """
-        return self.decoded()
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from app.estimates import (
     Estimate,
+    Evidence,
     Found,
     Person,
     PlacedHypothesis,
@@ -21,53 +21,42 @@ from app.estimates import (
     Upload,
     UploadError,
 )
-from app.process import give_way
+from app.reranking import rank_by_keypoints, rank_by_silhouette
 from app.settings import Settings
-from app.vision.background import BackgroundSegmenter
-from app.vision.decode import ImageError, ImageTooLargeError, decode_image, decode_mask
-from app.vision.detect import Detector
-from app.vision.facing_evidence import AzimuthBelief, FacingReader, FacingView
-from app.vision.joints import JointReader
-from app.vision.lying import is_wide, segment_either_way, segment_people, which_way_up
-from app.vision.networks import load_networks
-from app.vision.people import Box, Silhouette
-from app.vision.people_detector import make_detector
-from app.vision.segment import Segmenter, make_segmenter, silhouettes_from_labels
-from app.vision.turning import turned_points, turned_shape, turned_silhouette
-from app.vision.workers import Workers
-from app.weighing import weigh, weigh_by_image
-from descriptor.silhouette import Placement, normalise
-from index.joint_maps import JointMaps
-from index.matching import Hypothesis, leaning_further, match, match_with_spares
+from app.upright import UprightPerson
+from app.vision.decoding.decode import (
+    ImageError,
+    ImageTooLargeError,
+    LabelImage,
+    decode_image,
+    decode_mask,
+)
+from app.vision.detection.detector import Detector, HogDetector, NetworkDetector
+from app.vision.keypoints.movenet import MoveNet
+from app.vision.keypoints.reader import KeypointReader
+from app.vision.people import Box, ObservedKeypoints, Silhouette
+from app.vision.segmentation.background import BackgroundSegmenter
+from app.vision.segmentation.body_network import BodyNetwork
+from app.vision.segmentation.segment import NetworkSegmenter, Segmenter, silhouettes_from_labels
+from app.vision.segmentation.truncation import end_beyond_border
+from app.vision.turning import (
+    turned_box,
+    turned_keypoints,
+    turned_shape,
+    turned_silhouette,
+    turns_upright,
+)
+from app.vision.weights import network_path
+from app.workers import Workers
+from index.matching import Hypothesis, match, match_with_spares
 from index.store import Label, PoseIndex
 
 T = TypeVar("T")
 Check = Callable[[], None]
 """Called between steps; raises where the work is no longer wanted."""
 
-
-@dataclass(frozen=True)
-class Look:
-    """What is asked about a person, while the photograph is looked at.
-
-    Parameters
-    ----------
-    silhouette : Silhouette
-        In the frame turned so that the person is upright.
-    normalised : (128, 48) uint8 array
-    placement : Placement
-        From the silhouette's crop to the normalised frame.
-    maps : Future of JointMaps, optional
-        Where joints are, where they are read.
-    belief : Future of AzimuthBelief or None
-        Which way the person faces, if anything shows it.
-    """
-
-    silhouette: Silhouette
-    normalised: NDArray[np.uint8]
-    placement: Placement
-    maps: Future[JointMaps] | None
-    belief: Future[AzimuthBelief | None]
+# Two threads share a pass of a network nearly without loss; more do not.
+_NETWORK_THREADS = 2
 
 
 class Estimator:
@@ -78,6 +67,7 @@ class Estimator:
     index : PoseIndex
     detector : Detector
     segmenter : Segmenter
+    keypoint_reader : KeypointReader
     min_person_px : float
         Height of the smallest person wanted, where a background is given.
     max_pixels : int
@@ -85,11 +75,6 @@ class Estimator:
     max_persons : int
         Detections beyond are dropped, the least sure first; a caller who names more people
         is refused.
-    facing_reader : FacingReader, optional
-        Tells from the photograph which way a person faces; without it, nothing does.
-    joint_reader : JointReader, optional
-        Tells from the photograph where the joints of a person are whom the service cut out itself.
-        A caller's mask is taken at its word, and answered sooner.
     concurrency : int
         Frames that are worked on at once.
     """
@@ -99,30 +84,21 @@ class Estimator:
         index: PoseIndex,
         detector: Detector,
         segmenter: Segmenter,
+        keypoint_reader: KeypointReader,
         *,
         min_person_px: float,
         max_pixels: int,
         max_persons: int,
-        facing_reader: FacingReader | None = None,
-        joint_reader: JointReader | None = None,
         concurrency: int = 1,
     ) -> None:
         self.index = index
         self.detector = detector
         self.segmenter = segmenter
+        self._reader = keypoint_reader
         self._min_person_px = min_person_px
         self._max_pixels = max_pixels
         self._max_persons = max_persons
-        self._facing_reader = facing_reader
-        self._joint_reader = joint_reader
-        self._concurrency = concurrency
-        # What one request can do at the same time: the photograph is decoded and looked at while
-        # its mask is decoded and matched; several people are matched. Images, search and much of
-        # the arithmetic let go of the interpreter.
-        self._aside = ThreadPoolExecutor(
-            concurrency, thread_name_prefix="photograph", initializer=give_way
-        )
-        self._matchers = Workers(concurrency)
+        self._workers = Workers(concurrency)
 
     @classmethod
     def load(cls, settings: Settings) -> Estimator:
@@ -132,47 +108,42 @@ class Estimator:
         ------
         ArtefactError
             If the index cannot be used.
-        OnnxError
-            If a network of the package is missing or broken.
-        FaceError
-            If OpenCV lacks its cascade for faces.
+        NetworkError
+            If a network of the package is missing or altered.
         """
-        workers = Workers(settings.concurrency)
-        networks = load_networks(settings.models, workers)
-        segmenter = make_segmenter(networks, workers)
-        reader = JointReader(workers=workers)
+        threads = min(_NETWORK_THREADS, settings.concurrency)
+        copies = max(1, settings.concurrency // threads)
+        movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
+        body = BodyNetwork(network_path("body_mask"), threads=threads, copies=copies)
         smallest = settings.min_person_px
+        detector: Detector = (
+            HogDetector(min_person_px=smallest)
+            if settings.detector == "hog"
+            else NetworkDetector(movenet, min_person_px=smallest)
+        )
         return cls(
             PoseIndex.load(settings.index),
-            make_detector(networks, segmenter, reader, min_person_px=smallest, workers=workers),
-            segmenter,
+            detector,
+            NetworkSegmenter(body),
+            KeypointReader(movenet),
             min_person_px=smallest,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            facing_reader=FacingReader(),
-            joint_reader=reader,
             concurrency=settings.concurrency,
         )
 
     def warm_up(self) -> None:
         """Do once what is slow the first time, so that the first caller does not wait for it."""
         frame = np.full((240, 320, 3), 127, np.uint8)
+        box = Box(120.0, 40.0, 60.0, 160.0)
         self.detector.detect(frame)
-        self.segmenter.segment(frame, [Box(120.0, 40.0, 60.0, 160.0)])
-        silhouette = self.index.silhouette(0)
-        match(self.index, silhouette, 1)
-        if self._facing_reader is not None:
-            body = Silhouette(np.ones((160, 60), bool), 120, 40, "mask", False)
-            frame[::2] = 0  # A blank head is not looked at.
-            # As many at once as there are threads: each has a network of its own to set up.
-            looks = [
-                self._aside.submit(self._facing_reader.read, frame, body)
-                for _ in range(self._concurrency)
-            ]
-            for look in looks:
-                look.result()
+        self.segmenter.segment(frame, [box])
+        self._reader.read(frame, box)
+        match(self.index, self.index.silhouette(0), 1)
 
-    def estimate(self, upload: Upload, n: int, check: Check) -> Estimate:
+    def estimate(
+        self, upload: Upload, n: int, check: Check, evidence: Evidence = "photograph"
+    ) -> Estimate:
         """Find the ``n`` nearest distinct poses of every person.
 
         Parameters
@@ -181,6 +152,9 @@ class Estimator:
         n : int
         check : callable
             Called between steps; raises where the work is no longer wanted.
+        evidence : str
+            ``photograph``: what it shows counts beside the silhouettes; ``silhouette``: they
+            alone, as in the paper.
 
         Raises
         ------
@@ -188,29 +162,30 @@ class Estimator:
             If the images or boxes cannot be used.
         """
         watch = Stopwatch()
-        scene = self.find_people(upload, check, watch)
+        scene = self.find_people(upload, check, watch, evidence)
+        if evidence == "photograph" and upload.frame is not None:
+            scene = self.with_keypoints(scene, check, watch)
         persons = self.with_hypotheses(scene, n, check, watch)
-        with watch.stage("decode"):
-            frame = scene.frame
-        return Estimate(frame, persons, {**watch.milliseconds, "total": watch.total()})
+        return Estimate(scene.frame, persons, {**watch.milliseconds, "total": watch.total()})
 
-    def find_people(self, upload: Upload, check: Check, watch: Stopwatch) -> Scene:
+    def find_people(
+        self, upload: Upload, check: Check, watch: Stopwatch, evidence: Evidence = "photograph"
+    ) -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
         check()
-        if upload.mask is not None:
-            return self._from_mask(upload.frame, upload.mask, watch)
         with watch.stage("decode"):
-            frame = self._decode("frame", upload.frame, decode_image)
+            frame, mask, background = self._decoded(upload)
         check()
-        scene = self._background(upload.background, frame, watch)
-        check()
-        if upload.boxes is not None:
-            people = self._in_boxes(upload.boxes, frame, scene or self.segmenter, watch)
-        elif scene is not None:
-            people = self._detected(frame, "background", scene, scene, check, watch)
+        read = evidence == "photograph" and upload.frame is not None
+        if mask is not None:
+            people = self._in_mask(mask, frame, read, watch)
+        elif upload.boxes is not None:
+            people = self._in_boxes(upload.boxes, frame, background or self.segmenter, read, watch)
+        elif background is not None:
+            people = self._detected(frame, "background", background, background, check, watch)
         else:
-            people = self._detected(frame, "hog", self.detector, self.segmenter, check, watch)
-        return Scene(lambda: frame, _left_to_right(people))
+            people = self._detected(frame, "detector", self.detector, self.segmenter, check, watch)
+        return Scene(frame, tuple(sorted(people, key=lambda found: found.box.x)))
 
     def detect(self, frame: bytes, check: Check) -> tuple[Found, ...]:
         """Find the people of a frame by their boxes alone, the surest first."""
@@ -218,170 +193,58 @@ class Estimator:
         pixels = self._decode("frame", frame, decode_image)
         check()
         detections = self.detector.detect(pixels)[: self._max_persons]
-        return tuple(Found(d.box, "hog", d.score, None) for d in detections)
+        return tuple(Found(d.box, "detector", d.score, None, turns=d.turns) for d in detections)
 
-    def _detected(
-        self,
-        frame: NDArray[np.uint8],
-        source: Source,
-        detector: Detector,
-        segmenter: Segmenter,
-        check: Check,
-        watch: Stopwatch,
-    ) -> list[Found]:
-        with watch.stage("detect"):
-            detections = detector.detect(frame)[: self._max_persons]
-        check()
-        with watch.stage("segment"):
-            silhouettes = segment_people(segmenter, frame, detections)
-            # Where no silhouette is found in a detection, it was hardly a person.
-            found = [
-                Found(detection.box, source, detection.score, silhouette, detection.turns)
-                for detection, silhouette in zip(detections, silhouettes, strict=True)
-                if silhouette is not None
-            ]
-            return [self._either_way(one, lambda: frame, segmenter) for one in found]
-
-    def _in_boxes(
-        self,
-        boxes: Sequence[Box],
-        frame: NDArray[np.uint8],
-        segmenter: Segmenter,
-        watch: Stopwatch,
-    ) -> list[Found]:
-        self._check_count("boxes", len(boxes))
-        height, width = frame.shape[:2]
-        inside = [_clip(box, width, height, position) for position, box in enumerate(boxes)]
-        with watch.stage("segment"):
-            silhouettes = segmenter.segment(frame, inside)
-            return [
-                self._either_way(Found(box, "boxes", None, silhouette), lambda: frame, segmenter)
-                for box, silhouette in zip(inside, silhouettes, strict=True)
-            ]
-
-    def _from_mask(self, frame_data: bytes, mask_data: bytes, watch: Stopwatch) -> Scene:
-        """Find people without waiting for the frame, which is decoded meanwhile."""
-        later = self._aside.submit(self._decode, "frame", frame_data, decode_image)
-        try:
-            with watch.stage("decode"):
-                image = self._decode("mask", mask_data, decode_mask)
-            with watch.stage("segment"):
-                silhouettes = silhouettes_from_labels(image)
-            self._check_count("mask", len(silhouettes))
-        except UploadError:
-            # Where both are broken, it is the frame that the caller hears of.
-            later.result()
-            raise
-
-        def decoded() -> NDArray[np.uint8]:
-            frame = later.result()
-            _check_size("mask", image.labels, frame)
-            return frame
-
-        found = [Found(s.box, "mask", None, s) for s in silhouettes]
-        with watch.stage("segment"):
-            found = [self._either_way(one, decoded) for one in found]
-        return Scene(decoded, _left_to_right(found))
-
-    def _either_way(
-        self,
-        found: Found,
-        frame: Callable[[], NDArray[np.uint8]],
-        segmenter: Segmenter | None = None,
-    ) -> Found:
-        """Tell which way up somebody is whose box is wide."""
-        reader, silhouette = self._joint_reader, found.silhouette
-        if reader is None or found.turns or not is_wide(found.box):
-            return found
-        if segmenter is self.segmenter:
-            silhouette, turns = segment_either_way(
-                segmenter, reader, frame(), found.box, silhouette
-            )
-        elif silhouette is None:
-            return found
-        else:
-            # A mask, and what differs from the empty scene, are the same whichever way.
-            _, turns = which_way_up(reader, frame(), silhouette)
-        return replace(found, silhouette=silhouette, turns=turns)
-
-    def _background(
-        self, data: bytes | None, frame: NDArray[np.uint8], watch: Stopwatch
-    ) -> BackgroundSegmenter | None:
-        if data is None:
-            return None
-        with watch.stage("decode"):
-            background = self._decode("background", data, decode_image)
-        _check_size("background", background, frame)
-        return BackgroundSegmenter(background, min_person_px=self._min_person_px)
+    def with_keypoints(self, scene: Scene, check: Check, watch: Stopwatch) -> Scene:
+        """Read the keypoints of people with silhouettes from the photograph."""
+        with watch.stage("keypoints"):
+            people = []
+            for found in scene.people:
+                check()
+                keypoints = self._read(scene.frame, found)
+                people.append(_with_keypoints(found, keypoints, scene.frame.shape))
+        return replace(scene, people=tuple(people))
 
     def with_hypotheses(
         self, scene: Scene, n: int, check: Check, watch: Stopwatch
     ) -> tuple[Person, ...]:
-        """Find the poses that fit people's silhouettes, ordered by what the photograph shows."""
+        """Find the poses that fit people's silhouettes and keypoints."""
         with watch.stage("describe"):
-            looks = [self._look_at(scene, found, check) for found in scene.people]
-            for look in looks:
-                check()
-                if look is not None and look.maps is not None:
-                    wait([look.maps])
+            upright = [
+                UprightPerson.of(one.silhouette, one.turns, scene.frame.shape, one.keypoints)
+                if one.silhouette is not None
+                else None
+                for one in scene.people
+            ]
 
-        def person(pair: tuple[Found, Look | None]) -> Person:
+        def person(pair: tuple[Found, UprightPerson | None]) -> Person:
             check()
-            return self._person(scene, *pair, n)
+            return self._person(*pair, n)
 
         with watch.stage("search"):
             # One is matched here: another thread would only begin later.
-            workers = self._matchers if len(looks) > 1 else Workers()
-            return tuple(workers.map(person, zip(scene.people, looks, strict=True)))
+            workers = self._workers if len(upright) > 1 else Workers()
+            return tuple(workers.map(person, zip(scene.people, upright, strict=True)))
 
-    def _look_at(self, scene: Scene, found: Found, check: Check) -> Look | None:
-        """Begin to look at the photograph of a person whose silhouette is known."""
-        silhouette = found.silhouette
-        if silhouette is None:
-            return None
-        if found.turns:
-            silhouette = turned_silhouette(silhouette, scene.frame.shape, found.turns)
-            scene = scene.turned(found.turns)
-        normalised, placement = normalise(silhouette.crop)
-
-        def aside(read: Callable[..., T], *arguments: object) -> Future[T]:
-            def work() -> T:
-                check()
-                return read(*arguments)
-
-            return self._aside.submit(work)
-
-        reader, maps = self._joint_reader, None
-        if reader is not None and found.source != "mask":
-            maps = aside(reader.read, scene.frame, silhouette, placement)
-        belief = aside(self._read_facing, scene, FacingView.of(silhouette))
-        return Look(silhouette, normalised, placement, maps, belief)
-
-    def _person(self, scene: Scene, found: Found, look: Look | None, n: int) -> Person:
-        if look is None:
+    def _person(self, found: Found, upright: UprightPerson | None, n: int) -> Person:
+        if upright is None:
             return Person(found, None, ())
-        maps = None if look.maps is None else look.maps.result()
-        candidates = match_with_spares(self.index, look.normalised, n, maps)
-        belief = look.belief.result()
-        if belief is None and maps is None:
-            weighed = weigh(candidates, n)
-        else:
-            weighed = weigh_by_image(candidates, belief, n)
-        hypotheses = weighed.hypotheses
-        points_2d = look.placement.to_image(np.array([one.points_normalised for one in hypotheses]))
-        points_2d += (look.silhouette.left, look.silhouette.top)
-        if found.turns:
-            shape = turned_shape(scene.frame.shape, found.turns)
-            points_2d = turned_points(points_2d, shape, -found.turns)
-            lean_deg = 90.0 if found.turns == 1 else -90.0
-            hypotheses = tuple(leaning_further(one, lean_deg) for one in hypotheses)
+        keypoints = upright.keypoints()
+        matched = match_with_spares(self.index, upright.normalised, n, keypoints)
+        ranked = (
+            rank_by_silhouette(matched, n) if keypoints is None else rank_by_keypoints(matched, n)
+        )
+        points_2d = upright.points_in_frame(
+            np.array([one.points_normalised for one in ranked.hypotheses])
+        )
+        hypotheses = [upright.in_frame(one) for one in ranked.hypotheses]
         return Person(
             found,
-            weighed.facing,
+            ranked.facing,
             tuple(
                 PlacedHypothesis(one, distance, confidence, self._label(one), points)
                 for one, distance, confidence, points in zip(
-                    hypotheses, weighed.distances, weighed.confidences, points_2d, strict=True
+                    hypotheses, ranked.distances, ranked.confidences, points_2d, strict=True
                 )
             ),
         )
@@ -392,9 +255,110 @@ class Estimator:
             return label
         return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
 
-    def _read_facing(self, scene: Scene, view: FacingView | None) -> AzimuthBelief | None:
-        reader = self._facing_reader
-        return None if reader is None or view is None else reader.look(scene.frame, view)
+    def _detected(
+        self,
+        frame: NDArray[np.uint8],
+        source: Source,
+        detector: Detector | BackgroundSegmenter,
+        segmenter: Segmenter,
+        check: Check,
+        watch: Stopwatch,
+    ) -> list[Found]:
+        with watch.stage("detect"):
+            detections = detector.detect(frame)[: self._max_persons]
+        check()
+        with watch.stage("segment"):
+            boxes, turns = [one.box for one in detections], [one.turns for one in detections]
+            silhouettes = _segment_turned(segmenter, frame, boxes, turns)
+        # Where no silhouette is found in a detection, it was hardly a person.
+        return [
+            Found(one.box, source, one.score, silhouette, turns=one.turns)
+            for one, silhouette in zip(detections, silhouettes, strict=True)
+            if silhouette is not None
+        ]
+
+    def _in_boxes(
+        self,
+        boxes: Sequence[Box],
+        frame: NDArray[np.uint8],
+        segmenter: Segmenter,
+        read: bool,
+        watch: Stopwatch,
+    ) -> list[Found]:
+        self._check_count("boxes", len(boxes))
+        height, width = frame.shape[:2]
+        inside = [_clip(box, width, height, position) for position, box in enumerate(boxes)]
+        with watch.stage("keypoints"):
+            turns = [self._turns(frame, box) if read else 0 for box in inside]
+        with watch.stage("segment"):
+            # What differs from a background is the same whichever way up.
+            up = turns if segmenter is self.segmenter else [0] * len(turns)
+            silhouettes = _segment_turned(segmenter, frame, inside, up)
+        return [
+            Found(box, "boxes", None, silhouette, turns=turn)
+            for box, silhouette, turn in zip(inside, silhouettes, turns, strict=True)
+        ]
+
+    def _in_mask(
+        self, mask: LabelImage, frame: NDArray[np.uint8], read: bool, watch: Stopwatch
+    ) -> list[Found]:
+        with watch.stage("segment"):
+            silhouettes = silhouettes_from_labels(mask)
+        self._check_count("mask", len(silhouettes))
+        with watch.stage("keypoints"):
+            return [
+                Found(one.box, "mask", None, one, turns=self._turns(frame, one.box) if read else 0)
+                for one in silhouettes
+            ]
+
+    def _turns(self, frame: NDArray[np.uint8], box: Box) -> int:
+        """Quarter turns that set somebody upright in a caller's box, who may lie if it is wide."""
+        if box.width <= box.height:
+            return 0
+        return turns_upright(self._reader.read(frame, box))
+
+    def read_keypoints(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
+        """Read the keypoints of the upright person in a box, in pixels of the frame."""
+        return self._reader.read(frame, box)
+
+    def _read(self, frame: NDArray[np.uint8], found: Found) -> ObservedKeypoints | None:
+        """Keypoints of a person, read upright, in pixels of the frame as it came."""
+        if found.silhouette is None:
+            return None
+        turned = np.rot90(frame, found.turns)
+        box = turned_box(found.box, frame.shape, found.turns)
+        keypoints = self._reader.read(turned, box)
+        if keypoints is None or not found.turns:
+            return keypoints
+        return turned_keypoints(keypoints, turned_shape(frame.shape, found.turns), -found.turns)
+
+    def _decoded(
+        self, upload: Upload
+    ) -> tuple[NDArray[np.uint8], LabelImage | None, BackgroundSegmenter | None]:
+        """Decode an upload's images, at the same time where there are cores for it."""
+        jobs: dict[str, Callable[[], object]] = {}
+        for name, data, decode in (
+            ("frame", upload.frame, decode_image),
+            ("mask", upload.mask, decode_mask),
+            ("background", upload.background, decode_image),
+        ):
+            if data is not None:
+                jobs[name] = _decoding(self._decode, name, data, decode)
+        workers = self._workers if len(jobs) > 1 else Workers()
+        images = dict(zip(jobs, workers.map(lambda job: job(), jobs.values()), strict=True))
+        frame, mask, background = (images.get(name) for name in ("frame", "mask", "background"))
+        assert mask is None or isinstance(mask, LabelImage)
+        if frame is None and mask is not None:
+            frame = np.zeros((*mask.labels.shape, 3), np.uint8)
+        assert isinstance(frame, np.ndarray)
+        if mask is not None:
+            _check_size("mask", mask.labels, frame)
+        if background is None:
+            return frame, mask, None
+        assert isinstance(background, np.ndarray)
+        _check_size("background", background, frame)
+        plate = BackgroundSegmenter(background, min_person_px=self._min_person_px)
+        return frame, mask, plate
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:
@@ -411,8 +375,41 @@ class Estimator:
             )
 
 
-def _left_to_right(people: Sequence[Found]) -> tuple[Found, ...]:
-    return tuple(sorted(people, key=lambda found: found.box.x))
+def _decoding(
+    decode: Callable[..., object], name: str, data: bytes, how: Callable[..., object]
+) -> Callable[[], object]:
+    return lambda: decode(name, data, how)
+
+
+def _with_keypoints(
+    found: Found, keypoints: ObservedKeypoints | None, frame_shape: tuple[int, ...]
+) -> Found:
+    """A person with keypoints, which tell of more people than silhouettes do that they are cut."""
+    silhouette = found.silhouette
+    if silhouette is None or keypoints is None:
+        return found
+    if end_beyond_border(found.box, keypoints, frame_shape, found.turns):
+        silhouette = replace(silhouette, truncated=True)
+    return replace(found, silhouette=silhouette, keypoints=keypoints)
+
+
+def _segment_turned(
+    segmenter: Segmenter,
+    frame: NDArray[np.uint8],
+    boxes: Sequence[Box],
+    turns: Sequence[int],
+) -> list[Silhouette | None]:
+    """Cut people out, those who lie in a frame turned so that they are upright."""
+    found: list[Silhouette | None] = [None] * len(boxes)
+    for turn in sorted(set(turns)):
+        rows = [i for i, other in enumerate(turns) if other == turn]
+        upright = np.ascontiguousarray(np.rot90(frame, turn))
+        silhouettes = segmenter.segment(
+            upright, [turned_box(boxes[i], frame.shape, turn) for i in rows]
+        )
+        for i, silhouette in zip(rows, silhouettes, strict=True):
+            found[i] = silhouette and turned_silhouette(silhouette, upright.shape, -turn)
+    return found
 
 
 def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8]) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from index.skeleton import POINT_NAMES
 
-Evidence = Literal["image", "motion", "none"]
+Evidence = Literal["image", "none"]
 
 _SIDES = tuple(
     np.array([POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")])
@@ -26,8 +26,7 @@ class Facing:
     ----------
     front_probability : float
     evidence : str
-        ``image``: the photograph; ``motion``: the direction of walking; ``none``: nothing
-        but the hypotheses themselves.
+        ``image``: the photograph; ``none``: nothing but the hypotheses themselves.
     """
 
     front_probability: float

@@ -37,8 +37,7 @@ from app.routes.page import add_page
 from app.runtime import Runtime
 from app.settings import Settings, read_settings
 from app.version import VERSION
-from app.vision.face import FaceError
-from app.vision.onnx import OnnxError
+from app.vision.runtime.tflite import NetworkError
 from index.artefact import ArtefactError
 
 log = logging.getLogger("app")
@@ -163,7 +162,7 @@ async def _load(runtime: Runtime) -> None:
 
     try:
         estimator = await to_thread.run_sync(load)
-    except (ArtefactError, OnnxError, FaceError) as error:
+    except (ArtefactError, NetworkError) as error:
         runtime.not_ready_because, runtime.loading = str(error), False
         log.error("not ready: %s", error)
     except Exception:
@@ -179,10 +178,10 @@ def _become_ready(runtime: Runtime, estimator: Estimator) -> None:
     runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
     runtime.estimator = estimator
     log.info(
-        "ready: version %s (%s), index %s with %d entries, segmentation by %s",
+        "ready: version %s (%s), index %s with %d entries, detector %s",
         VERSION,
         runtime.settings.revision,
         estimator.index.version,
         len(estimator.index),
-        estimator.segmenter.name,
+        estimator.detector.name,
     )

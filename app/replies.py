@@ -3,35 +3,59 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app import schemas
+from app.coco import compressed, polygon, run_lengths
 from app.estimates import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
-from app.vision.people import Silhouette
+from app.vision.detection.detector import DetectorName
+from app.vision.keypoints.movenet import LEAST_KEYPOINT_SCORE
+from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
+METRE_DIGITS, PIXEL_DIGITS = 4, 2
+"""Tenths of millimetres and hundredths of pixels are kept of joints."""
 
-def pose_reply(
-    estimate: Estimate, index: PoseIndex, keypoints: schemas.KeypointSetName
-) -> schemas.PoseResponse:
+
+@dataclass(frozen=True)
+class ReplyForm:
+    """How a caller wants the answer to a frame written.
+
+    Parameters
+    ----------
+    keypoints : KeypointSet
+    silhouettes : str
+        ``none``, or COCO's ``rle`` or ``polygon``.
+    joints : str
+        ``full``: as objects; ``compact``: as plain numbers; ``none``.
+    """
+
+    keypoints: KeypointSet
+    silhouettes: schemas.SilhouetteForm = "none"
+    joints: schemas.JointForm = "full"
+
+
+def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
     """Write the answer to a frame."""
-    chosen = KEYPOINT_SETS[keypoints]
     height, width = estimate.frame.shape[:2]
     return schemas.PoseResponse(
         image=schemas.ImageSize(width=width, height=height),
         index=schemas.IndexVersion(name=index.name, version=index.version),
-        keypoints=_keypoints(chosen),
-        persons=[_person(person, chosen) for person in estimate.persons],
+        keypoints=_keypoints(form.keypoints),
+        persons=[_person(person, estimate.frame.shape, form) for person in estimate.persons],
         timings_ms=schemas.Timings(**{k: round(v, 3) for k, v in estimate.timings_ms.items()}),
     )
 
 
-def index_reply(index: PoseIndex, version: str, revision: str) -> schemas.IndexResponse:
+def index_reply(
+    index: PoseIndex, version: str, revision: str, detector: DetectorName
+) -> schemas.IndexResponse:
     """Write down what an index holds."""
     parameters = dict(index.parameters)
     return schemas.IndexResponse(
@@ -47,7 +71,7 @@ def index_reply(index: PoseIndex, version: str, revision: str) -> schemas.IndexR
         subjects=list(index.subjects),
         attribution=str(parameters.pop("attribution", "")),
         parameters=parameters,
-        service=schemas.ServiceVersion(version=version, revision=revision),
+        service=schemas.ServiceVersion(version=version, revision=revision, detector=detector),
     )
 
 
@@ -56,7 +80,6 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse(
         entry=entry.number,
-        action=entry.action,
         source=_source(entry),
         camera=_camera(entry),
         keypoints=_keypoints(chosen),
@@ -65,7 +88,7 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     )
 
 
-def _person(person: Person, keypoints: KeypointSet) -> schemas.Person:
+def _person(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> schemas.Person:
     found, facing, silhouette = person.found, person.facing, person.found.silhouette
     return schemas.Person(
         box=schemas.Box(
@@ -76,21 +99,42 @@ def _person(person: Person, keypoints: KeypointSet) -> schemas.Person:
         ),
         detection_score=_rounded(found.detection_score, 4),
         source=found.source,
-        silhouette=_silhouette(silhouette) if silhouette else None,
+        silhouette=_silhouette(silhouette, frame_shape, form) if silhouette else None,
+        observed_keypoints=_observed(found.keypoints) if found.keypoints else None,
         facing=_facing(facing) if facing else None,
         hypotheses=[
-            _hypothesis(placed, rank, keypoints)
+            _hypothesis(placed, rank, form)
             for rank, placed in enumerate(person.hypotheses, start=1)
         ],
     )
 
 
-def _silhouette(silhouette: Silhouette) -> schemas.SilhouetteSummary:
+def _silhouette(
+    silhouette: Silhouette, frame_shape: tuple[int, ...], form: ReplyForm
+) -> schemas.SilhouetteSummary:
     return schemas.SilhouetteSummary(
         area_px=silhouette.area_px,
         segmenter=silhouette.segmenter,
         truncated=silhouette.truncated,
+        rle=_run_lengths(silhouette, frame_shape) if form.silhouettes == "rle" else None,
+        polygon=polygon(silhouette) if form.silhouettes == "polygon" else None,
     )
+
+
+def _run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> schemas.RunLengths:
+    counts = compressed(run_lengths(silhouette, frame_shape))
+    return schemas.RunLengths(counts=counts, size=list(frame_shape[:2]))
+
+
+def _observed(keypoints: ObservedKeypoints) -> list[schemas.ObservedKeypoint | None]:
+    return [
+        schemas.ObservedKeypoint(name=name, x=round(x, 2), y=round(y, 2), score=round(score, 4))
+        if score >= LEAST_KEYPOINT_SCORE
+        else None
+        for name, (x, y), score in zip(
+            COCO_NAMES, keypoints.positions.tolist(), keypoints.scores.tolist(), strict=True
+        )
+    ]
 
 
 def _facing(facing: Facing) -> schemas.Facing:
@@ -103,8 +147,9 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
 
 
-def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> schemas.Hypothesis:
-    hypothesis, label = placed.hypothesis, placed.label
+def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
+    hypothesis, label, keypoints = placed.hypothesis, placed.label, form.keypoints
+    full, compact = form.joints == "full", form.joints == "compact"
     # Not validated: for its hundreds of points that would take a third of the time of writing an
     # answer, and they are written here. The tests validate answers whole.
     return schemas.Hypothesis.model_construct(
@@ -114,9 +159,10 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> 
         silhouette_distance=round(hypothesis.distance, 6),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(placed.confidence, 4),
-        joints_3d=_points_3d(hypothesis.points_3d, keypoints),
-        joints_2d=_points_2d(placed.points_2d, keypoints),
-        action=label.action,
+        joints_3d=_points_3d(hypothesis.points_3d, keypoints) if full else None,
+        joints_2d=_points_2d(placed.points_2d, keypoints) if full else None,
+        joints_3d_flat=_flat(hypothesis.points_3d, keypoints, METRE_DIGITS) if compact else None,
+        joints_2d_flat=_flat(placed.points_2d, keypoints, PIXEL_DIGITS) if compact else None,
         source=_source(label),
         camera=_camera(label),
     )
@@ -124,7 +170,11 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, keypoints: KeypointSet) -> 
 
 def _source(label: Label) -> schemas.MotionSource:
     return schemas.MotionSource(
-        clip=label.clip, frame=label.frame, subject=label.subject, mirrored=label.mirrored
+        clip=label.clip,
+        frame=label.frame,
+        subject=label.subject,
+        action=label.action,
+        mirrored=label.mirrored,
     )
 
 
@@ -148,16 +198,22 @@ def _bones(keypoints: KeypointSet) -> list[schemas.Bone]:
 
 
 def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point3D | None]:
-    """Tenths of millimetres are kept; a point the entry lacks is NaN there and null here."""
+    """A point the entry lacks is NaN there and null here."""
     return [
         {"x": x, "y": y, "z": z} if math.isfinite(x + y + z) else None
-        for x, y, z in points.take(keypoints.indices, axis=0).round(4).tolist()
+        for x, y, z in points.take(keypoints.indices, axis=0).round(METRE_DIGITS).tolist()
     ]
 
 
 def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point2D | None]:
-    """Hundredths of pixels are kept; a point the entry lacks is NaN there and null here."""
+    """A point the entry lacks is NaN there and null here."""
     return [
         {"x": x, "y": y} if math.isfinite(x + y) else None
-        for x, y in points.take(keypoints.indices, axis=0).round(2).tolist()
+        for x, y in points.take(keypoints.indices, axis=0).round(PIXEL_DIGITS).tolist()
     ]
+
+
+def _flat(points: NDArray[np.float64], keypoints: KeypointSet, digits: int) -> list[float | None]:
+    """All coordinates in one list; a point the entry lacks is NaN there and nulls here."""
+    rows: list[list[float]] = points.take(keypoints.indices, axis=0).round(digits).tolist()
+    return [v for row in rows for v in (row if math.isfinite(sum(row)) else [None] * len(row))]

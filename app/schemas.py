@@ -8,7 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
 KeypointSetName = Literal["native", "coco17"]
-PersonSource = Literal["hog", "mask", "boxes", "background"]
+PersonSource = Literal["detector", "mask", "boxes", "background"]
+Evidence = Literal["photograph", "silhouette"]
+SilhouetteForm = Literal["none", "rle", "polygon"]
+JointForm = Literal["full", "compact", "none"]
 
 Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
@@ -28,11 +31,14 @@ FRAME = (
 class FrameUpload(Model):
     """A frame, and where its people are if that is known."""
 
-    frame: bytes = Field(description=FRAME)
+    frame: bytes | None = Field(
+        default=None, description=f"{FRAME} Required unless a mask is given."
+    )
     mask: bytes | None = Field(
         default=None,
         description="Where the people are: an image of the frame's size, 0 background, "
-        "k = person k; a two-valued mask is one person. PNG keeps the labels, JPEG does not.",
+        "k = person k; a two-valued mask is one person. PNG keeps the labels, JPEG does not. "
+        "Without a frame, poses are estimated from the silhouettes alone.",
     )
     background: bytes | None = Field(
         default=None,
@@ -138,15 +144,55 @@ class IndexVersion(Model):
     version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
 
 
+class RunLengths(Model):
+    """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
+
+    counts: str = Field(
+        description="How many pixels lie outside and inside in turns, down the columns of the "
+        "frame from the left, compressed as pycocotools does.",
+        examples=["l]a76ja000000TZl5"],
+    )
+    size: list[int] = Field(
+        min_length=2,
+        max_length=2,
+        description="Height and width of the frame, in this order.",
+        examples=[[576, 768]],
+    )
+
+
 class SilhouetteSummary(Model):
     """The silhouette a pose was estimated from."""
 
     area_px: int = Field(ge=0, description="Pixels of the frame.", examples=[3120])
-    segmenter: str = Field(description="What cut it out.", examples=["network"])
+    segmenter: str = Field(
+        description="What cut it out: `network`, `background`, or the caller's `mask`.",
+        examples=["network"],
+    )
     truncated: bool = Field(
-        description="Whether it touches the border of the frame, so that part of the person "
-        "may be missing.",
+        description="Whether part of the person is missing: the edge of the frame cuts the body "
+        "(told by the silhouette, and by keypoints of head and feet that are not seen), or "
+        "somebody nearer hides it.",
         examples=[False],
+    )
+    rle: RunLengths | None = Field(
+        description="Its pixels, as COCO's run lengths. Null unless asked for by `silhouettes=rle`."
+    )
+    polygon: list[list[FiniteFloat]] | None = Field(
+        description="Its outlines, as COCO's polygon: for each part `[x1, y1, x2, y2, ...]` in "
+        "pixels of the frame, through the centres of the outermost pixels; holes are left out. "
+        "Null unless asked for by `silhouettes=polygon`.",
+        examples=[[[401.0, 120.0, 461.0, 120.0, 461.0, 267.0, 401.0, 267.0]]],
+    )
+
+
+class ObservedKeypoint(Model):
+    """Where the photograph shows one of the 17 COCO keypoints."""
+
+    name: str = Field(description="Left and right are the person's own.", examples=["nose"])
+    x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
+    y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
+    score: Probability = Field(
+        description="How sure the network is, higher is surer; not calibrated.", examples=[0.81]
     )
 
 
@@ -157,11 +203,11 @@ class Facing(Model):
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
-    evidence: Literal["image", "motion", "none"] = Field(
-        description="What it rests on: the pixels of the photograph (the head, and the joints of "
-        "people whom the service cut out itself), the direction of walking, or nothing but the "
-        "hypotheses. In each case it is the share of their confidence that faces the camera.",
-        examples=["none"],
+    evidence: Literal["image", "none"] = Field(
+        description="What it rests on: `image`, the keypoints that the photograph shows; `none`, "
+        "nothing but the silhouette, which cannot tell. In both cases it is the share of the "
+        "hypotheses' confidence that faces the camera.",
+        examples=["image"],
     )
 
 
@@ -171,6 +217,11 @@ class MotionSource(Model):
     clip: str = Field(description="Name of the motion capture clip.", examples=["07_01"])
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
+    action: str = Field(
+        description="Label of what the clip shows there; not what the person in the photograph "
+        "does, which one frame cannot tell.",
+        examples=["walk"],
+    )
     mirrored: bool = Field(
         description="Whether left and right of the clip were exchanged.", examples=[False]
     )
@@ -214,27 +265,39 @@ class Hypothesis(Model):
     )
     reprojection_error_px: FiniteFloat = Field(
         ge=0,
-        description="Mean distance between the outline of the person's silhouette and that of "
-        "the simulated one, both ways, in pixels of the normalised 128x48 frame.",
+        description="Error of the outline, not of the joints: the mean distance between the "
+        "outlines of the person's silhouette and of the entry's, both ways, in pixels of the "
+        "normalised 128x48 frame.",
         examples=[1.8],
     )
     confidence: Probability = Field(
-        description="Calibrated probability that this hypothesis is right: mean joint "
-        "reprojection error under 5 px in the normalised 128x48 frame. Where `facing` rests on "
-        "the image or on motion, that is taken into account.",
+        description="Calibrated probability that the joints are right: that in the picture they "
+        "lie on average less than 5 px of the normalised 128x48 frame from the true ones. Where "
+        "keypoints were read from the photograph, they are taken into account.",
         examples=[0.87],
     )
-    joints_3d: list[Point3D | None] = Field(
+    joints_3d: list[Point3D | None] | None = Field(
         description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
-        "at the pelvis, at the size of the indexed body. Null where the entry lacks one.",
+        "at the pelvis, at the size of the indexed body. Null where the entry lacks one, and as "
+        "a whole with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
-    joints_2d: list[Point2D | None] = Field(
+    joints_2d: list[Point2D | None] | None = Field(
         description="The same keypoints in pixels of the frame, placed and scaled on this "
-        "person's silhouette. Null where the entry lacks one.",
+        "person's silhouette. Null where the entry lacks one, and as a whole with "
+        "`joints=compact` or `none`.",
         examples=[[{"x": 431.2, "y": 190.4}]],
     )
-    action: str = Field(description="What the person of the entry does.", examples=["walk"])
+    joints_3d_flat: list[FiniteFloat | None] | None = Field(
+        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`: three for each "
+        "keypoint, null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
+    )
+    joints_2d_flat: list[FiniteFloat | None] | None = Field(
+        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`: two for each keypoint, "
+        "null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[431.2, 190.4, 430.6, 177.9]],
+    )
     source: MotionSource
     camera: Camera
 
@@ -249,12 +312,17 @@ class Person(Model):
         examples=[0.93],
     )
     source: PersonSource = Field(
-        description="What found the person: the HOG detector, the caller's mask or boxes, or "
-        "the difference to the caller's background.",
-        examples=["hog"],
+        description="What found the person: the service's detector (`GET /index` names it), the "
+        "caller's mask or boxes, or the difference to the caller's background.",
+        examples=["detector"],
     )
     silhouette: SilhouetteSummary | None = Field(
         description="Null where a caller's box holds no silhouette; there are no hypotheses then."
+    )
+    observed_keypoints: list[ObservedKeypoint | None] | None = Field(
+        description="The 17 COCO keypoints as the photograph shows them, in COCO's order; one is "
+        "null where it was not seen. Null as a whole where none were read: with "
+        "`evidence=silhouette`, without a frame, and where the network saw nobody."
     )
     facing: Facing | None = Field(description="Null where there are no hypotheses.")
     hypotheses: list[Hypothesis] = Field(
@@ -268,6 +336,9 @@ class Timings(Model):
     decode: FiniteFloat = Field(ge=0, description="Decoding the images.", examples=[3.1])
     detect: FiniteFloat = Field(ge=0, description="Looking for people.", examples=[21.0])
     segment: FiniteFloat = Field(ge=0, description="Cutting out silhouettes.", examples=[4.4])
+    keypoints: FiniteFloat = Field(
+        ge=0, description="Reading keypoints from the photograph.", examples=[12.5]
+    )
     describe: FiniteFloat = Field(
         ge=0, description="Normalising silhouettes to 128x48.", examples=[0.1]
     )
@@ -303,6 +374,10 @@ class ServiceVersion(Model):
 
     version: str = Field(description="Version of the service.", examples=["0.1.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
+    detector: Literal["network", "hog"] = Field(
+        description="What finds people: MoveNet with HOG beside it, or HOG alone.",
+        examples=["network"],
+    )
 
 
 class IndexResponse(Model):
@@ -337,7 +412,6 @@ class EntryResponse(Model):
     """One entry of the index: a simulated silhouette and its skeleton."""
 
     entry: int = Field(ge=0, description="Its number.", examples=[20117])
-    action: str = Field(description="What the person does.", examples=["walk"])
     source: MotionSource
     camera: Camera
     keypoints: Keypoints

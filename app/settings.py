@@ -13,9 +13,8 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.messages import expected_and_got, shortened, suggestion
+from app.vision.detection.detector import DetectorName
 from index.store import DEFAULT_PATH
-
-DEFAULT_MODELS = Path(__file__).resolve().parent.parent / "models"
 
 PREFIX = "POSE_"
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
@@ -50,10 +49,9 @@ class Settings(BaseSettings):
     )
 
     index: Path = Field(default=DEFAULT_PATH, description="Folder of the index artefact.")
-    models: Path = Field(
-        default=DEFAULT_MODELS,
-        description="Folder of the segmentation networks (TFLite); where one is missing, "
-        "GrabCut serves.",
+    detector: DetectorName = Field(
+        default="network",
+        description="What finds people: `network` (MoveNet, with HOG beside it) or `hog` alone.",
     )
     min_person_px: int = Field(
         default=50,
@@ -74,7 +72,7 @@ class Settings(BaseSettings):
     concurrency: int = Field(
         default_factory=_cores,
         ge=1,
-        description="Frames worked on at once: a thread each, and two beside it for photographs.",
+        description="Frames worked on at once; the people of a frame share as many threads.",
     )
     # Every frame that waits makes the answers to all behind it older.
     queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")

@@ -195,8 +195,8 @@ def photo(tiny_index: PoseIndex) -> Photo:
 
 @pytest.fixture(scope="session")
 def settings(index_path: Path) -> Settings:
-    """Settings for the tiny index, without segmentation networks."""
-    return Settings(index=index_path, models=Path("none"))
+    """Settings for the tiny index."""
+    return Settings(index=index_path)
 
 
 @pytest.fixture(scope="session")
@@ -225,20 +225,24 @@ class Server:
         return self.process.wait(timeout=20)
 
 
-def start_server(index: Path, root: Path = ROOT, **environment: str) -> Server:
-    """Start ``python -m app`` in ``root`` on a free port; it may not be ready yet."""
+def start_server(
+    index: Path | None, root: Path = ROOT, python: Path | str = sys.executable, **environment: str
+) -> Server:
+    """Start ``python -m app`` in ``root`` on a free port; it may not be ready yet.
+
+    Without an index, it serves the one of its package.
+    """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     process = subprocess.Popen(
-        [sys.executable, "-m", "app"],
+        [python, "-m", "app"],
         cwd=root,
         env={
             **os.environ,
             "HOST": "127.0.0.1",
             "PORT": str(port),
-            "POSE_INDEX": str(index),
-            "POSE_MODELS": "none",
+            **({"POSE_INDEX": str(index)} if index else {}),
             **environment,
         },
     )

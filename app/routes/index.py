@@ -34,7 +34,12 @@ EntryNumber = Annotated[
 )
 async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
     """Describe the index: what it holds, how it was built, whose data it rests on."""
-    return index_reply(estimator.index, VERSION, runtime_of(request).settings.revision)
+    return index_reply(
+        estimator.index,
+        VERSION,
+        runtime_of(request).settings.revision,
+        estimator.detector.name,
+    )
 
 
 @router.get(

@@ -13,9 +13,17 @@ from app.drawing import draw_labels, draw_overlay, encode_png
 from app.errors import documented
 from app.estimates import Stopwatch
 from app.pool import Watch
-from app.replies import pose_reply
+from app.replies import ReplyForm, pose_reply
 from app.routes.forms import CheckQuery
-from app.routes.uploads import DOCUMENTED_UPLOAD, HypothesisCount, KeypointSetQuery, UploadForm
+from app.routes.uploads import (
+    DOCUMENTED_UPLOAD,
+    EvidenceQuery,
+    HypothesisCount,
+    JointsQuery,
+    KeypointSetQuery,
+    SilhouettesQuery,
+    UploadForm,
+)
 from app.runtime import run_in_pool, runtime_of
 from app.schemas import PoseResponse
 from index.skeleton import KEYPOINT_SETS
@@ -50,6 +58,9 @@ async def estimate_pose(
     upload: UploadForm,
     n: HypothesisCount = 7,
     keypoints: KeypointSetQuery = "native",
+    evidence: EvidenceQuery = "photograph",
+    silhouettes: SilhouettesQuery = "none",
+    joints: JointsQuery = "full",
 ) -> Response:
     """Estimate the 3D poses of the people in a frame.
 
@@ -58,12 +69,13 @@ async def estimate_pose(
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
+    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
 
     def work(watch: Watch) -> bytes:
-        estimate = estimator.estimate(upload, n, watch.check)
+        estimate = estimator.estimate(upload, n, watch.check, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         runtime.metrics.observe_persons(estimate.persons)
-        return pose_reply(estimate, estimator.index, keypoints).model_dump_json().encode()
+        return pose_reply(estimate, estimator.index, form).model_dump_json().encode()
 
     return Response(await run_in_pool(request, work), media_type="application/json")
 
@@ -80,13 +92,19 @@ async def draw_pose(
     request: Request,
     upload: UploadForm,
     keypoints: KeypointSetQuery = "native",
+    evidence: EvidenceQuery = "photograph",
 ) -> Response:
-    """Draw boxes, silhouette outlines and the best skeletons over a frame."""
+    """Draw numbered boxes, silhouette outlines and the best skeletons over a frame.
+
+    Numbers count `persons` as `/pose` lists them, from 1. Limbs on the person's own left are
+    orange, those on the right blue. A strip below the frame says so; the pixels above it keep
+    the frame's coordinates.
+    """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
 
     def work(watch: Watch) -> bytes:
-        estimate = estimator.estimate(upload, 1, watch.check)
+        estimate = estimator.estimate(upload, 1, watch.check, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
 

@@ -11,7 +11,7 @@ from app.errors import ProblemError, is_image, is_multipart, unsupported_body
 from app.estimates import Upload
 from app.messages import expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
-from app.schemas import FrameUpload, KeypointSetName
+from app.schemas import Evidence, FrameUpload, JointForm, KeypointSetName, SilhouetteForm
 from app.vision.people import Box
 
 # Strict: true and "12" are no numbers.
@@ -32,6 +32,35 @@ KeypointSetQuery = Annotated[
     ),
 ]
 
+
+EvidenceQuery = Annotated[
+    Evidence,
+    Query(
+        description="`photograph`: what the photograph shows (keypoints, and with them which way "
+        "somebody faces) counts beside the silhouette; `silhouette`: the silhouette alone, as in "
+        "the paper, which is answered soonest.",
+        examples=["photograph"],
+    ),
+]
+
+SilhouettesQuery = Annotated[
+    SilhouetteForm,
+    Query(
+        description="Whether the answer holds people's silhouettes, and in which of COCO's forms: "
+        "`rle`, every pixel; `polygon`, the outlines.",
+        examples=["rle"],
+    ),
+]
+
+JointsQuery = Annotated[
+    JointForm,
+    Query(
+        description="How joints are written: `full`, an object for each; `compact`, plain "
+        "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
+        "at all, for who wants boxes, silhouettes or entries only.",
+        examples=["full"],
+    ),
+]
 
 DOCUMENTED_UPLOAD: dict[str, Any] = {
     "requestBody": {
@@ -55,12 +84,9 @@ async def _read_upload(request: Request) -> Upload:
         raise unsupported_body(request, "multipart/form-data or image/*")
     async with request.form() as form:
         check_fields(form, FrameUpload.model_fields)
-        frame = await file_of(form, "frame")
-        if frame is None:
-            raise ProblemError(422, "frame: expected an image file, got none", field="frame")
         boxes = text_of(form, "boxes")
         return Upload(
-            frame,
+            await file_of(form, "frame"),
             mask=await file_of(form, "mask"),
             background=await file_of(form, "background"),
             boxes=_parse_boxes(boxes) if boxes else None,

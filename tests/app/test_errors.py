@@ -113,7 +113,13 @@ def test_one_way_to_say_where_people_are(client: TestClient, photo: Photo) -> No
 
 @pytest.mark.parametrize(
     ("params", "field"),
-    [({"n": 0}, "n"), ({"n": 51}, "n"), ({"n": "x"}, "n"), ({"keypoints": "body25"}, "keypoints")],
+    [
+        ({"n": 0}, "n"),
+        ({"n": 51}, "n"),
+        ({"n": "x"}, "n"),
+        ({"keypoints": "body25"}, "keypoints"),
+        ({"evidence": "video"}, "evidence"),
+    ],
 )
 def test_bad_parameters(
     client: TestClient, photo: Photo, params: dict[str, Any], field: str
@@ -145,10 +151,11 @@ def test_no_part_is_left_out_silently(
 @pytest.mark.parametrize(
     ("query", "field", "said"),
     [
-        ("m=3", "m", "m: expected one of the query parameters keypoints, n"),
+        ("m=3", "m", "m: expected one of the query parameters evidence, joints, keypoints, n, "),
         ("keypoint=coco17", "keypoint", "; did you mean keypoints?"),
+        ("evidences=photograph", "evidences", "; did you mean evidence?"),
         ("n=3&n=5", "n", "n: expected one value, got 2"),
-        ("N=3", "N", "N: expected one of the query parameters keypoints, n"),
+        ("N=3", "N", "N: expected one of the query parameters evidence, joints, keypoints, n, "),
     ],
 )
 def test_no_query_parameter_is_left_out_silently(
@@ -192,8 +199,24 @@ def test_errors_of_deepstack_name_what_its_clients_send(
     assert check_problem(response, status, field).startswith(f"{field}: ")
 
 
-def test_a_missing_frame(client: TestClient, photo: Photo) -> None:
-    check_problem(client.post("/pose", files={"mask": photo.mask_png}), 422, "frame")
+@pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
+def test_a_missing_frame(client: TestClient, photo: Photo, path: str) -> None:
+    for rest in (
+        {"files": {"background": photo.frame_png}},
+        {"files": {"frame": (None, b"")}, "data": {"boxes": "[[1, 2, 30, 40]]"}},
+    ):
+        check_problem(client.post(path, **rest), 422, "frame")
+    # Where a mask tells all, none is needed.
+    assert client.post(path, files={"mask": photo.mask_png}).status_code == 200
+    check_problem(client.post(path, files={"mask": b"?"}), 400, "mask")
+
+
+def test_a_mask_alone_goes_with_nothing_else(client: TestClient, photo: Photo) -> None:
+    files = {"mask": photo.mask_png}
+    response = client.post("/pose", files=files, data={"boxes": "[[1, 2, 30, 40]]"})
+    check_problem(response, 422, "boxes")
+    files["background"] = photo.frame_png
+    check_problem(client.post("/pose", files=files), 422, "background")
 
 
 @pytest.mark.parametrize("field", ["frame", "mask", "background"])

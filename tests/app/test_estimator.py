@@ -2,112 +2,309 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
-from app.estimates import Found, Person, Scene, Stopwatch, Upload
+from app.estimates import Found, Person, Scene, Stopwatch, Upload, UploadError
 from app.estimator import Estimator
-from app.vision.joints import JointReader
-from app.vision.people import Box, silhouette_from_mask
-from app.vision.turning import turned_box, turned_points, turned_silhouette
+from app.settings import Settings
+from app.vision.people import Box, ObservedKeypoints
+from app.vision.turning import turned_box, turned_keypoints, turned_points, turned_silhouette
 from tests.conftest import ROOT, Photo, png
 
-BOXES = (Box(145, 35, 60, 140),)
-WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
+WALKER = Box(135, 162, 40, 105)
 
 
 @pytest.fixture(scope="module")
-def pair(estimator: Estimator) -> tuple[Estimator, Estimator]:
-    """One that reads joints, and one that does not."""
-    return tuple(
-        Estimator(
-            estimator.index, estimator.detector, estimator.segmenter,
-            min_person_px=50, max_pixels=10**6, max_persons=5, joint_reader=one,
-        )
-        for one in (JointReader(), None)
-    )  # type: ignore[return-value] # fmt: skip
+def street() -> NDArray[np.uint8]:
+    return cv2.imread(str(ROOT / "tests" / "data" / "walkers.jpg"))
 
 
-def persons(estimator: Estimator, upload: Upload) -> Sequence[Person]:
-    return estimator.estimate(upload, 5, lambda: None).persons
+@pytest.fixture(scope="module")
+def walker(estimator: Estimator, street: NDArray[np.uint8]) -> Person:
+    """The walker in `WALKER`."""
+    (person,) = persons(estimator, Upload(png(street), boxes=(WALKER,)))
+    return person
 
 
-def test_joints_are_read_of_people_whom_the_service_cuts_out(
-    pair: tuple[Estimator, Estimator], photo: Photo
-) -> None:
-    reading, plain = (persons(one, Upload(photo.frame_png, boxes=BOXES))[0] for one in pair)
-    assert reading.facing is not None and plain.facing is not None
-    assert reading.facing.evidence == "image"
-    assert plain.facing.evidence == "none"
-    assert any(one.hypothesis.log_likelihood < 0 for one in reading.hypotheses)
-    assert all(one.hypothesis.log_likelihood == 0 for one in plain.hypotheses)
-    confidences = [one.confidence for one in reading.hypotheses]
-    assert confidences == sorted(confidences, reverse=True)
+def persons(estimator: Estimator, upload: Upload, evidence: str = "photograph") -> list[Person]:
+    return list(estimator.estimate(upload, 5, lambda: None, evidence).persons)  # type: ignore[arg-type]
 
 
-def test_a_callers_mask_is_taken_at_its_word(
-    pair: tuple[Estimator, Estimator], photo: Photo
-) -> None:
-    upload = Upload(photo.frame_png, mask=photo.mask_png)
-    reading, plain = (persons(one, upload)[0] for one in pair)
-    assert [one.hypothesis.entry for one in reading.hypotheses] == [
-        one.hypothesis.entry for one in plain.hypotheses
+def poses(person: Person) -> list[tuple[int, bool, float]]:
+    """Which hypotheses somebody has."""
+    return [
+        (one.hypothesis.entry, one.hypothesis.mirrored, one.hypothesis.distance)
+        for one in person.hypotheses
     ]
-    assert all(one.hypothesis.lean_deg == 0 for one in reading.hypotheses)
 
 
-def test_the_camera_of_somebody_who_leans_is_turned(
-    pair: tuple[Estimator, Estimator], photo: Photo
+def mask_of(person: Person, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    assert person.found.silhouette is not None
+    return person.found.silhouette.mask(shape).astype(np.uint8)
+
+
+def test_the_photograph_is_evidence(walker: Person) -> None:
+    assert walker.facing is not None and walker.facing.evidence == "image"
+    assert walker.found.keypoints is not None
+    assert any(one.hypothesis.log_likelihood < 0 for one in walker.hypotheses)
+    confidences = [one.confidence for one in walker.hypotheses]
+    assert confidences == sorted(confidences, reverse=True)
+    distances = [one.distance for one in walker.hypotheses]
+    assert distances == sorted(distances)
+
+
+def test_poses_lie_on_the_keypoints(walker: Person) -> None:
+    """The stick figures of the index are no walkers, but their ankles are down."""
+    keypoints = walker.found.keypoints
+    assert keypoints is not None
+    best = walker.hypotheses[0].points_2d
+    head, ankle = best[4], best[[13, 17]].mean(axis=0)
+    assert np.linalg.norm(head - keypoints.positions[0]) < 0.2 * WALKER.height
+    assert np.linalg.norm(ankle - keypoints.positions[15:].mean(axis=0)) < 0.2 * WALKER.height
+
+
+@pytest.mark.parametrize("source", ["detector", "boxes", "mask", "background"])
+def test_by_the_silhouette_alone_nothing_is_read(
+    estimator: Estimator,
+    street: NDArray[np.uint8],
+    walker: Person,
+    monkeypatch: pytest.MonkeyPatch,
+    source: str,
 ) -> None:
-    for placed in persons(pair[0], Upload(photo.frame_png, boxes=BOXES))[0].hypotheses:
+    def fail(*_: object) -> None:
+        raise AssertionError("expected nothing to be read, got a call of the reader")
+
+    monkeypatch.setattr(estimator._reader, "read", fail)
+    wide = (WALKER, Box(100, 150, 120, 100))
+    empty = street.copy()
+    empty[150:270, 120:185] = street[30:150, 60:125]
+    upload = {
+        "detector": Upload(png(street)),
+        "boxes": Upload(png(street), boxes=wide),
+        "mask": Upload(png(street), mask=png(mask_of(walker, street.shape))),
+        "background": Upload(png(street), background=png(empty)),
+    }[source]
+    found = persons(estimator, upload, "silhouette")
+    assert found
+    for person in found:
+        assert person.found.source == source
+        assert person.found.keypoints is None
+        if person.found.silhouette is None:
+            continue
+        assert person.facing is not None and person.facing.evidence == "none"
+        for one in person.hypotheses:
+            assert one.hypothesis.log_likelihood == 0
+            assert one.distance == one.hypothesis.distance
+
+
+def test_a_mask_with_its_photograph_is_answered_as_the_same_box(
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person
+) -> None:
+    mask = mask_of(walker, street.shape)
+    (by_mask,) = persons(estimator, Upload(png(street), mask=png(mask)))
+    assert by_mask.facing is not None and by_mask.facing.evidence == "image"
+    # The box is now that of the silhouette, so what is read differs a little.
+    ours, theirs = by_mask.found.keypoints, walker.found.keypoints
+    assert ours is not None and theirs is not None
+    apart = np.linalg.norm(ours.positions - theirs.positions, axis=1)
+    assert np.median(apart) < 0.03 * WALKER.height
+    assert_array_equal(mask_of(by_mask, street.shape), mask)
+
+
+def test_a_mask_alone_is_answered_as_by_the_silhouette_alone(
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person
+) -> None:
+    mask = png(mask_of(walker, street.shape))
+    alone = estimator.estimate(Upload(mask=mask), 5, lambda: None)
+    assert alone.frame.shape == street.shape and not alone.frame.any()
+    (expected,) = persons(estimator, Upload(png(street), mask=mask), "silhouette")
+    for evidence in ("photograph", "silhouette"):
+        (person,) = persons(estimator, Upload(mask=mask), evidence)
+        assert poses(person) == poses(expected)
+        assert person.facing == expected.facing
+        assert person.found.keypoints is None
+        for one, other in zip(person.hypotheses, expected.hypotheses, strict=True):
+            assert_array_equal(one.points_2d, other.points_2d)
+
+
+def test_without_frame_and_mask_there_is_nothing_to_answer() -> None:
+    for rest in ({}, {"background": b"?"}, {"boxes": (WALKER,)}):
+        with pytest.raises(UploadError, match="frame: expected an image file, got none"):
+            Upload(**rest)  # type: ignore[arg-type]
+
+
+def test_the_camera_of_somebody_who_leans_is_turned(estimator: Estimator, walker: Person) -> None:
+    for placed in walker.hypotheses:
         one = placed.hypothesis
-        label = pair[0].index.label(one.entry, mirrored=one.mirrored)
+        label = estimator.index.label(one.entry, mirrored=one.mirrored)
         assert placed.label.roll_deg == pytest.approx(label.roll_deg + one.lean_deg)
 
 
-@pytest.mark.parametrize("turns", [1, 3])
+@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize("turns", [1, 2, 3])
 def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
-    pair: tuple[Estimator, Estimator], photo: Photo, turns: int
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person, turns: int, seen: bool
 ) -> None:
-    estimator, shape = pair[0], photo.frame.shape
-    silhouette = silhouette_from_mask(photo.mask > 0, segmenter="network", truncated=False)
-    assert silhouette is not None
-    standing = Found(silhouette.box, "hog", 0.9, silhouette)
+    shape = street.shape
+    silhouette, keypoints = walker.found.silhouette, walker.found.keypoints
+    assert silhouette is not None and keypoints is not None
+
+    def answer(frame: NDArray[np.uint8], found: Found) -> Person:
+        scene = Scene(frame, (found,))
+        return estimator.with_hypotheses(scene, 5, lambda: None, Stopwatch())[0]
+
+    def read(back: int) -> ObservedKeypoints | None:
+        return turned_keypoints(keypoints, shape, back) if seen else None
+
+    upright = answer(street, Found(silhouette.box, "detector", 0.9, silhouette, read(0)))
     lies = turned_silhouette(silhouette, shape, -turns)
-    lying = Found(lies.box, "hog", 0.9, lies, turns)
-    upright, turned = (
-        estimator.with_hypotheses(
-            Scene(lambda frame=frame: frame, (found,)), 5, lambda: None, Stopwatch()
-        )[0]
-        for frame, found in ((photo.frame, standing), (np.rot90(photo.frame, -turns), lying))
+    lying = answer(
+        np.ascontiguousarray(np.rot90(street, -turns)),
+        Found(lies.box, "detector", 0.9, lies, read(-turns), turns),
     )
-    assert upright.facing == turned.facing
-    for one, other in zip(upright.hypotheses, turned.hypotheses, strict=True):
-        assert one.hypothesis.entry == other.hypothesis.entry
-        assert other.hypothesis.lean_deg - one.hypothesis.lean_deg == (90 if turns == 1 else -90)
+    assert upright.facing == lying.facing
+    assert poses(upright) == poses(lying)
+    lean = {1: 90, 2: 180, 3: -90}[turns]
+    turn = {1: [[0, -1], [1, 0]], 2: [[-1, 0], [0, -1]], 3: [[0, 1], [-1, 0]]}[turns]
+    for one, other in zip(upright.hypotheses, lying.hypotheses, strict=True):
+        assert other.hypothesis.lean_deg - one.hypothesis.lean_deg == lean
         assert_allclose(turned_points(one.points_2d, shape, -turns), other.points_2d, atol=1e-6)
         # The bodies turn as their pictures do; depth stays.
-        x, y, z = one.hypothesis.points_3d.T
-        sign = 1 if turns == 1 else -1
-        assert_allclose(other.hypothesis.points_3d.T, [-sign * y, sign * x, z], atol=1e-9)
+        expected = one.hypothesis.points_3d.copy()
+        expected[:, :2] = expected[:, :2] @ np.array(turn).T
+        assert_allclose(other.hypothesis.points_3d, expected, atol=1e-9)
 
 
-def test_wide_boxes_and_masks_are_looked_at_either_way(
-    pair: tuple[Estimator, Estimator],
+@pytest.mark.parametrize("turns", [1, 3])
+def test_wide_boxes_and_masks_are_read_for_which_way_up_they_are(
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person, turns: int
 ) -> None:
-    street = cv2.imread(str(WALKERS))
-    walker = Box(135, 162, 40, 105)
-    lying, box = np.rot90(street), turned_box(walker, street.shape, 1)
-    by_box = [persons(one, Upload(png(lying), boxes=(box,)))[0].found for one in pair]
-    assert [one.turns for one in by_box] == [3, 0], "only joints tell which way up somebody is"
-    silhouette = by_box[0].silhouette
-    assert silhouette is not None
-    upload = Upload(png(lying), mask=png(silhouette.mask(lying.shape).astype(np.uint8)))
-    by_mask = [persons(one, upload)[0].found for one in pair]
-    assert [one.turns for one in by_mask] == [3, 0]
-    (upright,) = persons(pair[0], Upload(png(street), boxes=(walker,)))
-    assert upright.found.turns == 0
+    lying = np.ascontiguousarray(np.rot90(street, -turns))
+    box = turned_box(WALKER, street.shape, -turns)
+    (by_box,) = persons(estimator, Upload(png(lying), boxes=(box,)))
+    assert (walker.found.turns, by_box.found.turns) == (0, turns)
+    # Cut out and read upright, both are what they were.
+    expected = np.rot90(mask_of(walker, street.shape), -turns)
+    ours = mask_of(by_box, lying.shape)
+    assert (expected & ours).sum() / (expected | ours).sum() > 0.95
+    keypoints = walker.found.keypoints
+    assert keypoints is not None and by_box.found.keypoints is not None
+    there = turned_keypoints(keypoints, street.shape, -turns)
+    assert_allclose(by_box.found.keypoints.positions, there.positions, atol=2)
+    (by_mask,) = persons(estimator, Upload(png(lying), mask=png(ours)))
+    assert by_mask.found.turns == turns
+    for one in (by_box, by_mask):
+        assert abs(one.hypotheses[0].label.roll_deg) >= 45
+    (plain,) = persons(estimator, Upload(png(lying), boxes=(box,)), "silhouette")
+    assert plain.found.turns == 0, "only keypoints tell which way up somebody is"
+
+
+def test_who_lies_is_found_by_the_detector(estimator: Estimator, street: NDArray[np.uint8]) -> None:
+    lying = np.ascontiguousarray(np.rot90(street))
+    truth = turned_box(WALKER, street.shape, 1)
+    found = persons(estimator, Upload(png(lying)))
+    (one,) = (person for person in found if person.found.box.iou(truth) > 0.5)
+    assert one.found.turns == 3
+    assert one.facing is not None and one.facing.evidence == "image"
+    boxes = estimator.detect(png(lying), lambda: None)
+    assert {other.turns for other in boxes} == {3}
+
+
+def test_people_come_left_to_right(estimator: Estimator, street: NDArray[np.uint8]) -> None:
+    boxes = [person.found.box.x for person in persons(estimator, Upload(png(street)))]
+    assert len(boxes) >= 3
+    assert boxes == sorted(boxes)
+
+
+def test_a_box_without_a_silhouette_has_no_poses(
+    estimator: Estimator, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(estimator.segmenter, "segment", lambda _, boxes: [None] * len(boxes))
+    (person,) = persons(estimator, Upload(png(street), boxes=(WALKER,)))
+    assert person.found.box == WALKER
+    assert (person.found.silhouette, person.found.keypoints) == (None, None)
+    assert (person.facing, person.hypotheses) == (None, ())
+    # What the detector finds without one was hardly a person.
+    assert persons(estimator, Upload(png(street))) == []
+
+
+@pytest.mark.parametrize("name", ["network", "hog"])
+def test_the_detector_is_the_one_that_is_set(
+    settings: Settings, street: NDArray[np.uint8], name: str
+) -> None:
+    chosen = Estimator.load(settings.model_copy(update={"detector": name}))
+    assert chosen.detector.name == name
+    chosen.warm_up()
+    found = chosen.estimate(Upload(png(street)), 1, lambda: None).persons
+    assert any(one.found.box.iou(WALKER) > 0.5 for one in found)
+    assert {one.found.source for one in found} == {"detector"}
+
+
+def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo: Photo) -> None:
+    class GoneError(Exception):
+        pass
+
+    for steps in range(4):
+        left = iter(range(steps))
+
+        def check(left: object = left) -> None:
+            if next(left, None) is None:  # type: ignore[call-overload]
+                raise GoneError
+
+        with pytest.raises(GoneError):
+            estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, check)
+
+
+def test_all_stages_are_timed(estimator: Estimator, street: NDArray[np.uint8]) -> None:
+    timings = estimator.estimate(Upload(png(street)), 1, lambda: None).timings_ms
+    total = timings.pop("total")
+    assert all(spent > 0 for spent in timings.values())
+    assert sum(timings.values()) <= total
+
+
+def flags(estimator: Estimator, frame: NDArray[np.uint8], box: Box) -> tuple[bool, bool]:
+    """Whether the person in a box is flagged as cut: by the silhouette alone, by keypoints too."""
+    scene = estimator.find_people(Upload(png(frame), boxes=(box,)), lambda: None, Stopwatch())
+    read = estimator.with_keypoints(scene, lambda: None, Stopwatch())
+    (before,), (after,) = scene.people, read.people
+    assert before.silhouette is not None and after.silhouette is not None
+    return before.silhouette.truncated, after.silhouette.truncated
+
+
+@pytest.mark.parametrize("edge", ["left", "top", "right", "bottom"])
+@pytest.mark.parametrize("hidden", [0.25, 0.4, 0.6])
+def test_somebody_cut_by_an_edge_is_flagged(
+    estimator: Estimator, street: NDArray[np.uint8], edge: str, hidden: float
+) -> None:
+    left, top, right, bottom = WALKER.pixels()
+    across, down = round(hidden * (right - left)), round(hidden * (bottom - top))
+    rows, columns = {
+        "left": (slice(None), slice(left + across, None)),
+        "top": (slice(top + down, None), slice(None)),
+        "right": (slice(None), slice(None, right - across)),
+        "bottom": (slice(None, bottom - down), slice(None)),
+    }[edge]
+    frame = np.ascontiguousarray(street[rows, columns])
+    box = Box(WALKER.x - (columns.start or 0), WALKER.y - (rows.start or 0), 40, 105)
+    visible = box.clip(frame.shape[1], frame.shape[0])
+    assert visible is not None
+    assert flags(estimator, frame, visible)[1]
+
+
+def test_keypoints_tell_of_a_head_above_the_frame_where_the_box_ends_short_of_it(
+    estimator: Estimator, street: NDArray[np.uint8]
+) -> None:
+    large = cv2.resize(street[192:, 110:200], None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
+    assert flags(estimator, large, Box(75, 8.5, 120, 216)) == (False, True)
+
+
+def test_whole_people_are_not_flagged(estimator: Estimator, street: NDArray[np.uint8]) -> None:
+    assert flags(estimator, street, WALKER) == (False, False)
+    for room in (8, 15, 30):
+        left, top, right, bottom = WALKER.pixels()
+        loose = np.ascontiguousarray(street[top - room : bottom + room, left - room : right + room])
+        assert flags(estimator, loose, Box(room - 0.5, room - 0.5, 40, 105)) == (False, False)

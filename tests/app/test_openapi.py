@@ -54,6 +54,17 @@ def test_every_operation_and_field_is_described(document: dict[str, Any]) -> Non
             assert value.get("description") or target, f"{name}.{field}"
 
 
+def test_values_that_are_never_sent_are_not_declared(document: dict[str, Any]) -> None:
+    facing = document["components"]["schemas"]["Facing"]
+    assert facing["properties"]["evidence"]["enum"] == ["image", "none"]
+
+
+def test_errors_and_confidences_say_of_what_they_are(document: dict[str, Any]) -> None:
+    fields = document["components"]["schemas"]["Hypothesis"]["properties"]
+    assert "outline, not of the joints" in fields["reprojection_error_px"]["description"]
+    assert "joints are right" in fields["confidence"]["description"]
+
+
 def test_titles_and_summaries_are_written_by_a_person(document: dict[str, Any]) -> None:
     for operation in operations(document):
         made_up = operation["operationId"].replace("_", " ").title()
@@ -99,12 +110,21 @@ def test_cameras_may_name_themselves(document: dict[str, Any]) -> None:
         assert not parameters["X-Camera-ID"]["required"]
 
 
+def test_evidence_may_be_chosen_where_poses_are_estimated(document: dict[str, Any]) -> None:
+    for path in ("/pose", "/pose/overlay"):
+        parameters = {p["name"]: p for p in document["paths"][path]["post"]["parameters"]}
+        schema = parameters["evidence"]["schema"]
+        assert schema["enum"] == ["photograph", "silhouette"]
+        assert schema["default"] == "photograph"
+        assert not parameters["evidence"]["required"]
+
+
 def test_uploads_are_binary_for_generators(document: dict[str, Any]) -> None:
     body = document["components"]["schemas"]["FrameUpload"]
     for field in ("frame", "mask", "background"):
         assert body["properties"][field]["type"] == "string"
         assert body["properties"][field]["format"] == "binary"
-    assert body["required"] == ["frame"]
+    assert "required" not in body  # A frame, or a mask: a schema cannot say so.
     image = document["components"]["schemas"]["DeepstackUpload"]["properties"]["image"]
     assert (image["type"], image["format"]) == ("string", "binary")
 

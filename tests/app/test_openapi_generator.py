@@ -54,7 +54,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 def test_the_python_client_uploads_a_frame(client: Any, server: Server, photo: Photo) -> None:
     with client.ApiClient(client.Configuration(host=server.url)) as connection:
         answer = client.PoseApi(connection).estimate_pose(
-            ("frame.png", photo.frame_png), n=3, mask=("mask.png", photo.mask_png)
+            frame=("frame.png", photo.frame_png), n=3, mask=("mask.png", photo.mask_png)
         )
     (person,) = answer.persons
     assert [h.rank for h in person.hypotheses] == [1, 2, 3]
@@ -65,7 +65,7 @@ def test_the_python_client_uploads_a_frame(client: Any, server: Server, photo: P
 def test_the_python_client_reads_problems(client: Any, server: Server) -> None:
     with client.ApiClient(client.Configuration(host=server.url)) as connection:
         with pytest.raises(client.ApiException) as caught:
-            client.PoseApi(connection).estimate_pose(("frame.png", b"?"))
+            client.PoseApi(connection).estimate_pose(frame=("frame.png", b"?"))
         assert caught.value.status == 400
         assert client.HealthApi(connection).liveness().status == "ok"
 
@@ -73,6 +73,6 @@ def test_the_python_client_reads_problems(client: Any, server: Server) -> None:
 def test_the_typescript_client_takes_a_frame_as_a_file(tmp_path: Path) -> None:
     folder = generate("typescript-fetch", tmp_path)
     code = (folder / "apis" / "PoseApi.ts").read_text()
-    assert re.search(r"interface EstimatePoseRequest \{[^}]*\bframe: Blob;", code, re.DOTALL)
+    assert re.search(r"interface EstimatePoseRequest \{[^}]*\bframe\?: Blob;", code, re.DOTALL)
     assert "Promise<PoseResponse>" in code
     assert "joints3d: Array<Point3D" in (folder / "models" / "Hypothesis.ts").read_text()

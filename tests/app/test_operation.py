@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,6 +23,7 @@ from app.logs import JsonFormatter
 from app.main import create_app
 from app.settings import Settings
 from app.version import VERSION
+from app.vision import weights
 from tests.conftest import Photo
 
 
@@ -220,6 +224,7 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         estimator.index,
         estimator.detector,
         estimator.segmenter,
+        estimator._reader,
         min_person_px=50,
         max_pixels=10**6,
         max_persons=2,
@@ -239,10 +244,7 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
 def test_no_more_threads_beside_the_work_than_frames_worked_on(
     settings: Settings, photo: Photo, concurrency: int
 ) -> None:
-    def beside(name: str = "photograph") -> set[threading.Thread]:
-        return {t for t in threading.enumerate() if t.name.startswith(name)}
-
-    before, before_searching = beside(), beside("pictures")
+    before = set(threading.enumerate())
     estimator = Estimator.load(settings.model_copy(update={"concurrency": concurrency}))
     estimator.warm_up()
     upload = Upload(frame=photo.frame_png, mask=photo.mask_png)
@@ -251,8 +253,10 @@ def test_no_more_threads_beside_the_work_than_frames_worked_on(
             callers.map(lambda _: estimator.estimate(upload, 1, lambda: None), range(12))
         )
         list(callers.map(lambda _: estimator.detect(photo.frame_png, lambda: None), range(6)))
-    assert 1 <= len(beside() - before) <= concurrency
-    assert len(beside("pictures") - before_searching) <= concurrency
+    # The callers' own are gone.
+    beside = set(threading.enumerate()) - before
+    assert len(beside) <= concurrency
+    assert bool(beside) == (concurrency > 1)
     assert all(len(answer.persons) == 1 for answer in answers)
 
 
@@ -270,3 +274,23 @@ def test_whatever_goes_wrong_while_loading_is_told_to_probes(
         assert response.status_code == 503
         assert "inside" not in response.text
         assert "ZeroDivisionError" in caplog.text
+
+
+def test_a_network_that_is_not_the_one_that_ships_is_told_not_served(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """``python -m app`` ends at once (tests/vision/weights); started otherwise, probes tell."""
+    folder = tmp_path / "weights"
+    shutil.copytree(weights.FOLDER, folder)
+    network = folder / "movenet_multipose.tflite"
+    network.write_bytes(network.read_bytes()[:1000])
+    monkeypatch.setattr(weights, "FOLDER", folder)
+    expected = "movenet_multipose.tflite to have the SHA-256"
+    with TestClient(create_app(settings)) as client:
+        deadline, detail = time.monotonic() + 10, ""
+        while expected not in detail:
+            assert time.monotonic() < deadline, detail
+            response = client.get("/readyz")
+            assert response.status_code == 503
+            detail = response.json()["detail"]
+        assert client.post("/pose", files={"frame": b"x"}).status_code == 503

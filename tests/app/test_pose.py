@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from app.drawing import OUTLINE, SIDES
+from app.replies import _flat, _points_3d
+from app.schemas import PoseResponse
 from index.skeleton import COCO17, NATIVE
 from index.store import PoseIndex
-from tests.conftest import Photo, photograph, png
+from tests.conftest import ROOT, Photo, photograph, png
 
 
 def ask(client: TestClient, photo: Photo, **params: Any) -> dict[str, Any]:
+    """Of silhouettes alone, unless told otherwise: what is read in stick figures is no pose."""
     files = {"frame": photo.frame_png, "mask": photo.mask_png}
-    response = client.post("/pose", files=files, params=params)
+    response = client.post("/pose", files=files, params={"evidence": "silhouette", **params})
     assert response.status_code == 200, response.text
     return response.json()
 
@@ -31,6 +35,12 @@ def test_a_photographed_entry_is_its_own_nearest(client: TestClient, photo: Phot
     assert best["reprojection_error_px"] == 0
     assert person["box"] == tight_box(photo)
     assert person["silhouette"]["area_px"] == photo.mask.sum()
+
+
+def test_the_action_is_that_of_the_source_alone(client: TestClient, photo: Photo) -> None:
+    best = ask(client, photo)["persons"][0]["hypotheses"][0]
+    assert "action" not in best
+    assert best["source"]["action"] == "walk"
 
 
 def tight_box(photo: Photo) -> dict[str, float]:
@@ -65,14 +75,19 @@ def test_joints_follow_scale_and_shift(client: TestClient, tiny_index: PoseIndex
     assert np.abs(joints - large.joints_2d).max() <= 2
 
 
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
 @pytest.mark.parametrize("n", [1, 7, 50])
 def test_hypotheses_are_ranked_distinct_and_finite(
-    client: TestClient, photo: Photo, n: int
+    client: TestClient, photo: Photo, n: int, evidence: str
 ) -> None:
-    hypotheses = ask(client, photo, n=n)["persons"][0]["hypotheses"]
+    hypotheses = ask(client, photo, n=n, evidence=evidence)["persons"][0]["hypotheses"]
     assert len(hypotheses) == n
     assert [h["rank"] for h in hypotheses] == list(range(1, n + 1))
-    assert len({(h["entry"], h["source"]["mirrored"]) for h in hypotheses}) == n
+    # With the photograph, an entry may come upright and leaning.
+    of_it = [(h["entry"], h["source"]["mirrored"], h["camera"]["roll_deg"]) for h in hypotheses]
+    assert len(set(of_it)) == n
+    if evidence == "silhouette":
+        assert {roll for _, _, roll in of_it} == {0}
     distances = [h["distance"] for h in hypotheses]
     assert distances == sorted(distances)
     for hypothesis in hypotheses:
@@ -96,6 +111,37 @@ def test_keypoint_sets_select_the_same_points(client: TestClient, photo: Photo) 
         assert points[0] == points[1]
 
 
+def test_compact_joints_are_the_same_numbers(client: TestClient, photo: Photo) -> None:
+    for keypoints in ("native", "coco17"):
+        full, compact = (
+            ask(client, photo, keypoints=keypoints, joints=form)["persons"][0]["hypotheses"]
+            for form in ("full", "compact")
+        )
+        for one, other in zip(full, compact, strict=True):
+            for field in ("joints_3d", "joints_2d"):
+                numbers = [value for joint in one[field] for value in joint.values()]
+                assert other[f"{field}_flat"] == numbers
+                assert other[field] is one[f"{field}_flat"] is None
+
+
+def test_hypotheses_come_without_joints(client: TestClient, photo: Photo) -> None:
+    full, none = (ask(client, photo, joints=form) for form in ("full", "none"))
+    PoseResponse.model_validate(none)
+    joints = ("joints_3d", "joints_2d", "joints_3d_flat", "joints_2d_flat")
+    for one, other in zip(
+        full["persons"][0]["hypotheses"], none["persons"][0]["hypotheses"], strict=True
+    ):
+        assert [other[field] for field in joints] == [None] * 4
+        assert {**other, "joints_3d": one["joints_3d"], "joints_2d": one["joints_2d"]} == one
+
+
+def test_a_joint_that_an_entry_lacks_is_null_in_every_form() -> None:
+    points = np.arange(72.0).reshape(24, 3)
+    points[1, 2] = np.nan
+    assert _points_3d(points, NATIVE)[1] is None
+    assert _flat(points, NATIVE, 4)[:9] == [0, 1, 2, None, None, None, 6, 7, 8]
+
+
 def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) -> None:
     mask = np.zeros((240, 320), np.uint8)
     for label, left in ((1, 200), (2, 20), (3, 110)):
@@ -113,16 +159,91 @@ def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) ->
     assert np.array_equal(picture, np.array([0, 3, 1, 2], np.uint8)[mask])
 
 
-def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient, photo: Photo) -> None:
-    """Its pose may be another: the joints of a caller's mask are not read."""
-    boxes = {"boxes": json.dumps([[145, 35, 60, 140]])}
-    frame = {"frame": photo.frame_png}
-    found = client.post("/pose", files=frame, data=boxes).json()["persons"][0]
-    labels = client.post("/silhouette", files=frame, data=boxes).content
-    again = client.post("/pose", files={**frame, "mask": labels}).json()["persons"][0]
+WALKERS = (ROOT / "tests" / "data" / "walkers.jpg").read_bytes()
+BOXES = json.dumps([[135, 162, 40, 105]])
+
+
+def post(client: TestClient, files: dict[str, bytes], **params: Any) -> dict[str, Any]:
+    response = client.post("/pose", files=files, params=params)
+    assert response.status_code == 200, response.text
+    PoseResponse.model_validate_json(response.content)
+    return response.json()
+
+
+def test_people_are_found_and_their_keypoints_are_told(client: TestClient) -> None:
+    persons = post(client, {"frame": WALKERS})["persons"]
+    assert len(persons) >= 3
+    assert {person["source"] for person in persons} == {"detector"}
+    for person in persons:
+        assert 0 < person["detection_score"] <= 1
+        assert person["silhouette"]["segmenter"] == "network"
+        assert person["facing"]["evidence"] == "image"
+        seen, box = person["observed_keypoints"], person["box"]
+        assert len(seen) == 17
+        for name, keypoint in zip(COCO17.names, seen, strict=True):
+            if keypoint is None:
+                continue
+            assert keypoint["name"] == name
+            assert 0 < keypoint["score"] <= 1
+            assert abs(keypoint["x"] - box["x"] - box["width"] / 2) < box["width"]
+            assert abs(keypoint["y"] - box["y"] - box["height"] / 2) < 0.6 * box["height"]
+        assert sum(keypoint is not None for keypoint in seen) >= 12
+
+
+def test_by_the_silhouette_alone_nothing_of_the_photograph_is_told(client: TestClient) -> None:
+    seen, unseen = (
+        post(client, {"frame": WALKERS}, evidence=evidence)["persons"]
+        for evidence in ("photograph", "silhouette")
+    )
+    assert [one["box"] for one in unseen] == [one["box"] for one in seen]
+    assert [one["silhouette"] for one in unseen] == [one["silhouette"] for one in seen]
+    for person in unseen:
+        assert person["observed_keypoints"] is None
+        assert person["facing"]["evidence"] == "none"
+        for hypothesis in person["hypotheses"]:
+            assert hypothesis["distance"] == hypothesis["silhouette_distance"]
+
+
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
+def test_a_mask_may_come_without_its_photograph(
+    client: TestClient, photo: Photo, evidence: str
+) -> None:
+    """The answer is that of the silhouette alone: nobody's photograph leaves the camera."""
+    alone = post(client, {"mask": photo.mask_png}, evidence=evidence)
+    files = {"frame": photo.frame_png, "mask": photo.mask_png}
+    assert alone["image"] == {"width": 320, "height": 240}
+    assert alone["persons"] == post(client, files, evidence="silhouette")["persons"]
+    (person,) = alone["persons"]
+    assert person["source"] == person["silhouette"]["segmenter"] == "mask"
+    assert person["observed_keypoints"] is None
+    assert person["hypotheses"][0]["entry"] == photo.entry
+
+
+def test_pictures_of_a_mask_alone(client: TestClient, photo: Photo) -> None:
+    files = {"mask": photo.mask_png}
+    labels = client.post("/silhouette", files=files).content
+    picture = cv2.imdecode(np.frombuffer(labels, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(picture, photo.mask)
+    overlay = client.post("/pose/overlay", files=files).content
+    drawn = cv2.imdecode(np.frombuffer(overlay, np.uint8), cv2.IMREAD_COLOR).any(axis=2)
+    drawn = drawn[: len(photo.mask)]  # Without the legend.
+    assert drawn[photo.mask == 1].mean() > 0.2
+    assert not drawn[:, :100].any()
+
+
+def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient) -> None:
+    frame = {"frame": WALKERS}
+    (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]
+    labels = client.post("/silhouette", files=frame, data={"boxes": BOXES}).content
+    (again,) = client.post("/pose", files={**frame, "mask": labels}).json()["persons"]
     assert found["source"] == "boxes"
     assert again["source"] == "mask"
     assert again["silhouette"]["area_px"] == found["silhouette"]["area_px"]
+    # What is read is nearly the same, and so are the poses.
+    best, same = found["hypotheses"][0], again["hypotheses"][0]
+    assert again["facing"]["evidence"] == found["facing"]["evidence"] == "image"
+    joints = [np.array([[j["x"], j["y"]] for j in one["joints_2d"]]) for one in (best, same)]
+    assert np.linalg.norm(joints[0] - joints[1], axis=1).mean() < 8
 
 
 def test_what_differs_from_the_background_is_a_person(client: TestClient, photo: Photo) -> None:
@@ -171,9 +292,49 @@ def test_the_overlay_draws_on_the_frame(client: TestClient, photo: Photo) -> Non
     response = client.post("/pose/overlay", files=files)
     assert response.headers["content-type"] == "image/png"
     picture = cv2.imdecode(np.frombuffer(response.content, np.uint8), cv2.IMREAD_COLOR)
-    changed = (picture != photo.frame).any(axis=2)
+    changed = (picture[:240] != photo.frame).any(axis=2)
     assert changed[photo.mask == 1].mean() > 0.2
     assert not changed[:, :100].any()
+
+
+def overlay(client: TestClient, frame: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    files = {"frame": png(frame), "mask": png(mask)}
+    response = client.post("/pose/overlay", files=files, params={"evidence": "silhouette"})
+    return cv2.imdecode(np.frombuffer(response.content, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_the_overlay_tells_its_colours_below_the_frame(client: TestClient, photo: Photo) -> None:
+    legend = overlay(client, photo.frame, photo.mask)[240:]
+    assert legend.shape[0] >= 20
+    for colour in (*SIDES.values(), OUTLINE):
+        assert (legend == colour).all(axis=2).any() == (colour != SIDES["middle"])
+
+
+def test_the_overlay_numbers_people(client: TestClient, tiny_index: PoseIndex) -> None:
+    frame = np.full((240, 320, 3), 128, np.uint8)
+    masks = [photograph(tiny_index, 3, left, 40).mask for left in (20, 200)]
+    picture = overlay(client, frame, masks[0] + 2 * masks[1])
+    # The boxes are alike, the numbers above them are not.
+    top = int(masks[0].any(axis=1).argmax()) - 2
+    one, two = ((picture[:top, left : left + 48] != 128).any(axis=2) for left in (20, 200))
+    assert one.any()
+    assert two.any()
+    assert not np.array_equal(one, two)
+
+
+def test_the_overlay_draws_thin_lines_on_small_people(
+    client: TestClient, tiny_index: PoseIndex
+) -> None:
+    def drawn(height: int, width: int) -> int:
+        """Pixels drawn around somebody 128 pixels tall in a frame of this size."""
+        frame, mask = (
+            np.full((height, width, 3), 128, np.uint8),
+            np.zeros((height, width), np.uint8),
+        )
+        mask[60:188, 50:98] = tiny_index.silhouette(3)
+        return int((overlay(client, frame, mask)[50:198, 40:108] != 128).any(axis=2).sum())
+
+    assert drawn(1500, 2000) < 1.4 * drawn(240, 320)
 
 
 def test_timings_add_up(client: TestClient, photo: Photo) -> None:

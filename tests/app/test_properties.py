@@ -61,7 +61,7 @@ def test_any_mask(client: TestClient, mask: np.ndarray) -> None:
     assert areas == sorted(int((mask == label).sum()) for label in labels)
     for person in answer.persons:
         for hypothesis in person.hypotheses:
-            joints = (joint for joint in hypothesis.joints_2d if joint)
+            joints = (joint for joint in hypothesis.joints_2d or () if joint)
             assert all(math.isfinite(joint["x"] + joint["y"]) for joint in joints)
 
 

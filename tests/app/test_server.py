@@ -15,7 +15,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.conftest import ROOT, Photo, Server, start_server, wait_until
+from tests.conftest import Photo, Server, start_server, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -123,16 +123,6 @@ def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) 
     vectors = corrupted / "descriptors.faiss.xz"
     vectors.write_bytes(vectors.read_bytes()[:-10])
     assert_told_not_served(start_server(corrupted), "truncated")
-
-
-def test_a_broken_network_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
-    for package in ("app", "index", "descriptor"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("data"))
-    weights = tmp_path / "app" / "vision" / "facing.onnx"
-    weights.write_bytes(weights.read_bytes()[:1000])
-    assert_told_not_served(
-        start_server(index_path, tmp_path), "facing.onnx is not a network OpenCV can run"
-    )
 
 
 def test_a_slow_upload_is_sent_away(index_path: Path) -> None:

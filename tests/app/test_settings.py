@@ -23,6 +23,8 @@ from tests.conftest import ROOT
         ("POSE_REQUEST_TIMEOUT_S", "soon", "expected a number, got 'soon'"),
         ("POSE_REQUEST_TIMEOUT_S", "inf", "expected a finite number, got 'inf'"),
         ("POSE_LOG_LEVEL", "loud", "expected 'debug', 'info', 'warning' or 'error', got 'loud'"),
+        ("POSE_DETECTOR", "network,hog", "expected 'network' or 'hog', got 'network,hog'"),
+        ("POSE_DETECTOR", "yolo", "expected 'network' or 'hog', got 'yolo'"),
         ("POSE_API_KEYS", ",", "expected values separated by commas, got an empty one"),
         ("POSE_API_KEYS", "secret,", "expected values separated by commas, got an empty one"),
         ("POSE_API_KEYS", " ", "expected values separated by commas, got an empty one"),
@@ -41,6 +43,8 @@ from tests.conftest import ROOT
         ("PORT", "99999", "expected at most 65535, got '99999'"),
         ("PORT", "0", "expected at least 1, got '0'"),
         ("WORKERS", "0", "expected at least 1, got '0'"),
+        # Networks ship with the package.
+        ("POSE_MODELS", "models", "expected one of the settings in docs/operations.md"),
         ("POSE_TYPO", "3", "expected one of the settings in docs/operations.md"),
     ],
 )
@@ -86,6 +90,7 @@ def test_what_makes_sense_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
         "HOST": "0.0.0.0",
         "PORT": "8080",
         "WORKERS": "2",
+        "POSE_DETECTOR": "hog",
         "POSE_API_KEYS": "first, second",
         "POSE_CORS_ORIGINS": "https://yard.example,http://127.0.0.1:8000",
         "POSE_MAX_PIXELS": "",  # As compose.yaml passes on what is not set.
@@ -93,6 +98,7 @@ def test_what_makes_sense_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
     settings = read_settings()
     assert (settings.host, settings.port, settings.workers) == ("0.0.0.0", 8080, 2)
+    assert settings.detector == "hog"
     assert [key.get_secret_value() for key in settings.api_keys] == ["first", "second"]
     assert settings.cors_origins == ("https://yard.example", "http://127.0.0.1:8000")
     assert settings.max_pixels == Settings.model_fields["max_pixels"].default

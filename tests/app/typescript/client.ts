@@ -23,7 +23,7 @@ const upload: Upload = { frame: file(frame), mask: file(mask) };
 
 const { data, error } = await client.POST("/pose", { body: upload, params: { query: { n: 3 } } });
 if (data === undefined) throw new Error(error.detail);
-const joint = data.persons[0]?.hypotheses[0]?.joints_2d[0];
+const joint = data.persons[0]?.hypotheses[0]?.joints_2d?.[0];
 
 // Everything but the frame may be left out.
 const broken = await client.POST("/pose", { body: { frame: new Blob(["?"]) } });

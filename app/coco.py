@@ -1,0 +1,70 @@
+"""Silhouettes as COCO's annotations have them: run lengths and polygons."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.people import Silhouette
+
+
+def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Count the pixels of a frame down its columns, outside and inside a silhouette in turns.
+
+    Parameters
+    ----------
+    silhouette : Silhouette
+    frame_shape : tuple of int
+        Height and width first, as ``frame.shape``.
+
+    Returns
+    -------
+    (N,) int64 array
+        The first counts pixels outside; it is 0 where the first pixel lies inside.
+    """
+    height, width = frame_shape[:2]
+    columns = np.pad(silhouette.crop.T, ((0, 0), (1, 1))).astype(np.int8)
+    column, row = np.diff(columns).nonzero()
+    edges = (silhouette.left + column) * height + silhouette.top + row
+    # A run that goes on at the top of the next column is one, not two.
+    changes, times = np.unique(edges, return_counts=True)
+    ends = np.unique(np.append(changes[times == 1], width * height))
+    return np.diff(ends, prepend=0)
+
+
+def compressed(counts: NDArray[np.int64]) -> str:
+    """Write run lengths as the string that pycocotools writes.
+
+    From the fourth on, the difference to the last but one stands for a count. Each number is
+    written in groups of five bits, the lowest first, with a sixth that says whether more follow.
+    """
+    differences = counts.copy()
+    differences[3:] -= counts[1:-2]
+    text = []
+    for number in differences.tolist():
+        more = True
+        while more:
+            bits, number = number & 31, number >> 5
+            more = number != (-1 if bits & 16 else 0)
+            text.append(chr(48 + bits + 32 * more))
+    return "".join(text)
+
+
+def polygon(silhouette: Silhouette) -> list[list[float]]:
+    """Outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in pixels of the frame.
+
+    They run through the centres of the outermost pixels, and have three points at least, as
+    COCO's must; holes are left out.
+    """
+    outlines, _ = cv2.findContours(
+        silhouette.crop.astype(np.uint8),
+        cv2.RETR_EXTERNAL,
+        cv2.CHAIN_APPROX_SIMPLE,
+        offset=(silhouette.left, silhouette.top),
+    )
+    # np.resize repeats the points of an outline that has only one or two.
+    return [
+        np.resize(outline, (max(3, len(outline)), 2)).ravel().astype(float).tolist()
+        for outline in outlines
+    ]
