@@ -5,6 +5,8 @@ export const PEOPLE = ["#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#
 
 const SIDES = { left: "#ff8a3c", right: "#3c9dff", middle: "#9fb3b8" };
 
+const OBSERVED = "#ffffff";
+
 export const personColour = (number) => PEOPLE[number % PEOPLE.length];
 
 function side(name) {
@@ -36,57 +38,120 @@ export function drawFlat(context, joints, keypoints, place, width) {
   }
 }
 
-/** A label image (0 background, k = person k) as one tinted canvas per frame. */
-export async function tint(blob) {
-  const bitmap = await createImageBitmap(blob);
-  const canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
-  const context = canvas.getContext("2d", { willReadFrequently: true });
-  context.drawImage(bitmap, 0, 0);
-  const image = context.getImageData(0, 0, canvas.width, canvas.height);
-  const colours = PEOPLE.map((hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)));
-  for (let at = 0; at < image.data.length; at += 4) {
-    const label = image.data[at];
-    const colour = colours[(label - 1 + colours.length) % colours.length];
-    image.data.set([...colour, label ? 115 : 0], at);
+/** Run lengths out of the string that pycocotools writes. */
+function runLengths(counts) {
+  const lengths = [];
+  let number = 0, shift = 0;
+  for (const character of counts) {
+    const bits = character.charCodeAt(0) - 48;
+    number |= (bits & 31) << shift;
+    shift += 5;
+    if (bits & 32) continue;
+    if (bits & 16) number |= -1 << shift;
+    lengths.push(number + (lengths.length > 2 ? lengths.at(-2) : 0));
+    number = shift = 0;
   }
+  return lengths;
+}
+
+/** The silhouettes of an answer, each in its person's colour, on a canvas of the answer's size. */
+export function tint({ image: { width, height }, persons }) {
+  const canvas = new OffscreenCanvas(width, height);
+  const context = canvas.getContext("2d");
+  const image = context.createImageData(width, height);
+  const pixels = new Uint32Array(image.data.buffer);
+  persons.forEach(({ silhouette }, number) => {
+    const [red, green, blue] = [1, 3, 5].map((i) => parseInt(personColour(number).slice(i, i + 2), 16));
+    const colour = (115 << 24) | (blue << 16) | (green << 8) | red;
+    let start = 0;
+    runLengths(silhouette?.rle?.counts ?? "").forEach((length, run) => {
+      const end = start + length;
+      // Inside and outside in turns, down the columns.
+      for (let at = start; run % 2 && at < end; at += 1) {
+        pixels[(at % height) * width + Math.floor(at / height)] = colour;
+      }
+      start = end;
+    });
+  });
   context.putImageData(image, 0, 0);
   return canvas;
 }
 
-/** Photograph, silhouettes, boxes and skeletons in pixels of the photograph, as `shown` says. */
+/** Keypoints that the photograph shows. */
+function drawObserved(context, keypoints, radius) {
+  context.fillStyle = OBSERVED;
+  context.strokeStyle = "rgb(0 0 0 / 0.75)";
+  context.lineWidth = radius / 2;
+  for (const point of keypoints ?? []) {
+    if (!point) continue;
+    context.beginPath();
+    context.arc(point.x + 0.5, point.y + 0.5, radius, 0, 2 * Math.PI);
+    context.stroke();
+    context.fill();
+  }
+}
+
+/** Photograph, silhouettes, boxes, skeletons and keypoints in pixels of the photograph, as
+ * `shown` says; `line` is as wide as a line on the screen. */
 function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, shown }, line) {
   const { width, height } = answer.image;
-  context.drawImage(photo, 0, 0, width, height);
-  if (shown.silhouettes && silhouettes) context.drawImage(silhouettes, 0, 0);
+  context.fillStyle = "#7d8a8c";
+  context.fillRect(0, 0, width, height);
+  if (photo) context.drawImage(photo, 0, 0, width, height);
+  if (shown.silhouettes && silhouettes) context.drawImage(silhouettes, 0, 0, width, height);
   answer.persons.forEach((found, number) => {
     const chosen = number === person;
+    // Lines that can be seen, but do not hide somebody small.
+    const bone = Math.max(Math.min(2 * line, found.box.height / 30), found.box.height / 70);
     if (shown.boxes) {
       // The service counts from pixel centres, a canvas from pixel corners.
       const { x, y, width: w, height: h } = found.box;
       context.strokeStyle = personColour(number);
-      context.lineWidth = chosen ? line * 1.8 : line;
+      context.lineWidth = chosen ? line * 2 : line;
       context.strokeRect(x + 0.5, y + 0.5, w, h);
-      context.font = `600 ${line * 8}px system-ui, sans-serif`;
-      context.lineWidth = line * 2;
-      context.strokeStyle = "rgb(0 0 0 / 0.75)";
-      context.fillStyle = personColour(number);
-      const label = [String(number + 1), x + 0.5 + line * 2, Math.max(y - line * 2, line * 9)];
-      context.strokeText(...label);
-      context.fillText(...label);
     }
     const pose = found.hypotheses[chosen ? hypothesis : 0];
     if (shown.skeleton && pose) {
-      drawFlat(context, pose.joints_2d, answer.keypoints, ({ x, y }) => [x + 0.5, y + 0.5],
-        Math.max(line * 0.8, found.box.height / 70));
+      drawFlat(context, pose.joints_2d, answer.keypoints, ({ x, y }) => [x + 0.5, y + 0.5], bone);
     }
+    if (shown.observed) drawObserved(context, found.observed_keypoints, 0.8 * bone);
   });
+  if (shown.numbers) answer.persons.forEach((found, number) => drawNumber(context, found.box, number, line));
+}
+
+/** A person's number above the box, or inside where the frame ends. */
+function drawNumber(context, { x, y }, number, line) {
+  context.font = `700 ${line * 9}px system-ui, sans-serif`;
+  context.lineJoin = "round";
+  context.lineWidth = line * 2.5;
+  context.strokeStyle = "rgb(0 0 0 / 0.8)";
+  context.fillStyle = personColour(number);
+  const label = [String(number + 1), x + 0.5, Math.max(y - line * 2, line * 8)];
+  context.strokeText(...label);
+  context.fillText(...label);
+}
+
+/** Where a canvas shows an image that it holds whole: pixels of the screen for one of the image,
+ * and the edges of the image. */
+export function fitted(canvas, { width, height }) {
+  const scale = Math.min(canvas.clientWidth / width, canvas.clientHeight / height) || 1;
+  return {
+    scale,
+    left: (canvas.clientWidth - width * scale) / 2,
+    top: (canvas.clientHeight - height * scale) / 2,
+  };
 }
 
 /** The whole photograph with what was found in it. */
 export function drawStage(canvas, scene) {
   const { width, height } = scene.answer.image;
-  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-  drawLayers(canvas.getContext("2d"), scene, Math.max(1.5, Math.max(width, height) / 400));
+  // More pixels than the photograph was sent with show nothing, and some telephones have no room.
+  const scale = scene.photo ? Math.min(1, scene.photo.width / width) : 1;
+  const size = { width: Math.round(width * scale), height: Math.round(height * scale) };
+  if (canvas.width !== size.width || canvas.height !== size.height) Object.assign(canvas, size);
+  const context = canvas.getContext("2d");
+  context.setTransform(scale, 0, 0, scale, 0, 0);
+  drawLayers(context, scene, 1.6 / fitted(canvas, scene.answer.image).scale);
 }
 
 /** The chosen person, filling the canvas: in a street they are small. */

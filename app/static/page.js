@@ -1,23 +1,27 @@
 // The debug page: a photograph in, what the service made of it out.
 
 import {
-  drawCloseUp, drawStage, drawThumbnail, personColour, Solid, tint,
+  drawCloseUp, drawStage, drawThumbnail, fitted, personColour, Solid, tint,
 } from "./drawing.js";
+import { inPixelsOf, prepare } from "./photograph.js";
 import {
-  curlCommand, describeEntry, describeIndex, entrySilhouette, estimatePose, extractSilhouettes,
+  curlCommand, describeEntry, describeIndex, entrySilhouette, estimatePose,
 } from "./service.js";
 
 const $ = (id) => document.getElementById(id);
 const solid = new Solid($("solid"));
 
-// All that changes: what was sent, what came back, and what is chosen of it.
+// All that is shown: what was sent, what came back, and what is chosen of it.
 const state = { upload: null, bitmap: null, answer: null, silhouettes: null, person: 0, hypothesis: 0 };
+// The upload last asked about, and how to stop asking.
+let latest = null;
 let asking = null;
 let webcam = null;
 
 const options = () => ({
-  count: Math.min(50, Math.max(1, Number($("count").value) || 7)),
+  count: Number($("count").value),
   keypoints: $("keypoints").value,
+  evidence: $("evidence").value,
   key: $("key").value,
   keyed: Boolean($("key").value),
 });
@@ -29,6 +33,22 @@ function complain(error) {
     $("key-form").hidden = false;
     $("key").focus();
   }
+}
+
+/** What is worth knowing and no error. */
+function tell(notes) {
+  const texts = notes.filter(Boolean);
+  $("note").hidden = !texts.length;
+  $("note").textContent = texts.join(" ");
+}
+
+/** Put the number of hypotheses within its limits; returns what to tell of that. */
+function limitCount() {
+  const { value, min, max, defaultValue } = $("count");
+  const count = value ? Math.min(Number(max), Math.max(Number(min), Math.round(Number(value)))) : defaultValue;
+  $("count").value = count;
+  return value && Number(value) !== Number(count)
+    ? `${min} to ${max} hypotheses can be asked for: ${count} instead of ${value}.` : "";
 }
 
 async function showIndex() {
@@ -54,33 +74,67 @@ async function ask(upload) {
   asking?.abort();
   asking = new AbortController();
   const { signal } = asking;
+  latest = upload;
+  const notes = [upload.note, limitCount()];
   const chosen = options();
   complain(null);
-  $("result").classList.add("busy");
-  $("busy").hidden = Boolean(webcam);
+  tell(notes);
+  working(true);
   try {
-    const bitmap = await createImageBitmap(upload.frame).catch(() => null);
-    const answer = await estimatePose(upload, { ...chosen, signal });
-    const labels = answer.persons.length
-      ? await extractSilhouettes(upload, { ...chosen, signal }).catch(() => null) : null;
-    const silhouettes = labels && await tint(labels);
+    upload.prepared ??= prepare(upload);
+    const { bitmap, files, original } = await upload.prepared;
+    const answered = await estimatePose(files, { ...chosen, signal });
     if (signal.aborted) return;
-    const person = upload.sameScene
-      ? Math.min(state.person, Math.max(0, answer.persons.length - 1)) : largest(answer.persons);
-    Object.assign(state, { upload, bitmap, answer, silhouettes, person, hypothesis: 0 });
-    $("result").hidden = false;
-    document.body.classList.add("has-result");
+    const isNew = upload !== state.upload && !upload.sameScene;
+    show(upload, bitmap, answered, original);
     $("curl").textContent = curlCommand(upload, chosen);
-    if (!answer.persons.length) complain(new Error("Nobody was found in this photograph."));
-    showPersons();
-  } catch (error) {
-    if (error.name !== "AbortError") complain(error);
-  } finally {
-    if (!signal.aborted) {
-      $("result").classList.remove("busy");
-      $("busy").hidden = true;
+    if (!answered.persons.length) {
+      notes.push("Nobody was found in this photograph. A second file, named …mask…, can say where people are.");
     }
+    tell(notes);
+    working(false);
+    if (isNew && answered.persons.length) bringIntoView();
+  } catch (error) {
+    if (signal.aborted) return;
+    working(false);
+    complain(error);
+    setStale(true);
+    if (state.answer) tell([...notes, "Below is still the answer before this."]);
   }
+}
+
+function working(whether) {
+  $("result").classList.toggle("busy", whether);
+  $("busy").hidden = !whether || Boolean(webcam);
+}
+
+/** Show an answer, in pixels of the photograph even if that was sent smaller. */
+function show(upload, bitmap, answered, original) {
+  const silhouettes = tint(answered);
+  // As the command shown gives it, which asks for no silhouettes.
+  for (const { silhouette } of answered.persons) if (silhouette) silhouette.rle = null;
+  const answer = original ? inPixelsOf(original, answered) : answered;
+  const person = upload.sameScene
+    ? Math.min(state.person, Math.max(0, answer.persons.length - 1)) : largest(answer.persons);
+  Object.assign(state, { upload, bitmap, answer, silhouettes, person, hypothesis: 0 });
+  state.sent = original && answered.image;
+  $("result").hidden = false;
+  document.body.classList.add("has-result");
+  setStale(false);
+  showPersons();
+}
+
+/** Whether what is shown is not what was asked for last: dimmed, and out of reach. */
+function setStale(stale) {
+  $("result").classList.toggle("stale", stale);
+  $("result").inert = stale;
+}
+
+/** On a narrow screen the result begins below what fits. */
+function bringIntoView() {
+  if (!matchMedia("(max-width: 44rem)").matches) return;
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  ($("note").hidden ? $("result") : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
 }
 
 /** Who to look at first: whoever stands nearest to the camera. */
@@ -140,9 +194,9 @@ function card(hypothesis) {
     return p;
   };
   const title = Object.assign(document.createElement("b"),
-    { textContent: `${hypothesis.rank}. ${hypothesis.action}` });
+    { textContent: `${hypothesis.rank}. ${percent(hypothesis.confidence)} sure` });
   const sure = Object.assign(document.createElement("meter"),
-    { min: 0, max: 1, value: hypothesis.confidence, title: "confidence" });
+    { min: 0, max: 1, value: hypothesis.confidence, title: "confidence: how probably the joints are right" });
   const pictures = document.createElement("div");
   pictures.className = "pictures";
   const silhouette = Object.assign(document.createElement("canvas"), { width: 80, height: 140 });
@@ -153,7 +207,6 @@ function card(hypothesis) {
   drawThumbnail(skeleton, hypothesis.joints_3d, state.answer.keypoints);
   pictures.append(silhouette, skeleton);
   box.append(title, sure,
-    line("confidence", percent(hypothesis.confidence)),
     line("outline error", `${hypothesis.reprojection_error_px.toFixed(1)} px`),
     pictures,
     line("entry", hypothesis.entry));
@@ -173,44 +226,65 @@ async function drawEntry(canvas, { entry, source, camera }) {
   context.drawImage(picture, -picture.width / 2, -picture.height / 2);
 }
 
-const FACING_FROM = { image: "from the photograph", motion: "from the walk", none: "a silhouette cannot tell" };
+const FACING_FROM = { image: "from the photograph", none: "a silhouette cannot tell" };
 
-/** What is known of a person, as pairs of term and text. */
-function facts(found, { source, camera }) {
-  const front = found.facing.front_probability;
-  const towards = front >= 0.5;
+const FOUND_BY = {
+  detector: "the detector", mask: "your mask", boxes: "your boxes", background: "the difference to your background",
+};
+
+/** What is measured of a person, as pairs of term and text. */
+function measured({ box, source, detection_score: score, silhouette, observed_keypoints: seen, facing }) {
+  const towards = facing.front_probability >= 0.5;
+  const sure = towards ? facing.front_probability : 1 - facing.front_probability;
+  return [
+    ["Faces", `${towards ? "the camera" : "away"}, ${percent(sure)} sure (${FACING_FROM[facing.evidence]})`],
+    ["Size", `${Math.round(box.width)} × ${Math.round(box.height)} px, silhouette ${silhouette.area_px.toLocaleString("en")} px`
+      + (silhouette.truncated ? ", cut off" : "")],
+    ["Keypoints", seen ? `${seen.filter(Boolean).length} of ${seen.length} seen` : "not read"],
+    ["Found by", FOUND_BY[source] + (score === null ? "" : ` (${percent(score)})`)],
+    ["Cut out by", silhouette.segmenter],
+  ];
+}
+
+/** What a hypothesis says, and where it comes from. */
+function supposed({ confidence, reprojection_error_px: error, entry, source, camera }) {
   const around = ((Math.round(camera.azimuth_deg) + 180) % 360) - 180;
   const side = around > 0 ? "the person’s left" : "the person’s right";
   return [
-    ["Faces", `${towards ? "the camera" : "away"}, ${percent(towards ? front : 1 - front)} sure `
-      + `(${FACING_FROM[found.facing.evidence]})`],
+    ["Confidence", `${percent(confidence)} that its joints are right`],
+    ["Outline", `${error.toFixed(1)} px from the entry’s on average, in 128 × 48`],
     ["Seen from", `${Math.abs(around)}° to ${side}, ${Math.round(camera.elevation_deg)}° above`],
-    ["Motion", `clip ${source.clip}, frame ${source.frame}${source.mirrored ? ", mirrored" : ""}`],
-    ["Body", source.subject],
-    ["Found by", found.source + (found.detection_score === null ? "" : ` (${percent(found.detection_score)})`)],
-    ["Cut out by", found.silhouette.segmenter + (found.silhouette.truncated ? ", cut off by the edge" : "")],
+    ["Entry", `${entry}: body ${source.subject}, clip ${source.clip}, frame ${source.frame}`
+      + (source.mirrored ? ", mirrored" : "")],
+    ["Its clip", `${source.action}, which need not be what this person does`],
   ];
+}
+
+function showTerms(list, pairs) {
+  list.replaceChildren(...pairs.flatMap(([term, text]) => [
+    Object.assign(document.createElement("dt"), { textContent: term }),
+    Object.assign(document.createElement("dd"), { textContent: text }),
+  ]));
 }
 
 function showPose() {
   const found = state.answer.persons[state.person];
   const hypothesis = found?.hypotheses[state.hypothesis];
-  $("pose").hidden = !hypothesis;
+  $("pose").hidden = $("terms").hidden = !hypothesis;
   if (hypothesis) {
     solid.show(hypothesis.joints_3d, state.answer.keypoints);
-    $("facts").replaceChildren(...facts(found, hypothesis).flatMap(([term, text]) => [
-      Object.assign(document.createElement("dt"), { textContent: term }),
-      Object.assign(document.createElement("dd"), { textContent: text }),
-    ]));
+    showTerms($("facts"), measured(found));
+    showTerms($("supposed"), supposed(hypothesis));
   }
   const { total, ...stages } = state.answer.timings_ms;
   $("timings").textContent = `${total.toFixed(0)} ms: ${Object.entries(stages)
-    .map(([stage, ms]) => `${stage} ${ms.toFixed(1)}`).join(", ")}`;
+    .map(([stage, ms]) => `${stage} ${ms.toFixed(1)}`).join(", ")}`
+    + (state.sent ? `; sent at ${state.sent.width} × ${state.sent.height}` : "");
   draw();
 }
 
 function draw() {
-  if (!state.answer || !state.bitmap) return;
+  if (!state.answer) return;
   const scene = {
     ...state,
     photo: state.bitmap,
@@ -218,11 +292,13 @@ function draw() {
       boxes: $("show-boxes").checked,
       silhouettes: $("show-silhouettes").checked,
       skeleton: $("show-skeleton").checked,
+      observed: $("show-observed").checked,
+      numbers: true,
     },
   };
   drawStage($("stage"), scene);
   // Close up there is nobody else to be told from.
-  drawCloseUp($("close-up"), { ...scene, shown: { ...scene.shown, boxes: false } });
+  drawCloseUp($("close-up"), { ...scene, shown: { ...scene.shown, boxes: false, numbers: false } });
 }
 
 /** Frames from the webcam, one after another, as fast as they are answered. */
@@ -266,13 +342,26 @@ async function copy(text, what) {
 
 /** What was dropped, pasted or chosen: a photograph, and what other files are named for. */
 function take(files) {
+  if (!files.length) return;
   const images = [...files].filter((file) => file.type.startsWith("image/") || !file.type);
-  const named = (word) => images.find((file) => images.length > 1 && word.test(file.name));
+  const named = (word) => images.length > 1 ? images.find((file) => word.test(file.name)) : undefined;
   const mask = named(/mask/i);
-  const background = mask ? undefined : named(/background/i);
-  const frame = images.find((file) => file !== mask && file !== background);
-  if (frame) ask({ frame, mask, background });
-  else if (files.length) complain(new Error("That is no picture file."));
+  const plate = named(/background/i);
+  const frame = images.find((file) => file !== mask && file !== plate);
+  if (!frame) {
+    complain(new Error(images.length
+      ? "A photograph of people is missing beside the mask or background." : "That is no picture file."));
+    return;
+  }
+  if (webcam) toggleWebcam();
+  // A mask says where people are, and leaves a background nothing to say.
+  const background = mask ? undefined : plate;
+  const used = [frame, mask, background];
+  const left = [...files].filter((file) => !used.includes(file)).map((file) => file.name);
+  ask({
+    frame, mask, background,
+    note: left.length ? `One photograph at a time: ${frame.name} is shown, ${left.join(", ")} left out.` : "",
+  });
 }
 
 $("file").addEventListener("change", () => {
@@ -300,21 +389,27 @@ addEventListener("drop", (event) => {
   take(event.dataTransfer.files);
 });
 addEventListener("paste", (event) => take(event.clipboardData.files));
-for (const id of ["count", "keypoints"]) {
-  $(id).addEventListener("change", () => { if (state.upload) ask(state.upload); });
+for (const id of ["count", "keypoints", "evidence"]) {
+  $(id).addEventListener("change", () => {
+    if (latest) ask(latest);
+    else tell([limitCount()]);
+  });
 }
 $("key-form").addEventListener("submit", (event) => event.preventDefault());
 $("key").addEventListener("change", () => {
   complain(null);
   untilReady();
-  if (state.upload) ask(state.upload);
+  if (latest) ask(latest);
 });
-for (const id of ["show-boxes", "show-silhouettes", "show-skeleton"]) $(id).addEventListener("change", draw);
+for (const id of ["show-boxes", "show-silhouettes", "show-skeleton", "show-observed"]) {
+  $(id).addEventListener("change", draw);
+}
+addEventListener("resize", draw);
 $("stage").addEventListener("click", (event) => {
-  const scale = $("stage").width / $("stage").clientWidth;
-  const [x, y] = [event.offsetX * scale, event.offsetY * scale];
-  const hit = state.answer?.persons.findIndex(({ box }) =>
-    x >= box.x && x <= box.x + box.width && y >= box.y && y <= box.y + box.height) ?? -1;
+  const { scale, left, top } = fitted($("stage"), state.answer.image);
+  const [x, y] = [(event.offsetX - left) / scale, (event.offsetY - top) / scale];
+  const hit = state.answer.persons.findIndex(({ box }) =>
+    x >= box.x && x <= box.x + box.width && y >= box.y && y <= box.y + box.height);
   if (hit >= 0) {
     Object.assign(state, { person: hit, hypothesis: 0 });
     showPersons();

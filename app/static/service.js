@@ -36,13 +36,15 @@ export async function describeIndex(key) {
   return (await answer("index", {}, key)).json();
 }
 
-export async function estimatePose(upload, { count, keypoints, key, signal }) {
-  const path = `pose?n=${count}&keypoints=${keypoints}`;
-  return (await answer(path, { method: "POST", body: form(upload), signal }, key)).json();
+function posePath({ count, keypoints, evidence }) {
+  const chosen = evidence === "photograph" ? "" : `&evidence=${evidence}`;
+  return `pose?n=${count}&keypoints=${keypoints}${chosen}`;
 }
 
-export async function extractSilhouettes(upload, { key, signal }) {
-  return (await answer("silhouette", { method: "POST", body: form(upload), signal }, key)).blob();
+/** The answer, each person with a silhouette as COCO's run lengths. */
+export async function estimatePose(files, { key, signal, ...chosen }) {
+  const path = `${posePath(chosen)}&silhouettes=rle`;
+  return (await answer(path, { method: "POST", body: form(files), signal }, key)).json();
 }
 
 export async function describeEntry(entry, key) {
@@ -53,8 +55,8 @@ export async function entrySilhouette(entry, key) {
   return (await answer(`index/entries/${entry}/silhouette.png`, {}, key)).blob();
 }
 
-export function curlCommand({ frame, mask, background }, { count, keypoints, keyed }) {
-  const url = new URL(`pose?n=${count}&keypoints=${keypoints}`, document.baseURI);
+export function curlCommand({ frame, mask, background }, { keyed, ...chosen }) {
+  const url = new URL(posePath(chosen), document.baseURI);
   const part = (field, file) => `-F '${`${field}=@${file.name || "photo.jpg"}`.replaceAll("'", "'\\''")}' `;
   return `curl ${keyed ? "-H \"X-API-Key: $KEY\" " : ""}${part("frame", frame)}`
     + `${mask ? part("mask", mask) : ""}${background ? part("background", background) : ""}'${url}'`;

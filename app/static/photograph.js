@@ -1,0 +1,47 @@
+// Photographs made smaller before they are sent, and answers brought back to their own pixels.
+
+/** The service looks for people at half of this: a longer side costs time, and shows it no more. */
+export const LONGEST_PX = 2560;
+
+/** What to send of an upload, and what to draw of it. */
+export async function prepare({ frame, mask, background }) {
+  // Null of formats that the service knows and the browser does not.
+  const bitmap = await createImageBitmap(frame).catch(() => null);
+  const scale = bitmap ? LONGEST_PX / Math.max(bitmap.width, bitmap.height) : 1;
+  // A mask and a background have to be of the frame's size.
+  if (scale >= 1 || mask || background) return { bitmap, files: { frame, mask, background } };
+  const { width, height } = bitmap;
+  const canvas = new OffscreenCanvas(Math.round(width * scale), Math.round(height * scale));
+  const context = canvas.getContext("2d");
+  context.imageSmoothingQuality = "high";
+  context.drawImage(bitmap, 0, 0, canvas.width, canvas.height);
+  bitmap.close();
+  const blob = await canvas.convertToBlob({ type: "image/jpeg", quality: 0.92 });
+  const small = new File([blob], frame.name || "photo.jpg", { type: blob.type });
+  return { bitmap: canvas.transferToImageBitmap(), files: { frame: small }, original: { width, height } };
+}
+
+const round = (value) => Math.round(value * 100) / 100;
+
+/** An answer about a photograph made smaller, in pixels of the photograph as it was. */
+export function inPixelsOf({ width, height }, answer) {
+  const [across, down] = [width / answer.image.width, height / answer.image.height];
+  // Pixels are counted from the centre of the first one, which moves.
+  const point = (p) => p && {
+    ...p, x: round((p.x + 0.5) * across - 0.5), y: round((p.y + 0.5) * down - 0.5),
+  };
+  const persons = answer.persons.map((person) => ({
+    ...person,
+    box: {
+      ...point(person.box),
+      width: round(person.box.width * across),
+      height: round(person.box.height * down),
+    },
+    silhouette: person.silhouette && {
+      ...person.silhouette, area_px: Math.round(person.silhouette.area_px * across * down),
+    },
+    observed_keypoints: person.observed_keypoints?.map(point) ?? null,
+    hypotheses: person.hypotheses.map((h) => ({ ...h, joints_2d: h.joints_2d.map(point) })),
+  }));
+  return { ...answer, image: { width, height }, persons };
+}
