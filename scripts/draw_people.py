@@ -25,22 +25,22 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from app.drawing import draw_skeleton
-from app.estimates import Person
+from app.estimates import Found, Person, Scene, Stopwatch, Upload
 from app.estimator import Estimator
 from app.settings import Settings
-from app.vision.people import Box, Silhouette
-from descriptor.silhouette import normalise
+from app.upright import UprightPerson
+from app.vision.people import Box
+from app.vision.turning import turned_box, turned_shape
 from index.leans import Leaning
 from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
-from scripts.experiments.real_data import read_pennfudan, read_pose2sim, read_vtest
-from scripts.experiments.real_poses import estimate
+from scripts.experiments.real_data import encode_png, read_pennfudan, read_pose2sim, read_vtest
 
 ROOT = Path(__file__).resolve().parent.parent
 CELL_PX = 320
 """Height at which a person's pictures are drawn."""
 
-VTEST_PEOPLE, VIDEO_PEOPLE = 16, 8
+VTEST_PEOPLE, VIDEO_PEOPLE, LYING_PEOPLE = 12, 8, 4
 VTEST_FRAMES = 20
 SHOWN_FROM_PX = 100
 """People of the small sheet are at least this tall, so that a reader sees something."""
@@ -59,30 +59,30 @@ class Pictures:
 
 
 def pictures(
-    estimator: Estimator, frame: NDArray[np.uint8], silhouette: Silhouette | None, name: str
+    estimator: Estimator, frame: NDArray[np.uint8], found: Found, name: str
 ) -> Pictures | None:
     """Draw one person; None without a silhouette."""
+    silhouette = found.silhouette
     if silhouette is None:
         return None
-    person = estimate(estimator, frame, silhouette)
+    scene = estimator.with_keypoints(Scene(frame, (found,)), lambda: None, Stopwatch())
+    (person,) = estimator.with_hypotheses(scene, 1, lambda: None, Stopwatch())
     box = silhouette.box
     window, scale = _window(box), CELL_PX / _window(box).height
     photograph = _cut(frame, window, scale, (127, 127, 127))
-    own = np.where(silhouette.mask(frame.shape)[..., None], 30, 245).astype(np.uint8)
-    own = _cut(np.repeat(own, 3, axis=2), window, scale, (245, 245, 245))
+    own = _drawn(silhouette.mask(frame.shape), window, scale)
     overlay = photograph.copy()
     first = person.hypotheses[0]
     points = (
         first.points_2d[list(NATIVE.indices)] + 0.5 - (window.x + 0.5, window.y + 0.5)
     ) * scale
     draw_skeleton(overlay, points - 0.5, NATIVE, 3)
-    confidence = first.confidence
     return Pictures(
         photograph,
         own,
-        _nearest(estimator, person, window, scale),
+        _drawn(_nearest(estimator, person, frame.shape), window, scale),
         overlay,
-        f"{name}\n{first.label.action}, confidence {confidence:.2f}",
+        f"{name}\nconfidence {first.confidence:.2f}",
         box.height,
     )
 
@@ -107,21 +107,30 @@ def _cut(
     return np.asarray(moved, np.uint8)
 
 
-def _nearest(estimator: Estimator, person: Person, window: Box, scale: float) -> NDArray[np.uint8]:
+def _drawn(mask: NDArray[np.bool_], window: Box, scale: float) -> NDArray[np.uint8]:
+    """A mask of the frame, dark on light, cut to a window."""
+    picture = np.where(mask[..., None], 30, 245).astype(np.uint8).repeat(3, axis=2)
+    return _cut(picture, window, scale, (245, 245, 245))
+
+
+def _nearest(
+    estimator: Estimator, person: Person, frame_shape: tuple[int, ...]
+) -> NDArray[np.bool_]:
     """Silhouette of the first hypothesis's entry, leaning as it does, placed on the person's."""
-    first, found = person.hypotheses[0].hypothesis, person.found.silhouette
-    assert found is not None
+    first, found = person.hypotheses[0].hypothesis, person.found
+    assert found.silhouette is not None
+    upright = UprightPerson.of(found.silhouette, found.turns, frame_shape, None)
     entry = estimator.index.silhouette(first.entry)
     entry = np.ascontiguousarray(entry[:, ::-1]) if first.mirrored else entry
-    normalised, placement = normalise(found.crop)
-    back = Leaning.of(normalised, first.lean_deg).back
-    shift = np.array([found.left - window.x, found.top - window.y])
-    corner = placement.to_image(np.zeros(2)) + shift
-    factor = scale / placement.scale
-    matrix = factor * back + np.array([[0, 0, corner[0] * scale], [0, 0, corner[1] * scale]])
-    size = round(window.width * scale), round(window.height * scale)
-    covered = cv2.warpAffine(entry.astype(np.float32), matrix, size, flags=cv2.INTER_LINEAR)
-    return np.where(covered[..., None] >= 0.5, 30, 245).astype(np.uint8).repeat(3, axis=2)
+    # What the quarter turns lean, the turned frame leans already.
+    lean = first.lean_deg - {0: 0, 1: 90, 2: 180, 3: -90}[found.turns]
+    back = Leaning.of(upright.normalised, lean).back
+    corner = upright.placement.to_image(np.zeros(2))
+    corner = corner + np.array([upright.silhouette.left, upright.silhouette.top])
+    matrix = back / upright.placement.scale + np.column_stack([np.zeros((2, 2)), corner])
+    rows, columns = turned_shape(frame_shape, found.turns)
+    covered = cv2.warpAffine(entry.astype(np.float32), matrix, (columns, rows))
+    return np.asarray(np.rot90(covered, -found.turns) >= 0.5)
 
 
 def evenly(people: Sequence[Pictures], count: int) -> list[Pictures]:
@@ -130,23 +139,32 @@ def evenly(people: Sequence[Pictures], count: int) -> list[Pictures]:
     return [people[step] for step in steps.tolist()]
 
 
-def vtest_people(estimator: Estimator, folder: Path) -> list[Pictures]:
-    """Everybody whom the service finds in evenly chosen frames of the street video."""
+def vtest_people(estimator: Estimator, folder: Path, turns: int = 0) -> list[Pictures]:
+    """Everybody whom the service finds in evenly chosen frames of the street video.
+
+    Turned by quarters, they are people who lie.
+    """
     found = []
     for number, frame in read_vtest(folder / "vtest", VTEST_FRAMES):
-        boxes = sorted((d.box for d in estimator.detector.detect(frame)), key=lambda box: box.x)
-        for silhouette in estimator.segmenter.segment(frame, boxes):
-            found.append(pictures(estimator, frame, silhouette, f"vtest {number}"))
+        turned = np.ascontiguousarray(np.rot90(frame, turns))
+        name = f"vtest {number}" + (", turned" if turns else "")
+        scene = _people(estimator, turned)
+        found += [pictures(estimator, turned, one, name) for one in scene.people]
     return [one for one in found if one is not None]
 
 
-def video_people(estimator: Estimator, folder: Path, step: int = 10) -> list[Pictures]:
-    """The balancing person of both cameras, in the reference's box."""
+def video_people(
+    estimator: Estimator, folder: Path, step: int = 10, turns: int = 0
+) -> list[Pictures]:
+    """The balancing person of both cameras, in the reference's box; lying where turned."""
     found = []
     for camera in CAMERAS:
         for one in read_pose2sim(folder / "pose2sim", camera, step):
-            silhouette = estimator.segmenter.segment(one.frame, [one.box])[0]
-            found.append(pictures(estimator, one.frame, silhouette, one.name))
+            turned = np.ascontiguousarray(np.rot90(one.frame, turns))
+            box = turned_box(one.box, one.frame.shape, turns)
+            scene = _people(estimator, turned, [box])
+            name = one.name + (", turned" if turns else "")
+            found += [pictures(estimator, turned, person, name) for person in scene.people]
     return [one for one in found if one is not None]
 
 
@@ -154,11 +172,18 @@ def street_people(estimator: Estimator, folder: Path) -> list[Pictures]:
     """The labelled people of the street photographs, in their true boxes."""
     found = []
     for photograph in read_pennfudan(folder / "pennfudan"):
-        silhouettes = estimator.segmenter.segment(photograph.frame, photograph.boxes)
-        for label, silhouette in enumerate(silhouettes, start=1):
-            name = f"{Path(photograph.name).stem[-5:]}-{label}"
-            found.append(pictures(estimator, photograph.frame, silhouette, name))
+        scene = _people(estimator, photograph.frame, photograph.boxes)
+        for number, one in enumerate(scene.people, start=1):
+            name = f"{Path(photograph.name).stem[-5:]}-{number}"
+            found.append(pictures(estimator, photograph.frame, one, name))
     return [one for one in found if one is not None]
+
+
+def _people(
+    estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box] | None = None
+) -> Scene:
+    upload = Upload(encode_png(frame), boxes=boxes)
+    return estimator.find_people(upload, lambda: None, Stopwatch())
 
 
 def draw_strip(people: Sequence[Pictures], file: Path) -> None:
@@ -218,7 +243,9 @@ def main() -> None:
     tall = [one for one in street if one.height_px >= SHOWN_FROM_PX]
     (options.docs / "results").mkdir(parents=True, exist_ok=True)
     draw_strip(evenly(tall, 4) + evenly(video, 4)[1:3], options.docs / "people.png")
+    lying = vtest_people(estimator, folder, turns=1), video_people(estimator, folder, 25, turns=3)
     sheet = evenly(street, VTEST_PEOPLE) + evenly(video, VIDEO_PEOPLE)
+    sheet += evenly(lying[0], LYING_PEOPLE) + evenly(lying[1], LYING_PEOPLE)
     draw_sheet(sheet, options.docs / "results" / "real-people.png")
 
 

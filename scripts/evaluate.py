@@ -6,6 +6,7 @@
     python -m scripts.evaluate growth       the same as the index grows
     python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate real         photographs and videos of ../shared/real
+    python -m scripts.evaluate truncation   people cut by the edge of a photograph
 
 Without a name, all of them. Results and plots go to ``docs/results/``, each with its command.
 """
@@ -26,6 +27,8 @@ EXPERIMENTS = {
     "growth": "scripts.experiments.growth",
     "sizing": "scripts.experiments.sizing",
     "real": "scripts.experiments.real",
+    "scales": "scripts.experiments.scales",
+    "truncation": "scripts.experiments.truncation",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 

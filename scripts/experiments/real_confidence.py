@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
-from app.weighing import BIAS, SLOPE
+from app.vision.weights import fitted as constants_of
 from scripts.experiments.real_poses import LIMBS_RIGHT_BELOW_PX, Trial
 
 
 def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Slope and bias that make probabilities of the agreement, as :mod:`app.weighing` holds them.
+    """Slope and bias that make probabilities of the agreement, as :mod:`app.reranking` takes them.
 
     Parameters
     ----------
     trials : sequence of Trial
-        Of people whose joints were read.
+        Of people whose keypoints were read.
     """
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
@@ -46,7 +46,9 @@ def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
 def _agreement(trial: Trial) -> NDArray[np.float64]:
     """What the confidences of the service, ``(N,)``, were made of."""
     confidence = np.clip(trial.confidence, 1e-9, 1 - 1e-9)
-    return np.asarray((np.log(confidence / (1 - confidence)) - BIAS) / SLOPE)
+    constants = constants_of("confidence")
+    odds = np.log(confidence / (1 - confidence))
+    return np.asarray((odds - constants["offset"]) / constants["slope"])
 
 
 def reliability(trials: Sequence[Trial], bins: int = 5) -> list[dict[str, float]]:

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.box_arrays import Boxes
-from app.vision.decode import decode_image, decode_mask
+from app.vision.boxes import Boxes
+from app.vision.decoding.decode import decode_image, decode_mask
 from app.vision.people import Box
 from index.skeleton import LIMBS
 
@@ -90,6 +90,11 @@ def tight_box(mask: NDArray[np.bool_]) -> Box:
     """Smallest box around the pixels of a mask."""
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     return Box(x - 0.5, y - 0.5, width, height)
+
+
+def encode_png(picture: NDArray[np.uint8]) -> bytes:
+    """Encode a picture as a caller would send it."""
+    return cv2.imencode(".png", picture)[1].tobytes()
 
 
 def as_array(boxes: Sequence[Box]) -> Boxes:

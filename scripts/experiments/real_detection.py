@@ -4,64 +4,146 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.vision.box_arrays import iou_matrix
-from app.vision.detect import HogDetector
-from app.vision.networks import PersonNetwork
+from app.vision.boxes import Boxes
+from app.vision.detection.detector import HogDetector, NetworkDetector, logit, sigmoid
 from scripts.experiments.real_data import Photograph, as_array
-from scripts.experiments.real_detection_fit import (
-    LookAgain,
-    all_candidates,
-    as_probabilities,
-    calibration,
-    cross_validated,
-    looked_again,
+from scripts.experiments.real_detection_scores import (
+    average_precision,
+    figures,
+    matches,
+    recall_at,
+    rightness,
 )
-from scripts.experiments.real_detection_scores import figures
 
 SPLITS = 3
 """Cross-validations, each with folds of its own; figures are their mean."""
 
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """What a detector takes for people in one photograph.
+
+    Parameters
+    ----------
+    boxes : (N, 4) float64 array
+    features : (N, 2) float64 array
+        Log odds of the network's score, and HOG's margin.
+    milliseconds : float
+    """
+
+    boxes: Boxes
+    features: NDArray[np.float64]
+    milliseconds: float
+
+
+def all_candidates(
+    photographs: Sequence[Photograph], detector: NetworkDetector
+) -> list[Candidates]:
+    """Candidates of every photograph."""
+    result = []
+    for photograph in tqdm(photographs, desc="candidates", unit="photograph"):
+        started = time.perf_counter()
+        boxes, _, scores = detector.candidates(photograph.frame)
+        spent = 1000 * (time.perf_counter() - started)
+        scores[:, 0] = logit(scores[:, 0])
+        result.append(Candidates(as_array(boxes), scores, spent))
+    return result
+
+
+def fit_detector(
+    photographs: Sequence[Photograph], candidates: Sequence[Candidates]
+) -> dict[str, float]:
+    """The constants by which the scores of network and HOG become one probability."""
+    model = _fit(candidates, [as_array(one.boxes) for one in photographs], columns=[0, 1])
+    network, hog = model.coef_[0].tolist()
+    return {
+        "network": round(network, 4),
+        "hog": round(hog, 4),
+        "offset": round(float(model.intercept_[0]), 4),
+    }
+
+
+def fit_hog(photographs: Sequence[Photograph]) -> dict[str, float]:
+    """The constants by which HOG's margins alone become probabilities."""
+    right, margins = [], []
+    alone = HogDetector(min_score=0.0)
+    for photograph in photographs:
+        boxes, found = alone.people(photograph.frame)
+        right.append(rightness((boxes, found), as_array(photograph.boxes)))
+        margins.append(found)
+    model = LogisticRegression().fit(np.concatenate(margins)[:, None], np.concatenate(right))
+    return {
+        "hog_alone": round(float(model.coef_[0, 0]), 4),
+        "hog_alone_offset": round(float(model.intercept_[0]), 4),
+    }
+
 
 def measure_detection(
-    photographs: Sequence[Photograph], network: PersonNetwork, look: LookAgain
+    photographs: Sequence[Photograph], candidates: Sequence[Candidates]
 ) -> dict[str, dict[str, float]]:
-    """Figures of the detectors; those with fitted weights are cross-validated by photograph."""
+    """Figures of the detectors; what is fitted is cross-validated by photograph."""
     truths = [as_array(photograph.boxes) for photograph in photographs]
-    people = all_candidates(photographs, network)
-    splits, again, spent_again = [], [], []
-    for seed in range(SPLITS):
-        odds = cross_validated(people, seed)
-        found = as_probabilities(odds, *calibration(odds, truths))
-        splits.append(figures(found, truths))
-        started = time.perf_counter()
-        looked = [look(*one) for one in zip(photographs, found, strict=True)]
-        spent_again.append(1000 * (time.perf_counter() - started) / len(photographs))
-        again.append(figures(looked_again(found, looked, truths, seed), truths))
-    cascade, second = (
-        {key: float(np.mean([split[key] for split in some])) for key in some[0]}
-        for some in (splits, again)
-    )
-    best = [
-        iou_matrix(one.boxes, truth).max(axis=0, initial=0)
-        for one, truth in zip(people, truths, strict=True)
-    ]
-    cascade["reachable"] = float((np.concatenate(best) >= 0.5).mean())
-    # What follows the candidates, their merging, takes less than a millisecond.
-    cascade["milliseconds"] = float(np.median([one.milliseconds for one in people]))
-    second["reachable"] = cascade["reachable"]
-    second["milliseconds"] = cascade["milliseconds"] + float(np.mean(spent_again))
+    found = {
+        "network, judged by HOG": _cross_validated(candidates, truths, [0, 1]),
+        "network alone": _cross_validated(candidates, truths, [0]),
+    }
+    spent = float(np.median([one.milliseconds for one in candidates]))
+    for one in found.values():
+        one["milliseconds"] = spent
     alone = HogDetector(min_score=0.0)
-    found, spent = [], []
-    for photograph in tqdm(photographs, desc="gradients", unit="photograph"):
+    by_hog, spent_by_hog = [], []
+    for photograph in tqdm(photographs, desc="HOG alone", unit="photograph"):
         started = time.perf_counter()
-        people_found = alone.detect(photograph.frame)
-        spent.append(1000 * (time.perf_counter() - started))
-        scores = np.array([one.score for one in people_found])
-        found.append((as_array([one.box for one in people_found]), scores))
-    gradients = figures(found, truths)
-    gradients["milliseconds"] = float(np.median(spent))
-    return {"cascade, second look": second, "cascade": cascade, "gradients": gradients}
+        people = alone.detect(photograph.frame)
+        spent_by_hog.append(1000 * (time.perf_counter() - started))
+        scores = np.array([one.score for one in people])
+        by_hog.append((as_array([one.box for one in people]), scores))
+    found["HOG alone"] = {**figures(by_hog, truths), "milliseconds": float(np.median(spent_by_hog))}
+    return found
+
+
+def _cross_validated(
+    candidates: Sequence[Candidates], truths: Sequence[Boxes], columns: list[int]
+) -> dict[str, float]:
+    splits = []
+    for seed in range(SPLITS):
+        fold = np.random.default_rng(seed).permutation(len(candidates)) % FOLDS
+        scored: list[tuple[Boxes, NDArray[np.float64]]] = [
+            (one.boxes, np.zeros(0)) for one in candidates
+        ]
+        for held in range(FOLDS):
+            known = np.flatnonzero(fold != held).tolist()
+            model = _fit([candidates[i] for i in known], [truths[i] for i in known], columns)
+            for i in np.flatnonzero(fold == held).tolist():
+                odds = candidates[i].features[:, columns] @ model.coef_[0] + model.intercept_[0]
+                scored[i] = (candidates[i].boxes, sigmoid(odds))
+        table = matches(scored, truths)
+        people = sum(map(len, truths))
+        splits.append(
+            {
+                **figures(scored, truths),
+                "average_precision": average_precision(table, people),
+                "recall_at_90": recall_at(table, people, precision=0.9),
+            }
+        )
+    return {key: float(np.mean([split[key] for split in splits])) for key in splits[0]}
+
+
+def _fit(
+    candidates: Sequence[Candidates], truths: Sequence[Boxes], columns: list[int]
+) -> LogisticRegression:
+    right = [
+        rightness((one.boxes, one.features[:, 0]), truth)
+        for one, truth in zip(candidates, truths, strict=True)
+    ]
+    features = np.concatenate([one.features[:, columns] for one in candidates])
+    return LogisticRegression().fit(features, np.concatenate(right))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.box_arrays import Boxes, iou_matrix
+from app.vision.boxes import Boxes, iou_matrix
 
 Scored = tuple[Boxes, NDArray[np.float64]]
 """Detections of one photograph and their scores."""
@@ -55,6 +55,13 @@ def rightness(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
             right[index] = True
             free[reachable.argmax()] = False
     return right
+
+
+def recall_at(table: NDArray[np.float64], people: int, *, precision: float) -> float:
+    """Highest recall at which the precision of :func:`matches` is at least so high."""
+    hits = np.cumsum(table[:, 1])
+    precise = hits / np.arange(1, len(table) + 1) >= precision
+    return float(hits[precise].max() / people) if precise.any() else 0.0
 
 
 def average_precision(table: NDArray[np.float64], people: int) -> float:

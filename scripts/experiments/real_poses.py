@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import Found, Person, Scene, Stopwatch
+from app.estimates import Evidence, Found, Person, Scene, Stopwatch
 from app.estimator import Estimator
-from app.vision.people import Box, Silhouette
-from app.vision.segment import Segmenter
+from app.vision.people import COCO_NAMES, Box, Silhouette
+from app.vision.segmentation.segment import Segmenter
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.real_data import (
@@ -83,11 +83,17 @@ class Trial:
 
 
 def estimate(
-    estimator: Estimator, frame: NDArray[np.uint8], silhouette: Silhouette, n: int = HYPOTHESES
+    estimator: Estimator,
+    frame: NDArray[np.uint8],
+    box: Box,
+    silhouette: Silhouette,
+    evidence: Evidence = "photograph",
+    n: int = HYPOTHESES,
 ) -> Person:
-    """Hypotheses of one silhouette."""
-    found = Found(silhouette.box, "boxes", None, silhouette)
-    scene = Scene(lambda: frame, (found,))
+    """Hypotheses of one silhouette, and of the keypoints in a box if the photograph is asked."""
+    scene = Scene(frame, (Found(box, "boxes", None, silhouette),))
+    if evidence == "photograph":
+        scene = estimator.with_keypoints(scene, lambda: None, Stopwatch())
     return estimator.with_hypotheses(scene, n, lambda: None, Stopwatch())[0]
 
 
@@ -144,6 +150,7 @@ def street_trials(
     people: Sequence[StreetPerson],
     estimator: Estimator,
     silhouette_of: Callable[[StreetPerson], Silhouette | None],
+    evidence: Evidence = "photograph",
 ) -> list[Trial]:
     """Judge the street people.
 
@@ -154,8 +161,9 @@ def street_trials(
         silhouette = silhouette_of(person)
         if silhouette is None:
             continue
-        found = estimate(estimator, person.photograph.frame, silhouette)
-        height = person.photograph.boxes[person.label - 1].height
+        box = person.photograph.boxes[person.label - 1]
+        found = estimate(estimator, person.photograph.frame, box, silhouette, evidence)
+        height = box.height
         name = f"{person.photograph.name}-{person.label}"
         trials.append(judge(name, found, person.reference, height, odd=person.photograph.odd))
     return trials
@@ -183,7 +191,11 @@ class VideoTrials:
 
 
 def video_trials(
-    frames: Sequence[VideoFrame], estimator: Estimator, *, own_detection: bool
+    frames: Sequence[VideoFrame],
+    estimator: Estimator,
+    *,
+    own_detection: bool,
+    evidence: Evidence = "photograph",
 ) -> VideoTrials:
     """Judge the person of a video, in the true box or in the detection that overlaps it most."""
     trials = []
@@ -198,7 +210,7 @@ def video_trials(
         silhouette = estimator.segmenter.segment(one.frame, [box])[0]
         if silhouette is None:
             continue
-        person = estimate(estimator, one.frame, silhouette)
+        person = estimate(estimator, one.frame, box, silhouette, evidence)
         trials.append(judge(one.name, person, one.reference, one.box.height))
     return VideoTrials(trials, len(frames))
 
@@ -248,4 +260,29 @@ def peer_on_video(frames: Sequence[VideoFrame], python: Path) -> dict[str, float
         "first_mm": 1000 * _mean(distances),
         "first_procrustes_mm": 1000 * _mean(aligned),
         "milliseconds": _mean([answer.milliseconds for answer in answers.values()]),
+    }
+
+
+def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[str, float]:
+    """How near the observed keypoints themselves are to the reference, in true boxes."""
+    rows = [COCO_NAMES.index(name) for name in LIMBS]
+    other_side = [rows[i ^ 1] for i in range(len(rows))]
+    near, sides = [], []
+    for person in people:
+        box = person.photograph.boxes[person.label - 1]
+        seen = estimator.read_keypoints(person.photograph.frame, box)
+        if seen is None:
+            near.append(0.0)
+            continue
+        own, exchanged = (
+            np.linalg.norm(seen.positions[some] - person.reference.joints_2d, axis=-1)
+            for some in (rows, other_side)
+        )
+        near.append(float((own < NEAR * box.height).mean()))
+        sides.append(float(own.sum() <= exchanged.sum()))
+    odd = np.array([person.photograph.odd for person in people])
+    return {
+        "pck": 100 * _mean(near),
+        "odd_pck": 100 * float(np.array(near)[odd].mean()),
+        "sides": 100 * _mean(sides),
     }

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.vision.detect import Detector
-from app.vision.segment import Segmenter
+from app.vision.detection.detector import Detector
+from app.vision.segmentation.segment import Segmenter
 from scripts.experiments.real_data import Photograph
 from scripts.experiments.real_peer import ask, room_about
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.box_arrays import iou_matrix
-from app.vision.detect import Detector
+from app.vision.boxes import iou_matrix
+from app.vision.detection.detector import Detector
 from app.vision.people import Box
 from scripts.experiments.real_data import as_array
 
