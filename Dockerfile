@@ -1,8 +1,8 @@
 # syntax=docker/dockerfile:1
-# Two stages: the first has pip and fetches the segmentation networks, the second only serves.
+# Two stages: the first has pip, the second only serves. Networks, index and page are in the package.
 
 FROM python:3.11-slim AS build
-WORKDIR /srv
+WORKDIR /src
 RUN python -m venv /srv/.venv
 COPY LICENSE LICENSE
 COPY NOTICE NOTICE
@@ -10,10 +10,7 @@ COPY pyproject.toml ./
 COPY app app
 COPY descriptor descriptor
 COPY index index
-COPY scripts/body_mask.py scripts/fetch_models.py scripts/
-RUN /srv/.venv/bin/pip install --no-cache-dir -e . \
- && /srv/.venv/bin/python -m scripts.fetch_models \
- && rm -rf scripts
+RUN /srv/.venv/bin/pip install --no-cache-dir .
 
 FROM python:3.11-slim
 ARG REVISION=unknown
@@ -26,7 +23,7 @@ ENV HOST=0.0.0.0 \
     POSE_REVISION="${REVISION}" \
     PYTHONDONTWRITEBYTECODE=1 \
     PYTHONUNBUFFERED=1
-COPY --from=build /srv /srv
+COPY --from=build /srv/.venv /srv/.venv
 WORKDIR /srv
 USER 10001:10001
 EXPOSE 8000

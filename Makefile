@@ -16,16 +16,15 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 .PHONY: run test test-all check index evaluate bench openapi clean
 
 run: $(RUN)/.stamp
-	@$(RUN)/bin/python -m scripts.fetch_models \
-	  || echo "make run: serving without the segmentation networks, with GrabCut instead" >&2
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
 
 test: $(DEV)/.stamp
 	$(DEV)/bin/python -m pytest -q $(ARGS)
 
-# Also what is slow, and what needs the build extra (torch) or ../shared.
+# Also what is slow, and what needs the build extra (torch), ../shared, Chromium, Node.js or Java;
+# -rs says which of them are missing.
 test-all: $(BUILD)/.stamp
-	$(BUILD)/bin/python -m pytest -q -m "slow or not slow" $(ARGS)
+	$(BUILD)/bin/python -m pytest -q -rs -m "slow or not slow" $(ARGS)
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
@@ -48,22 +47,27 @@ openapi: $(DEV)/.stamp
 	$(DEV)/bin/python -m scripts.export_openapi
 
 $(RUN)/.stamp: pyproject.toml
-	$(PYTHON) -m venv $(RUN)
-	$(RUN)/bin/pip install --quiet --disable-pip-version-check -e .
-	touch $@
+	@echo "Once: setting up $(RUN) with what serving needs, from PyPI (about 20 s)"
+	@$(PYTHON) -m venv $(RUN)
+	@$(RUN)/bin/pip install --quiet --disable-pip-version-check -e .
+	@touch $@
 
 $(DEV)/.stamp: pyproject.toml
-	$(PYTHON) -m venv $(DEV)
-	$(DEV)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
-	touch $@
+	@echo "Once: setting up $(DEV) with what checks and tests need, from PyPI (about a minute)"
+	@$(PYTHON) -m venv $(DEV)
+	@$(DEV)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
+	@touch $@
 
 # torch first and pinned: another way round, pip takes gigabytes of CUDA libraries.
 $(BUILD)/.stamp: pyproject.toml
-	$(PYTHON) -m venv $(BUILD)
-	$(BUILD)/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
-	$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,contract,evaluate,test,train]'
-	touch $@
+	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
+	@$(PYTHON) -m venv $(BUILD)
+	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
+	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,contract,evaluate,test]'
+	@touch $@
 
+# All that the targets above and `pip install .` leave behind; no other file is touched.
 clean:
-	rm -rf $(RUN) $(DEV) $(BUILD) *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(RUN) $(DEV) $(BUILD) build dist *.egg-info \
+	  .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import sys
 import tomllib
-import zipfile
-from pathlib import Path
 
 import pytest
 
@@ -43,22 +38,3 @@ def test_every_network_that_ships_is_told() -> None:
     ]
     assert shipped
     assert [name for name in shipped if name not in NOTICE] == []
-
-
-@pytest.mark.slow
-def test_the_wheel_holds_licence_and_notice(tmp_path: Path) -> None:
-    source = tmp_path / "source"  # A build leaves files beside what it builds.
-    source.mkdir()
-    for file in ("LICENSE", "NOTICE", "pyproject.toml"):
-        shutil.copy(ROOT / file, source)
-    for package in ("app", "descriptor", "index"):
-        shutil.copytree(ROOT / package, source / package)
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path)]
-    built = subprocess.run([*command, str(source)], capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stderr
-    (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
-        names = {name for name in archive.namelist() if ".dist-info/licenses/" in name}
-        (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
-        assert "License-Expression: Apache-2.0" in archive.read(metadata).decode()
-    assert {name.rsplit("/", 1)[1] for name in names} == {"LICENSE", "NOTICE"}

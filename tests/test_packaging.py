@@ -61,3 +61,45 @@ def test_the_unit_is_sound(tmp_path: Path) -> None:
         ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False
     )
     assert (result.returncode, result.stderr) == (0, "")
+
+
+# What make's targets and `pip install .` leave behind, by the pattern that hides it from git.
+LEFTOVERS = {
+    "__pycache__/": ("app/__pycache__/a.pyc", "tests/app/__pycache__/a.pyc"),
+    "*.egg-info/": ("silhouette_pose.egg-info/PKG-INFO",),
+    ".venv*/": (".venv/.stamp", ".venv-dev/.stamp", ".venv-build/bin/python"),
+    ".mypy_cache/": (".mypy_cache/a",),
+    ".pytest_cache/": (".pytest_cache/a",),
+    ".ruff_cache/": (".ruff_cache/a",),
+    ".hypothesis/": (".hypothesis/a",),
+    "/build/": ("build/lib/app/a.py",),
+    "dist/": ("dist/a.whl",),
+}
+
+
+def test_make_clean_leaves_nothing_that_git_does_not_track(tmp_path: Path) -> None:
+    for file in ("Makefile", ".gitignore"):
+        shutil.copy(ROOT / file, tmp_path)
+    for file in (file for files in LEFTOVERS.values() for file in files):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    kept = tmp_path / "tests" / "mine.txt"  # Not tracked yet, and nobody's to delete.
+    kept.touch()
+    subprocess.run(["make", "-C", str(tmp_path), "clean"], capture_output=True, check=True)
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == {"Makefile", ".gitignore", "tests/mine.txt"}
+
+
+def test_make_clean_is_tried_with_all_that_git_ignores() -> None:
+    assert set((ROOT / ".gitignore").read_text().splitlines()) == set(LEFTOVERS)
+
+
+def test_make_says_in_a_line_what_it_sets_up() -> None:
+    planned = subprocess.run(
+        ["make", "--no-print-directory", "-n", "-W", "pyproject.toml", "run"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    assert planned.startswith('echo "Once: setting up .venv ')
+    recipe = (ROOT / "Makefile").read_text().split("$(RUN)/.stamp: pyproject.toml\n")[1]
+    commands = recipe.split("\n\n")[0].splitlines()
+    assert all(command.startswith("\t@") for command in commands)
