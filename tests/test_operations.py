@@ -12,6 +12,7 @@ from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
 from app.logs import JsonFormatter
+from app.settings import VARIABLES
 from scripts.settings_table import OPERATIONS, section
 from tests.conftest import ROOT
 
@@ -62,5 +63,14 @@ def test_every_field_of_a_log_line_is_described(
 
 
 def test_named_files_exist() -> None:
-    for name in ("compose.yaml", "deploy/silhouette-pose.service", "scripts/fetch_models.py"):
+    for name in ("compose.yaml", "deploy/silhouette-pose.service"):
         assert (ROOT / name).exists()
+
+
+def test_nothing_is_said_of_settings_and_scripts_that_are_gone() -> None:
+    unit = (ROOT / "deploy" / "silhouette-pose.service").read_text()
+    for text in (TEXT, unit, (ROOT / "compose.yaml").read_text()):
+        for script in re.findall(r"-m (scripts(?:\.\w+)+)", text):
+            assert (ROOT / f"{script.replace('.', '/')}.py").is_file(), script
+        for variable in set(re.findall(r"\bPOSE_[A-Z_]+\b", text)):
+            assert variable in VARIABLES, variable

@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
 
 from index.store import DEFAULT_PATH
@@ -91,6 +92,38 @@ def placed(command: str, folder: Path) -> str:
         return f"@{path.resolve()}"
 
     return _FILE.sub(place, command)
+
+
+def resembles(shown: object, answered: object, path: str = "reply") -> None:
+    """Assert that an answer has the fields that the README shows, of the same kinds.
+
+    ``"..."`` stands for what is left out of a list. Numbers of boxes are compared too: they hold
+    whatever the processor's last digits.
+    """
+    if isinstance(shown, dict):
+        assert isinstance(answered, dict), path
+        if path == "reply":
+            answered = {key: answered[key] for key in shown}
+        assert list(shown) == list(answered), path
+        for key, value in shown.items():
+            resembles(value, answered[key], f"{path}.{key}")
+    elif isinstance(shown, list):
+        assert isinstance(answered, list), path
+        skipped = 1 if shown[0] == "..." else 0
+        for number, value in enumerate(shown[skipped:-1], start=skipped):
+            resembles(value, answered[number], f"{path}[{number}]")
+        assert len(answered) >= len(shown) - 1, path
+    elif isinstance(shown, float) and (".box." in path or ".image." in path):
+        assert answered == pytest.approx(shown, abs=2), path
+    else:
+        assert isinstance(answered, type(shown)), path
+
+
+def test_the_reply_is_the_one_shown(service: Server) -> None:
+    shown = json.loads(re.findall(r"^```json\n(.*?)^```", README.read_text(), re.M | re.S)[0])
+    with (ROOT / "tests" / "data" / "walkers.jpg").open("rb") as frame:
+        answer = httpx.post(f"{service.url}/pose", params={"n": 7}, files={"frame": frame})
+    resembles(shown, answer.json())
 
 
 @pytest.mark.parametrize("command", COMMANDS)
