@@ -13,7 +13,7 @@ from collections.abc import Callable
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import ProblemError, overloaded, problem_response
-from app.pool import FULL
+from app.executor import FULL
 
 GRACE_S = 5.0
 MIN_BYTES_PER_S = 4096

@@ -13,10 +13,10 @@ from fastapi.responses import RedirectResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
+from app.cancellation import BusyError, ClientGoneError
 from app.estimates import UploadError
 from app.messages import expected_and_got, shortened
 from app.observation import note_rejection
-from app.pool import BusyError, ClientGoneError
 from app.route_table import RouteTable
 from app.schemas import Problem
 

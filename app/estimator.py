@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.cores import available_cores
 from app.estimates import (
     Estimate,
     Evidence,
@@ -47,13 +48,30 @@ from app.vision.turning import (
     turns_upright,
 )
 from app.vision.weights import network_path
-from app.workers import Workers
 from index.matching import Hypothesis, match, match_with_spares
 from index.store import Label, PoseIndex
 
 T = TypeVar("T")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Check = Callable[[], None]
 """Called between steps; raises where the work is no longer wanted."""
+
+
+class Map(Protocol):
+    """Calls a function with each part of a frame and returns the results in order."""
+
+    def __call__(
+        self, function: Callable[[Item], Result], items: Iterable[Item], /
+    ) -> list[Result]:
+        """Call it."""
+        ...
+
+
+def map_serially(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
+    """Call a function with one part after the other."""
+    return [function(item) for item in items]
+
 
 # Two threads share a pass of a network nearly without loss; more do not.
 _NETWORK_THREADS = 2
@@ -75,8 +93,8 @@ class Estimator:
     max_persons : int
         Detections beyond are dropped, the least sure first; a caller who names more people
         is refused.
-    concurrency : int
-        Frames that are worked on at once.
+    map_parts : callable
+        Calls a function with each part of a frame, as :meth:`app.executor.Executor.map` does.
     """
 
     def __init__(
@@ -89,7 +107,7 @@ class Estimator:
         min_person_px: float,
         max_pixels: int,
         max_persons: int,
-        concurrency: int = 1,
+        map_parts: Map = map_serially,
     ) -> None:
         self.index = index
         self.detector = detector
@@ -98,11 +116,17 @@ class Estimator:
         self._min_person_px = min_person_px
         self._max_pixels = max_pixels
         self._max_persons = max_persons
-        self._workers = Workers(concurrency)
+        self._map = map_parts
 
     @classmethod
-    def load(cls, settings: Settings) -> Estimator:
+    def load(cls, settings: Settings, map_parts: Map = map_serially) -> Estimator:
         """Load index and networks.
+
+        Parameters
+        ----------
+        settings : Settings
+        map_parts : callable
+            As in :class:`Estimator`.
 
         Raises
         ------
@@ -111,8 +135,9 @@ class Estimator:
         NetworkError
             If a network of the package is missing or altered.
         """
-        threads = min(_NETWORK_THREADS, settings.concurrency)
-        copies = max(1, settings.concurrency // threads)
+        cores = available_cores()
+        threads = min(_NETWORK_THREADS, cores)
+        copies = max(1, min(settings.concurrency, cores // threads))
         movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
         body = BodyNetwork(network_path("body_mask"), threads=threads, copies=copies)
         smallest = settings.min_person_px
@@ -129,7 +154,7 @@ class Estimator:
             min_person_px=smallest,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            concurrency=settings.concurrency,
+            map_parts=map_parts,
         )
 
     def warm_up(self) -> None:
@@ -222,9 +247,7 @@ class Estimator:
             return self._person(*pair, n)
 
         with watch.stage("search"):
-            # One is matched here: another thread would only begin later.
-            workers = self._workers if len(upright) > 1 else Workers()
-            return tuple(workers.map(person, zip(scene.people, upright, strict=True)))
+            return tuple(self._map(person, zip(scene.people, upright, strict=True)))
 
     def _person(self, found: Found, upright: UprightPerson | None, n: int) -> Person:
         if upright is None:
@@ -344,8 +367,7 @@ class Estimator:
         ):
             if data is not None:
                 jobs[name] = _decoding(self._decode, name, data, decode)
-        workers = self._workers if len(jobs) > 1 else Workers()
-        images = dict(zip(jobs, workers.map(lambda job: job(), jobs.values()), strict=True))
+        images = dict(zip(jobs, self._map(lambda job: job(), jobs.values()), strict=True))
         frame, mask, background = (images.get(name) for name in ("frame", "mask", "background"))
         assert mask is None or isinstance(mask, LabelImage)
         if frame is None and mask is not None:

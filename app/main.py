@@ -18,18 +18,12 @@ from app.cors import CorsMiddleware
 from app.door import Door
 from app.errors import register_error_handlers
 from app.estimator import Estimator
+from app.executor import Executor
 from app.head import HeadMiddleware
 from app.metrics import Metrics
 from app.observation import Observation
 from app.openapi import SERVERS, TAGS, add_openapi
-from app.pool import WorkPool
-from app.process import (
-    give_back_freed_memory,
-    give_back_what_is_free,
-    leave_alone_what_stays,
-    leave_threads_to_the_service,
-    switch_threads_often,
-)
+from app.process import configure_process, freeze_loaded_objects, trim_heap
 from app.route_table import RouteTable
 from app.routes import deepstack, health, index, pose
 from app.routes.docs import add_docs
@@ -75,26 +69,24 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     FastAPI
     """
     settings = settings or read_settings()
-    give_back_freed_memory()
-    switch_threads_often()
-    leave_threads_to_the_service()
-    runtime = Runtime(
-        settings,
-        WorkPool(settings.concurrency, settings.queue_length, settings.request_timeout_s),
-        Metrics(settings.request_timeout_s),
-    )
-    runtime.metrics.observe_pool(lambda: runtime.pool.inside, runtime.pool.capacity)
+    executor = Executor(settings.concurrency, settings.queue_length, settings.request_timeout_s)
+    runtime = Runtime(settings, executor, Metrics(settings.request_timeout_s))
+    runtime.metrics.observe_load(lambda: executor.inside, executor.capacity)
     runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
         _become_ready(runtime, estimator)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        configure_process()
+        # Uploads stay in memory, bounded by the admission: no photograph touches a disk.
+        MultiPartParser.spool_max_size = settings.max_upload_bytes
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(_load, runtime)
             yield
             tasks.cancel_scope.cancel()
+        executor.shut_down()
 
     app = FastAPI(
         title="Silhouette pose",
@@ -118,21 +110,19 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     add_docs(app)
     add_page(app)
     table = RouteTable(route for router in (*routers, app.router) for route in router.routes)
-    register_error_handlers(app, table, runtime.pool.retry_after_s)
+    register_error_handlers(app, table, executor.retry_after_s)
     _add_middleware(app, runtime, table)
     return app
 
 
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     """Put what every request passes before the routes, the innermost first."""
-    settings, pool = runtime.settings, runtime.pool
+    settings, executor = runtime.settings, runtime.executor
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
-    # Uploads stay in memory, bounded by the door: no photograph touches a disk.
-    MultiPartParser.spool_max_size = settings.max_upload_bytes
     app.add_middleware(
         Door,
-        is_full=lambda scope: pool.is_full(camera_stream(scope)),
-        retry_after_s=pool.retry_after_s,
+        is_full=lambda scope: executor.is_full(camera_stream(scope)),
+        retry_after_s=executor.retry_after_s,
         max_bytes=settings.max_upload_bytes,
         max_open=settings.max_requests,
         timeout_s=settings.upload_timeout_s,
@@ -154,10 +144,10 @@ async def _load(runtime: Runtime) -> None:
     """Load the estimator; where that fails the service stays up and says why."""
 
     def load() -> Estimator:
-        estimator = Estimator.load(runtime.settings)
+        estimator = Estimator.load(runtime.settings, runtime.executor.map)
         estimator.warm_up()
-        leave_alone_what_stays()
-        give_back_what_is_free()
+        freeze_loaded_objects()
+        trim_heap()
         return estimator
 
     try:

@@ -104,7 +104,7 @@ class Metrics:
             registry=self.registry,
         )
 
-    def observe_pool(self, inside: Callable[[], int], capacity: int) -> None:
+    def observe_load(self, inside: Callable[[], int], capacity: int) -> None:
         """Ask for the frames in flight whenever metrics are read.
 
         Parameters

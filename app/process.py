@@ -1,11 +1,11 @@
-"""How this process uses its memory and its cores, settled with C library and interpreter.
+"""Settings of this process that are not Python's own: memory, threads and priorities.
 
 Memory: by default glibc keeps a heap for every thread and raises, with the first large array
 that is freed, the size from which memory is given back. After a few frames the service would
 hold half as much again as it uses.
 
 Cores: one thread answers requests, others work on frames. The first has little to do, but
-whoever waits for it waits for all of it; so it goes before the others.
+every caller waits for it, so it has precedence.
 """
 
 from __future__ import annotations
@@ -27,28 +27,39 @@ _M_ARENA_MAX = -8
 
 # Larger than the pixels of a usual frame: pages given back after each frame are fetched anew for
 # the next one, which costs more than decoding it.
-_GIVEN_BACK_FROM_BYTES = 8 * 1024**2
-_HEAPS = 2
+_TRIM_THRESHOLD_BYTES = 8 * 1024**2
+_ARENAS = 2
 
 # How long a thread that runs Python keeps another one waiting. The thread that answers has to
 # ask anew after every call to the system, several times a request; Python's default is 5 ms.
-_SWITCH_S = 0.001
+_SWITCH_INTERVAL_S = 0.001
 
 _NICENESS = 5
 
 
-def give_back_freed_memory() -> None:
-    """Settle it for this process; where the C library is not glibc nothing happens."""
+def configure_process() -> None:
+    """Set up the process of a server; nothing else that imports the service is changed."""
+    configure_malloc()
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    cv2.setNumThreads(1)  # Work is divided among the executor's threads already.
+
+
+def configure_malloc() -> None:
+    """Bound the heaps of glibc; nothing happens where the C library is another one.
+
+    By ``mallopt``, since glibc reads its environment variables before Python can set them: in the
+    Dockerfile and the unit file they would not reach a plain ``python -m app``.
+    """
     mallopt = _of_glibc("mallopt")
     if mallopt is None:
         return
-    mallopt(_M_ARENA_MAX, _HEAPS)
-    mallopt(_M_MMAP_THRESHOLD, _GIVEN_BACK_FROM_BYTES)
-    mallopt(_M_TRIM_THRESHOLD, _GIVEN_BACK_FROM_BYTES)
+    mallopt(_M_ARENA_MAX, _ARENAS)
+    mallopt(_M_MMAP_THRESHOLD, _TRIM_THRESHOLD_BYTES)
+    mallopt(_M_TRIM_THRESHOLD, _TRIM_THRESHOLD_BYTES)
 
 
-def give_back_what_is_free() -> None:
-    """Give back at once what was needed for a while; nothing happens without glibc.
+def trim_heap() -> None:
+    """Give free memory back to the system; nothing happens without glibc.
 
     It takes about a millisecond.
     """
@@ -64,18 +75,8 @@ def _of_glibc(function: str) -> Callable[..., int] | None:
         return None
 
 
-def switch_threads_often() -> None:
-    """Have Python hand over from a thread that works to the one that answers sooner."""
-    sys.setswitchinterval(_SWITCH_S)
-
-
-def leave_threads_to_the_service() -> None:
-    """Keep OpenCV from dividing its work: frames, and the pictures in them, are divided already."""
-    cv2.setNumThreads(1)
-
-
-def leave_alone_what_stays() -> None:
-    """Never again look for garbage among what is loaded so far.
+def freeze_loaded_objects() -> None:
+    """Exclude what is loaded so far from garbage collection.
 
     Looking through it all stops every thread for tens of milliseconds.
     """
@@ -86,12 +87,12 @@ def leave_alone_what_stays() -> None:
     gc.collect()
 
 
-def give_way() -> None:
-    """Have the system prefer other threads of this process to the one that calls this."""
+def lower_thread_priority() -> None:
+    """Have the system prefer the process's other threads to the calling one."""
     if sys.platform != "linux":  # Elsewhere a thread has no priority of its own.
         return
     thread = threading.get_native_id()
     wanted = min(19, os.getpriority(os.PRIO_PROCESS, os.getpid()) + _NICENESS)
-    # Never the other way: only a privileged process may take precedence.
+    # Only a privileged process may raise it again.
     if os.getpriority(os.PRIO_PROCESS, thread) < wanted:
         os.setpriority(os.PRIO_PROCESS, thread, wanted)

@@ -9,10 +9,11 @@ from typing import Annotated, TypeVar, cast
 from fastapi import Depends, Request
 
 from app.cameras import camera_stream
+from app.cancellation import CancellationToken
 from app.errors import ProblemError
 from app.estimator import Estimator
+from app.executor import Executor
 from app.metrics import Metrics
-from app.pool import Watch, WorkPool
 from app.settings import Settings
 
 T = TypeVar("T")
@@ -27,7 +28,7 @@ class Runtime:
     Parameters
     ----------
     settings : Settings
-    pool : WorkPool
+    executor : Executor
         Where the work on images is done.
     metrics : Metrics
     estimator : Estimator or None
@@ -39,7 +40,7 @@ class Runtime:
     """
 
     settings: Settings
-    pool: WorkPool
+    executor: Executor
     metrics: Metrics
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
@@ -71,12 +72,12 @@ async def _ready_estimator(request: Request) -> Estimator:
 EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
 
 
-async def run_in_pool(request: Request, work: Callable[[Watch], T]) -> T:
-    """Do work for a request in the pool; see :meth:`app.pool.WorkPool.run`."""
+async def run_frame(request: Request, work: Callable[[CancellationToken], T]) -> T:
+    """Work on a request's frame in a thread; see :meth:`app.executor.Executor.run`."""
 
     async def until_gone() -> None:
         # The body has been read, so the next message can only be the end.
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    return await runtime_of(request).pool.run(work, until_gone, camera_stream(request.scope))
+    return await runtime_of(request).executor.run(work, until_gone, camera_stream(request.scope))

@@ -12,6 +12,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from app.cores import available_cores
 from app.messages import expected_and_got, shortened, suggestion
 from app.vision.detection.detector import DetectorName
 from index.store import DEFAULT_PATH
@@ -20,11 +21,6 @@ PREFIX = "POSE_"
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
 # Kubernetes describes a service called "pose" to all containers beside it by such variables.
 _OF_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
-
-
-def _cores() -> int:
-    """Cores this process may use: a container's share, not the machine's."""
-    return len(os.sched_getaffinity(0))
 
 
 class SettingsError(ValueError):
@@ -67,12 +63,12 @@ class Settings(BaseSettings):
     )
     max_persons: int = Field(default=50, ge=1, le=100, description="In one frame.")
     max_requests: int = Field(
-        default=64, ge=1, description="Uploads open at once, those still being received included."
+        default=32, ge=1, description="Uploads open at once, those still being received included."
     )
     concurrency: int = Field(
-        default_factory=_cores,
+        default_factory=available_cores,
         ge=1,
-        description="Frames worked on at once; the people of a frame share as many threads.",
+        description="Frames worked on at once; threads without a frame help with the people of others.",
     )
     # Every frame that waits makes the answers to all behind it older.
     queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")

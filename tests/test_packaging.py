@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from app.__main__ import GRACE_S
+from app.settings import Settings
 from tests.conftest import ROOT
 
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
@@ -48,6 +49,19 @@ def test_nobody_kills_it_while_it_finishes_what_runs(file: str | Path, pattern: 
     found = re.search(pattern, (ROOT / file).read_text())
     assert found is not None
     assert int(found.group(1)) > GRACE_S
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern"),
+    [("compose.yaml", r"mem_limit: (\d+)m"), (UNIT, r"MemoryMax=(\d+)M")],
+)
+def test_the_uploads_that_are_taken_fit_the_memory_limit(file: str | Path, pattern: str) -> None:
+    found = re.search(pattern, (ROOT / file).read_text())
+    peak = re.search(r"a peak of (\d+) MB", (ROOT / "docs" / "operations.md").read_text())
+    assert found is not None and peak is not None
+    defaults = {name: field.default for name, field in Settings.model_fields.items()}
+    uploads_mb = defaults["max_requests"] * defaults["max_upload_bytes"] / 1024**2
+    assert int(peak.group(1)) + uploads_mb <= int(found.group(1))
 
 
 def test_the_unit_is_sound(tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from pydantic import ValidationError
 
 from app.auth import check_key
 from app.cameras import NamesCamera
+from app.cancellation import CancellationToken
 from app.errors import ProblemError, documented, is_multipart, unsupported_body
 from app.estimates import UploadError
 from app.messages import expected_and_got
-from app.pool import Watch
 from app.routes.forms import CheckQuery, check_fields, file_of, text_of
-from app.runtime import run_in_pool, runtime_of
+from app.runtime import run_frame, runtime_of
 from app.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
 
 router = APIRouter(
@@ -73,9 +73,9 @@ async def detect_deepstack(
     check_key(runtime.settings, (upload.api_key, request.headers.get("x-api-key"), bearer))
     started = time.perf_counter()
 
-    def work(watch: Watch) -> list[DeepstackPrediction]:
+    def work(token: CancellationToken) -> list[DeepstackPrediction]:
         try:
-            people = estimator.detect(upload.image, watch.check)
+            people = estimator.detect(upload.image, token.check)
         except UploadError as error:
             # The estimator knows it as a frame; here it has another name.
             told = f"image{str(error).removeprefix(error.field)}"
@@ -93,7 +93,7 @@ async def detect_deepstack(
             if (found.detection_score or 0.0) >= upload.min_confidence
         ]
 
-    predictions = await run_in_pool(request, work)
+    predictions = await run_frame(request, work)
     return DeepstackResponse(
         success=True, predictions=predictions, duration=time.perf_counter() - started
     )

@@ -9,10 +9,10 @@ from fastapi.responses import Response
 
 from app.auth import RequireKey
 from app.cameras import NamesCamera
+from app.cancellation import CancellationToken
 from app.drawing import draw_labels, draw_overlay, encode_png
 from app.errors import documented
 from app.estimates import Stopwatch
-from app.pool import Watch
 from app.replies import ReplyForm, pose_reply
 from app.routes.forms import CheckQuery
 from app.routes.uploads import (
@@ -24,7 +24,7 @@ from app.routes.uploads import (
     SilhouettesQuery,
     UploadForm,
 )
-from app.runtime import run_in_pool, runtime_of
+from app.runtime import run_frame, runtime_of
 from app.schemas import PoseResponse
 from index.skeleton import KEYPOINT_SETS
 
@@ -71,13 +71,13 @@ async def estimate_pose(
     estimator = runtime.ready_estimator()
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
 
-    def work(watch: Watch) -> bytes:
-        estimate = estimator.estimate(upload, n, watch.check, evidence)
+    def work(token: CancellationToken) -> bytes:
+        estimate = estimator.estimate(upload, n, token.check, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         runtime.metrics.observe_persons(estimate.persons)
         return pose_reply(estimate, estimator.index, form).model_dump_json().encode()
 
-    return Response(await run_in_pool(request, work), media_type="application/json")
+    return Response(await run_frame(request, work), media_type="application/json")
 
 
 @router.post(
@@ -103,12 +103,12 @@ async def draw_pose(
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
 
-    def work(watch: Watch) -> bytes:
-        estimate = estimator.estimate(upload, 1, watch.check, evidence)
+    def work(token: CancellationToken) -> bytes:
+        estimate = estimator.estimate(upload, 1, token.check, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
 
-    return Response(await run_in_pool(request, work), media_type="image/png")
+    return Response(await run_frame(request, work), media_type="image/png")
 
 
 @router.post(
@@ -128,10 +128,10 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
 
-    def work(watch: Watch) -> bytes:
+    def work(token: CancellationToken) -> bytes:
         stopwatch = Stopwatch()
-        scene = estimator.find_people(upload, watch.check, stopwatch)
+        scene = estimator.find_people(upload, token.check, stopwatch)
         runtime.metrics.observe_stages(stopwatch.milliseconds)
         return encode_png(draw_labels(scene))
 
-    return Response(await run_in_pool(request, work), media_type="image/png")
+    return Response(await run_frame(request, work), media_type="image/png")

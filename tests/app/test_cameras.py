@@ -1,4 +1,4 @@
-"""Live cameras: the newest frame of a camera takes the place of those that still wait."""
+"""Which frames come from the same camera, and that the newest of them is answered."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
-import anyio
 import httpx
 import pytest
 from fastapi.testclient import TestClient
@@ -14,101 +13,10 @@ from fastapi.testclient import TestClient
 from app.cameras import camera_stream
 from app.estimator import Estimator
 from app.main import create_app
-from app.pool import OverloadedError, SupersededError, Watch, WorkPool
 from app.settings import Settings
 from tests.app.test_errors import check_problem
 from tests.app.test_operation import sample
 from tests.conftest import Photo
-
-pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-class Crossing:
-    """A pool with one thread, which is kept busy until it is let go."""
-
-    def __init__(self, queue_length: int) -> None:
-        self.pool = WorkPool(threads=1, queue_length=queue_length, timeout_s=5)
-        self.let_go = threading.Event()
-        self.order: list[str] = []
-        self.refused: list[tuple[str, type[Exception]]] = []
-
-    async def send(self, name: str, camera: str | None) -> None:
-        def work(watch: Watch) -> None:
-            self.let_go.wait(5)
-            self.order.append(name)
-
-        try:
-            await self.pool.run(work, anyio.sleep_forever, camera)
-        except (SupersededError, OverloadedError) as error:
-            self.refused.append((name, type(error)))
-
-    async def arrive(self, *frames: tuple[str, str | None]) -> None:
-        """Send frames (name, camera) one after the other, and let all of them be done."""
-        async with anyio.create_task_group() as tasks:
-            for name, camera in frames:
-                tasks.start_soon(self.send, name, camera)
-                await anyio.wait_all_tasks_blocked()
-            self.before = self.pool.inside
-            self.let_go.set()
-
-
-async def test_a_newer_frame_takes_the_place_of_the_one_that_waits() -> None:
-    crossing = Crossing(queue_length=2)
-    await crossing.arrive(
-        ("yard1", "yard"), ("yard2", "yard"), ("gate1", "gate"), ("yard3", "yard")
-    )
-    assert crossing.refused == [("yard2", SupersededError)]
-    # What runs is finished, and the place before the other camera is kept.
-    assert crossing.order == ["yard1", "yard3", "gate1"]
-    assert crossing.before == 3
-    assert crossing.pool.inside == 0
-
-
-async def test_where_all_is_taken_a_camera_may_still_replace_its_own() -> None:
-    crossing = Crossing(queue_length=1)
-    await crossing.arrive(
-        ("yard1", "yard"), ("yard2", "yard"), ("gate1", "gate"), ("any", None), ("yard3", "yard")
-    )
-    assert crossing.refused == [
-        ("gate1", OverloadedError),
-        ("any", OverloadedError),
-        ("yard2", SupersededError),
-    ]
-    assert crossing.order == ["yard1", "yard3"]
-    assert crossing.pool.inside == 0
-
-
-async def test_frames_of_nobody_in_particular_all_wait() -> None:
-    crossing = Crossing(queue_length=3)
-    await crossing.arrive(("a", None), ("b", None), ("c", None))
-    assert crossing.refused == []
-    assert crossing.order == ["a", "b", "c"]
-
-
-async def test_a_frame_whose_client_has_gone_is_no_place_to_take() -> None:
-    crossing = Crossing(queue_length=1)
-    pool = crossing.pool
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(crossing.send, "yard1", "yard")
-        await anyio.wait_all_tasks_blocked()
-        async with anyio.create_task_group() as hasty:
-            hasty.start_soon(crossing.send, "yard2", "yard")
-            await anyio.wait_all_tasks_blocked()
-            assert pool.is_full("gate")
-            assert not pool.is_full("yard")
-            hasty.cancel_scope.cancel()
-        assert pool.inside == 1
-        tasks.start_soon(crossing.send, "yard3", "yard")
-        await anyio.wait_all_tasks_blocked()
-        assert pool.inside == 2
-        crossing.let_go.set()
-    assert crossing.order == ["yard1", "yard3"]
-    assert pool.inside == 0
 
 
 def stream(path: str = "/pose", **headers: str) -> object:
@@ -154,7 +62,7 @@ def test_an_older_frame_is_answered_at_once(
         return find_people(*arguments)
 
     monkeypatch.setattr(Estimator, "find_people", slow)
-    pool = busy.app.state.runtime.pool
+    executor = busy.app.state.runtime.executor
     files = {"frame": photo.frame_png, "mask": photo.mask_png}
 
     def ask() -> httpx.Response:
@@ -162,7 +70,7 @@ def test_an_older_frame_is_answered_at_once(
 
     def ask_and_be_inside(inside: int) -> Future[httpx.Response]:
         answer = threads.submit(ask)
-        while pool.inside < inside and not answer.done():
+        while executor.inside < inside and not answer.done():
             pass
         return answer
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Awaitable, Callable
 from inspect import iscoroutinefunction
 from types import ModuleType
@@ -17,8 +15,6 @@ from starlette.types import Message, Receive, Scope, Send
 
 from app.door import Door
 from app.errors import ProblemError
-from app.pool import OverloadedError, Watch, WorkPool
-from app.process import give_way
 from app.routes import deepstack, health, index, pose
 
 
@@ -81,42 +77,6 @@ def test_a_body_announced_too_large_is_refused_unread() -> None:
 def test_others_pass(method: str, full: bool) -> None:
     status, _, read = anyio.run(answer, door(full=full), method)
     assert (status, read) == (200, 1)
-
-
-def test_the_pool_says_when_it_is_full() -> None:
-    pool = WorkPool(threads=1, queue_length=0, timeout_s=5)
-    release = threading.Event()
-
-    async def fill() -> None:
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(pool.run, lambda watch: release.wait(5), anyio.sleep_forever)
-            while not pool.is_full():
-                await anyio.sleep(0.001)
-
-            def work(watch: Watch) -> None:
-                raise AssertionError("never started")
-
-            with pytest.raises(OverloadedError):
-                await pool.run(work, anyio.sleep_forever)
-            release.set()
-        assert not pool.is_full()
-
-    anyio.run(fill)
-
-
-def test_work_gives_way_to_answers() -> None:
-    priorities: list[int] = []
-
-    def work() -> None:
-        for _ in range(2):  # Twice is no further down than once.
-            give_way()
-            priorities.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
-
-    worker = threading.Thread(target=work)
-    worker.start()
-    worker.join()
-    own = os.getpriority(os.PRIO_PROCESS, os.getpid())
-    assert priorities == [min(19, own + 5)] * 2
 
 
 def functions(dependant: Dependant) -> list[object]:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import shutil
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -17,8 +15,8 @@ from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.types import Message, Receive, Scope, Send
 
-from app.estimates import Upload
 from app.estimator import Estimator
+from app.executor import Executor
 from app.logs import JsonFormatter
 from app.main import create_app
 from app.settings import Settings
@@ -147,16 +145,15 @@ def test_every_request_counts_under_a_name_of_its_own(
 
 
 def test_what_is_refused_early_counts_for_the_route_it_was_meant_for(
-    settings: Settings, estimator: Estimator, photo: Photo
+    settings: Settings, estimator: Estimator, photo: Photo, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client = TestClient(create_app(settings, estimator))
-    pool = client.app.state.runtime.pool
-    pool.inside = pool.capacity
+    monkeypatch.setattr(Executor, "inside", client.app.state.runtime.executor.capacity)
     assert client.post("/pose", files={"frame": photo.frame_png}).status_code == 503
     assert sample(client, "pose_requests_total", route="/pose", status="503") == 1
     assert sample(client, "pose_requests_total", route="other") is None
     assert sample(client, "pose_capacity_used_ratio") == 1
-    pool.inside = 0
+    monkeypatch.undo()
     assert sample(client, "pose_capacity_used_ratio") == 0
 
 
@@ -240,30 +237,10 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         assert response.json()["field"] == "mask"
 
 
-@pytest.mark.parametrize("concurrency", [1, 3])
-def test_no_more_threads_beside_the_work_than_frames_worked_on(
-    settings: Settings, photo: Photo, concurrency: int
-) -> None:
-    before = set(threading.enumerate())
-    estimator = Estimator.load(settings.model_copy(update={"concurrency": concurrency}))
-    estimator.warm_up()
-    upload = Upload(frame=photo.frame_png, mask=photo.mask_png)
-    with ThreadPoolExecutor(6) as callers:
-        answers = list(
-            callers.map(lambda _: estimator.estimate(upload, 1, lambda: None), range(12))
-        )
-        list(callers.map(lambda _: estimator.detect(photo.frame_png, lambda: None), range(6)))
-    # The callers' own are gone.
-    beside = set(threading.enumerate()) - before
-    assert len(beside) <= concurrency
-    assert bool(beside) == (concurrency > 1)
-    assert all(len(answer.persons) == 1 for answer in answers)
-
-
 def test_whatever_goes_wrong_while_loading_is_told_to_probes(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def fail(_: Settings) -> Estimator:
+    def fail(*_: object) -> Estimator:
         raise ZeroDivisionError("an inside matter")
 
     monkeypatch.setattr(Estimator, "load", fail)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import socket
 import time
@@ -85,19 +86,23 @@ def test_frames_nobody_waits_for_are_dropped(narrow: Server, slow_frame: bytes) 
     assert metric(narrow, 'pose_stage_seconds_count{stage="total"}') <= 1
 
 
-def test_sigterm_finishes_what_runs_and_ends_with_status_0(
+def test_sigterm_finishes_what_runs_and_what_waits_and_ends_with_status_0(
     index_path: Path, slow_frame: bytes
 ) -> None:
-    running = start_server(index_path)
+    running = start_server(index_path, POSE_CONCURRENCY="2", POSE_QUEUE_LENGTH="2")
     wait_until(f"{running.url}/readyz")
-    with ThreadPoolExecutor(1) as client:
-        answer = client.submit(
-            httpx.post, f"{running.url}/pose", files={"frame": slow_frame}, timeout=30
-        )
-        while metric(running, "pose_in_flight") == 0 and not answer.done():
+    boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(8)])
+
+    def ask(_: int) -> int:
+        files, data = {"frame": slow_frame}, {"boxes": boxes}
+        return httpx.post(f"{running.url}/pose", files=files, data=data, timeout=30).status_code
+
+    with ThreadPoolExecutor(3) as clients:
+        answers = [clients.submit(ask, number) for number in range(3)]
+        while metric(running, "pose_in_flight") < 3 and not any(a.done() for a in answers):
             pass
         assert running.stop() == 0
-        assert answer.result().status_code == 200
+        assert [answer.result() for answer in answers] == [200, 200, 200]
 
 
 def assert_told_not_served(running: Server, expected: str) -> None:

@@ -1,0 +1,51 @@
+"""Work in a thread cannot be stopped from outside: it asks now and then whether to go on."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+
+class BusyError(Exception):
+    """The service has more to do than it can; the message is one sentence for the caller."""
+
+    reason = "busy"
+    """One word for logs and metrics."""
+
+
+class DeadlineError(BusyError):
+    """The answer was not ready in time."""
+
+    reason = "deadline"
+
+
+class ClientGoneError(Exception):
+    """The client has closed the connection."""
+
+    def __init__(self) -> None:
+        super().__init__("the client closed the connection")
+
+
+class CancellationToken:
+    """Tells work whether it is still wanted.
+
+    Parameters
+    ----------
+    timeout_s : float
+        Time left for the work.
+    """
+
+    def __init__(self, timeout_s: float) -> None:
+        self._deadline = time.monotonic() + timeout_s
+        self._cancelled = threading.Event()
+
+    def check(self) -> None:
+        """Raise :class:`ClientGoneError` or :class:`DeadlineError` once the work is unwanted."""
+        if self._cancelled.is_set():
+            raise ClientGoneError
+        if time.monotonic() > self._deadline:
+            raise DeadlineError("the frame took longer than the service allows")
+
+    def cancel(self) -> None:
+        """Make the next :meth:`check` raise."""
+        self._cancelled.set()
