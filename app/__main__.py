@@ -1,7 +1,7 @@
 """``python -m app``: serve on ``HOST``:``PORT`` with ``WORKERS`` processes.
 
-A stop by SIGTERM or Ctrl-C finishes the requests that run and ends with status 0. Where a setting
-makes no sense, or nothing can listen there, it ends at once with status 1 and one sentence.
+After SIGTERM or Ctrl-C it finishes the requests that it has accepted and ends with status 0. If a
+setting is invalid or the address cannot be used, it ends at once with status 1 and one sentence.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from app.vision.runtime.tflite import NetworkError
 from app.vision.weights import check_networks
 
 GRACE_S = 15
-# Longer than a camera that sends a frame a minute waits between two.
+# Longer than the interval of a camera that sends a frame a minute.
 KEEP_ALIVE_S = 65
 
 
@@ -57,12 +57,12 @@ def serve(settings: Settings) -> None:
 def check_address(host: str, port: int) -> None:
     """Make sure that the service can listen.
 
-    uvicorn would only say so among its log lines, after everything else has been loaded.
+    uvicorn would say so only in its log, after everything else has been loaded.
 
     Raises
     ------
     SettingsError
-        If the address is none of this machine, or the port is taken or forbidden.
+        If the address is not one of this machine, or the port is taken or forbidden.
     """
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)

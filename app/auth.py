@@ -1,4 +1,4 @@
-"""API keys: asked for only where the operator has set some."""
+"""API keys: required only if the operator has set any."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from app.runtime import runtime_of
 from app.settings import Settings
 
 _header = APIKeyHeader(
-    name="X-API-Key", auto_error=False, description="Only where the operator has set keys."
+    name="X-API-Key", auto_error=False, description="Required only if the operator has set keys."
 )
 _bearer = HTTPBearer(auto_error=False, description="The same key as a bearer token.")
 
 
 def check_key(settings: Settings, given: Iterable[str | None]) -> None:
-    """Raise a 401 unless one of the given keys is one of the configured ones.
+    """Raise a 401 unless a given key is among the configured ones.
 
-    All pairs are compared, each in constant time: how long it takes tells nothing.
+    All pairs are compared, each in constant time, so that the duration reveals nothing.
     """
     if not settings.api_keys:
         return

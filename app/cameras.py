@@ -1,4 +1,4 @@
-"""Live cameras: which frames come from the same one, so that the newest may count."""
+"""Live cameras: which frames come from the same camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PATTERN_BYTES = re.compile(_PATTERN.encode())
 
 
 class CameraStream(NamedTuple):
-    """What makes two frames those of one camera: same name, same caller, same question."""
+    """Identifies the frames of a camera: same name, same caller, same route."""
 
     camera: str
     path: str
@@ -24,7 +24,7 @@ class CameraStream(NamedTuple):
 
 
 def camera_stream(scope: Scope) -> CameraStream | None:
-    """Return the stream a request belongs to, None where it names no camera."""
+    """Return the stream a request belongs to, None if it names no camera."""
     headers = dict(scope["headers"])
     camera = headers.get(_HEADER_BYTES)
     if camera is None or not _PATTERN_BYTES.match(camera):

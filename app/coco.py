@@ -1,4 +1,4 @@
-"""Silhouettes as COCO's annotations have them: run lengths and polygons."""
+"""Silhouettes in the forms of COCO's annotations: run lengths and polygons."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from app.vision.people import Silhouette
 
 
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Count the pixels of a frame down its columns, outside and inside a silhouette in turns.
+    """Count the pixels of a frame down its columns, alternately outside and inside a silhouette.
 
     Parameters
     ----------
@@ -21,13 +21,13 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
     Returns
     -------
     (N,) int64 array
-        The first counts pixels outside; it is 0 where the first pixel lies inside.
+        The first counts pixels outside; it is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
     columns = np.pad(silhouette.crop.T, ((0, 0), (1, 1))).astype(np.int8)
     column, row = np.diff(columns).nonzero()
     edges = (silhouette.left + column) * height + silhouette.top + row
-    # A run that goes on at the top of the next column is one, not two.
+    # A run may continue at the top of the next column.
     changes, times = np.unique(edges, return_counts=True)
     ends = np.unique(np.append(changes[times == 1], width * height))
     return np.diff(ends, prepend=0)
@@ -36,7 +36,7 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
 def compressed(counts: NDArray[np.int64]) -> str:
     """Write run lengths as the string that pycocotools writes.
 
-    From the fourth on, the difference to the last but one stands for a count. Each number is
+    From the fourth on, a count is written as its difference to the last but one. Each number is
     written in groups of five bits, the lowest first, with a sixth that says whether more follow.
     """
     differences = counts.copy()
@@ -54,8 +54,8 @@ def compressed(counts: NDArray[np.int64]) -> str:
 def polygon(silhouette: Silhouette) -> list[list[float]]:
     """Outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in pixels of the frame.
 
-    They run through the centres of the outermost pixels, and have three points at least, as
-    COCO's must; holes are left out.
+    They run through the centres of the outermost pixels and have at least three points, as COCO
+    requires; holes are left out.
     """
     outlines, _ = cv2.findContours(
         silhouette.crop.astype(np.uint8),

@@ -1,4 +1,4 @@
-"""Cross-origin requests, where the operator allows them."""
+"""Cross-origin requests, if the operator allows them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from app.errors import ProblemError, problem_response
 
 
 class CorsMiddleware(CORSMiddleware):
-    """Starlette's, whose refused preflights are problems and advertise nothing."""
+    """Starlette's middleware, but refused preflights are problems and advertise nothing."""
 
     def preflight_response(self, request_headers: Headers) -> Response:
         """Answer one preflight."""

@@ -12,10 +12,10 @@ from index.skeleton import KeypointSet
 PEOPLE = (
     (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224), (25, 195, 224), (196, 196, 35),
 )  # fmt: skip
-"""Of people, BGR, as the debug page draws them; bright enough for night, dark enough for snow."""
+"""Colours of people, BGR, as on the debug page; bright enough for night, dark enough for snow."""
 
 SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
-"""Of limbs, BGR: the person's own left orange, right blue; as the debug page draws them."""
+"""Colours of limbs, BGR, as on the debug page: the person's own left orange, right blue."""
 
 OUTLINE = (255, 255, 255)
 
@@ -38,16 +38,16 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     Returns
     -------
     (H + L, W, 3) uint8 array
-        BGR: the frame, and below it L rows that say what the colours mean.
+        BGR: the frame, and below it L rows that explain the colours.
     """
     picture = estimate.frame.copy()
     longer = max(picture.shape[:2])
     line, letter = max(1, round(longer / 500)), max(11, longer // 50)
     for number, person in enumerate(estimate.persons, start=1):
         _draw_person(picture, person, PEOPLE[(number - 1) % len(PEOPLE)], keypoints, line)
-    # Afterwards: a number is not covered by whoever stands behind.
+    # Afterwards, so that no person covers another one's number.
     for number, person in enumerate(estimate.persons, start=1):
-        box = person.found.box
+        box = person.observed.box
         corner = max(0, round(box.x)), max(letter + 2, round(box.y) - 2 - line)
         _write(picture, str(number), corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
     return np.vstack([picture, _legend(picture.shape[1], letter)])
@@ -60,8 +60,8 @@ def _draw_person(
     keypoints: KeypointSet,
     line: int,
 ) -> None:
-    box, silhouette = person.found.box, person.found.silhouette
-    # Who is small would vanish under lines that suit the frame.
+    box, silhouette = person.observed.box, person.observed.silhouette
+    # Small people would vanish under lines that suit the frame.
     thin = min(line, max(1, round(box.height / 100)))
     corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
     cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, thin)
@@ -80,7 +80,7 @@ def _draw_person(
 
 
 def _legend(width: int, letter: int) -> NDArray[np.uint8]:
-    """Draw a strip that tells the colours; in a narrow one the letters shrink."""
+    """Draw a strip that explains the colours; in a narrow one the letters shrink."""
     text = "   ".join(name for name, _ in LEGEND)
     samples = 2 * letter * len(LEGEND)
     wide = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0] + samples + 2 * letter
@@ -101,7 +101,7 @@ def _write(
     letter: int,
     colour: tuple[int, int, int],
 ) -> int:
-    """Write with a dark seam from the bottom left corner on; return the column where it ends."""
+    """Write with a dark outline from the bottom left corner; return the column where it ends."""
     scale, line = letter / _FONT_PX, max(1, letter // 9)
     for width, paint in ((line + 2, (0, 0, 0)), (line, colour)):
         cv2.putText(picture, text, corner, _FONT, scale, paint, width, cv2.LINE_AA)
@@ -131,7 +131,7 @@ def draw_skeleton(
     keypoints: KeypointSet,
     line: int,
 ) -> None:
-    """Draw bones into a BGR picture, with a dark seam; points that are not finite are left out.
+    """Draw bones into a BGR picture, with a dark outline; points that are not finite are left out.
 
     Left and right have the colours of :data:`SIDES`.
 
@@ -145,7 +145,7 @@ def draw_skeleton(
     line : int
         Pixels.
     """
-    # Four binary digits behind the point: OpenCV draws between pixels.
+    # OpenCV takes fixed-point coordinates, here with four fractional bits.
     fixed = np.round(np.nan_to_num(points) * 16).astype(int)
     drawable = [bool(np.isfinite(point).all()) for point in points]
     for seam in (2, 0):
@@ -157,6 +157,6 @@ def draw_skeleton(
 
 
 def _side(keypoints: KeypointSet, *points: int) -> str:
-    """``left`` or ``right`` where that is where a bone ends, else ``middle``."""
+    """``left`` or ``right`` if a bone ends on that side, else ``middle``."""
     sides = {keypoints.names[point].split("_")[0] for point in points} & {"left", "right"}
     return sides.pop() if len(sides) == 1 else "middle"

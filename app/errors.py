@@ -14,11 +14,11 @@ from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
 from app.cancellation import BusyError, ClientGoneError
-from app.estimates import UploadError
 from app.messages import expected_and_got, shortened
-from app.observation import note_rejection
+from app.request_context import note_rejection
 from app.route_table import RouteTable
 from app.schemas import Problem
+from app.upload import UploadError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -76,7 +76,7 @@ def problem_response(error: ProblemError) -> Response:
 
 
 class _ProblemResponse(Response):
-    """Tells the observation why the request was refused, from wherever it is sent."""
+    """Notes why the request was refused, from wherever it is sent."""
 
     media_type = MEDIA_TYPE
 
@@ -95,12 +95,12 @@ def overloaded(detail: str, reason: str, retry_after_s: int = 1) -> ProblemError
 
 
 def is_multipart(request: Request) -> bool:
-    """Whether a body is said to be a form with files; upper case counts as lower case."""
+    """Whether the content type says that the body is a form with files, in any case."""
     return request.headers.get("content-type", "").lower().startswith(_MULTIPART)
 
 
 def is_image(request: Request) -> bool:
-    """Whether a body is said to be an image."""
+    """Whether the content type says that the body is an image."""
     return request.headers.get("content-type", "").lower().startswith("image/")
 
 
@@ -138,15 +138,15 @@ _STATUS_OF_UPLOAD = {"undecodable": 400, "too_large": 413, "misfit": 422}
 def register_error_handlers(
     app: FastAPI, table: RouteTable, retry_after_s: Callable[[], int]
 ) -> None:
-    """Have an application answer all errors, its own and the framework's, as problems.
+    """Answer all errors of an application, its own and the framework's, as problems.
 
     Parameters
     ----------
     app : FastAPI
     table : RouteTable
-        What is suggested to those who ask for a wrong path.
+        Suggests a path where a wrong one is asked for.
     retry_after_s : callable
-        Seconds until the service has probably room for another frame.
+        Seconds until the service probably has room for another frame.
     """
 
     @app.exception_handler(ProblemError)
@@ -167,12 +167,12 @@ def register_error_handlers(
     @app.exception_handler(ClientGoneError)
     async def _(request: Request, error: ClientGoneError) -> Response:
         note_rejection(request.scope, "client_gone")
-        return Response(status_code=499)  # Nobody reads it but the log.
+        return Response(status_code=499)  # For the log; the client is gone.
 
     @app.exception_handler(RequestValidationError)
     async def _(request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
-        # A location starts with where it was found: query, path, body.
+        # A location starts with the part of the request: query, path, body.
         field = ".".join(str(part) for part in first["loc"][1:]) or None
         return problem_response(
             ProblemError(422, f"{field}: {expected_and_got(first)}", field=field)
@@ -188,15 +188,11 @@ def register_error_handlers(
             ProblemError(error.status_code, str(error.detail), headers=error.headers)
         )
 
-    @app.exception_handler(Exception)
-    async def _(request: Request, error: Exception) -> Response:
-        return problem_response(ProblemError(500, "an error of the service; its log says more"))
-
 
 def _not_found(request: Request, table: RouteTable) -> Response:
     path = request.url.path
     if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
-        # Relative, so that it also leads back behind a proxy that serves us under a path.
+        # Relative, so that it also works behind a proxy that serves us under a path.
         last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
         return RedirectResponse(f"../{last}" + (f"?{query}" if query else ""))
     detail = f"expected a path that /docs describes, got {shortened(path)}"

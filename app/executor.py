@@ -25,7 +25,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextvars import Context, ContextVar, copy_context
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from app.cancellation import BusyError, CancellationToken, ClientGoneError, DeadlineError
 from app.process import lower_thread_priority, trim_heap
@@ -40,6 +40,22 @@ _BUSY = "the service was too busy to answer in time; try again shortly"
 _TRIM_AFTER_S = 0.05
 # Weight of the newest duration in the running mean.
 _NEWEST_WEIGHT = 0.2
+
+
+class Map(Protocol):
+    """Calls a function with each part of a frame and returns the results in order."""
+
+    def __call__(
+        self, function: Callable[[Item], Result], items: Iterable[Item], /
+    ) -> list[Result]:
+        """Call it."""
+        ...
+
+
+def map_serially(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
+    """Call a function with one part after the other, where there is no executor."""
+    return [function(item) for item in items]
+
 
 _role: ContextVar[Literal["", "frame", "part"]] = ContextVar("role", default="")
 

@@ -1,4 +1,4 @@
-"""Which way a person faces: of skeletons, and of weighed hypotheses."""
+"""Which way a person faces, from skeletons and from weighted hypotheses."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _SIDES = tuple(
 
 @dataclass(frozen=True)
 class Facing:
-    """How likely the camera sees a person from the front, and how that is known.
+    """How likely the camera sees a person from the front, and what that rests on.
 
     Parameters
     ----------
     front_probability : float
     evidence : str
-        ``image``: the photograph; ``none``: nothing but the hypotheses themselves.
+        ``image``: the photograph; ``none``: only the hypotheses themselves.
     """
 
     front_probability: float
@@ -34,7 +34,7 @@ class Facing:
 
 
 def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
-    """From where the camera sees shoulders and hips: 0 in the face, 90 from the person's left.
+    """Azimuth of the camera about shoulders and hips: 0 in front, 90 on the person's left.
 
     Parameters
     ----------
@@ -57,6 +57,6 @@ def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
-    """Share of the confidence ``(N,)`` that is in hypotheses whose front faces the camera."""
-    weights = confidences + 1e-9  # Equal where all are hopeless.
+    """Share of the confidence ``(N,)`` that hypotheses facing the camera have."""
+    weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     return float(np.clip(weights @ faces_camera(azimuths_deg) / weights.sum(), 0, 1))

@@ -1,4 +1,4 @@
-"""HEAD wherever GET is, which FastAPI leaves out."""
+"""HEAD for every route with GET, which FastAPI leaves out."""
 
 from __future__ import annotations
 

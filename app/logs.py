@@ -7,7 +7,7 @@ import logging
 from datetime import UTC, datetime
 from typing import Any
 
-from app.observation import request_id
+from app.request_context import request_id
 
 
 class JsonFormatter(logging.Formatter):
@@ -48,7 +48,7 @@ def log_config(level: str) -> dict[str, Any]:
             "uvicorn": {"level": level.upper()},
             # app.request says what uvicorn's access log would, and more.
             "uvicorn.access": {"level": "WARNING"},
-            # A caller's broken form is answered with a 400, and is no business of the log.
+            # A caller's broken form is answered with a 400 and not logged.
             "python_multipart": {"level": "ERROR"},
         },
     }

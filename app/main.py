@@ -1,4 +1,4 @@
-"""The application: its parts put together, and what happens when it starts and ends."""
+"""The application: its parts put together, its start and its end."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from fastapi import FastAPI
 from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 
+from app.access_log import AccessLogMiddleware
+from app.admission import AdmissionMiddleware
 from app.cameras import HEADER as CAMERA_HEADER
 from app.cameras import camera_stream
 from app.cors import CorsMiddleware
-from app.door import Door
 from app.errors import register_error_handlers
 from app.estimator import Estimator
 from app.executor import Executor
 from app.head import HeadMiddleware
 from app.metrics import Metrics
-from app.observation import Observation
 from app.openapi import SERVERS, TAGS, add_openapi
 from app.process import configure_process, freeze_loaded_objects, trim_heap
 from app.route_table import RouteTable
@@ -36,9 +36,9 @@ from index.artefact import ArtefactError
 
 log = logging.getLogger("app")
 
-# Below that it gains less than a packet.
+# Below that, less than a packet is saved.
 GZIP_FROM_BYTES = 1400
-# The answer with seven hypotheses shrinks to a fourth in half a millisecond; more takes longer.
+# Shrinks an answer with seven hypotheses to a quarter in half a millisecond; more takes longer.
 GZIP_LEVEL = 1
 
 DESCRIPTION = """
@@ -79,7 +79,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_process()
-        # Uploads stay in memory, bounded by the admission: no photograph touches a disk.
+        # Uploads stay in memory, within the limits of admission: no photograph touches a disk.
         MultiPartParser.spool_max_size = settings.max_upload_bytes
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
@@ -116,11 +116,11 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
 
 
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
-    """Put what every request passes before the routes, the innermost first."""
+    """Add the middleware, the innermost first."""
     settings, executor = runtime.settings, runtime.executor
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(
-        Door,
+        AdmissionMiddleware,
         is_full=lambda scope: executor.is_full(camera_stream(scope)),
         retry_after_s=executor.retry_after_s,
         max_bytes=settings.max_upload_bytes,
@@ -136,12 +136,12 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
             expose_headers=["Retry-After", "X-Request-ID"],
         )
     app.add_middleware(HeadMiddleware)
-    # The outermost: it sees what the others refuse.
-    app.add_middleware(Observation, metrics=runtime.metrics, table=table)
+    # The outermost, so that it also sees refused requests.
+    app.add_middleware(AccessLogMiddleware, metrics=runtime.metrics, table=table)
 
 
 async def _load(runtime: Runtime) -> None:
-    """Load the estimator; where that fails the service stays up and says why."""
+    """Load the estimator; if that fails, the service stays up and says why."""
 
     def load() -> Estimator:
         estimator = Estimator.load(runtime.settings, runtime.executor.map)
@@ -156,7 +156,7 @@ async def _load(runtime: Runtime) -> None:
         runtime.not_ready_because, runtime.loading = str(error), False
         log.error("not ready: %s", error)
     except Exception:
-        # A process that ends here would be started again and again, and say nothing to probes.
+        # A process that ended here would be restarted for ever, and probes would not learn why.
         runtime.not_ready_because = "the index could not be loaded; the log says more"
         runtime.loading = False
         log.exception("not ready")

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong, in the words all errors of the service use."""
+"""Pydantic's validation errors, in the words that all errors of the service use."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
     Parameters
     ----------
     error : mapping
-        One of what :meth:`pydantic.ValidationError.errors` lists.
+        An element of :meth:`pydantic.ValidationError.errors`.
 
     Examples
     --------
@@ -57,20 +57,20 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
 
 
 def shortened(value: object) -> str:
-    """Quote a value, cut where it is long."""
+    """Quote a value, shortened if it is long."""
     text = repr(value)
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
 def suggestion(name: str, known: Mapping[str, str]) -> str:
-    """Ask whether something else was meant, ``""`` where nothing is similar.
+    """Ask whether another name was meant, ``""`` if none is similar.
 
     Parameters
     ----------
     name : str
-        What nobody knows.
+        The unknown name.
     known : mapping of str to str
-        What it is compared with, and what is then suggested.
+        Known names, and what to suggest for each.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What the service counts and times, for Prometheus."""
+"""Counters and histograms of the service, for Prometheus."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SECONDS = (*(milliseconds / 1000 for milliseconds in _MILLISECONDS), 1, 1.5, 2,
 
 
 def buckets_until(deadline_s: float) -> tuple[float, ...]:
-    """Bounds of a histogram of times, the last of which is the deadline.
+    """Bounds of a histogram of times; the last is the deadline.
 
     Examples
     --------
@@ -33,12 +33,12 @@ def buckets_until(deadline_s: float) -> tuple[float, ...]:
 
 
 class Metrics:
-    """The metrics of one application, in a registry of their own.
+    """The metrics of an application, in a registry of its own.
 
     Parameters
     ----------
     deadline_s : float
-        By when a frame is answered or given up.
+        Time after which a frame is given up.
     """
 
     def __init__(self, deadline_s: float = 10.0) -> None:
@@ -88,7 +88,7 @@ class Metrics:
         )
         self._capacity_used = Gauge(
             "pose_capacity_used_ratio",
-            "Frames worked on or waiting, as a share of those there is room for.",
+            "Frames worked on or waiting, as a share of the capacity.",
             registry=self.registry,
         )
         self._build = Gauge(
@@ -105,20 +105,20 @@ class Metrics:
         )
 
     def observe_load(self, inside: Callable[[], int], capacity: int) -> None:
-        """Ask for the frames in flight whenever metrics are read.
+        """Report the frames in flight whenever metrics are read.
 
         Parameters
         ----------
         inside : callable
             Frames worked on or waiting.
         capacity : int
-            Frames there is room for.
+            Frames that may be worked on or wait.
         """
         self._in_flight.set_function(inside)
         self._capacity_used.set_function(lambda: inside() / capacity)
 
     def observe_build(self, version: str, settings: Settings) -> None:
-        """Say which build serves, and with which settings."""
+        """Report which build serves, and with which settings."""
         self._build.labels(
             version=version,
             revision=settings.revision,
@@ -128,7 +128,7 @@ class Metrics:
         ).set(1)
 
     def observe_index(self, name: str, version: str) -> None:
-        """Say which index is loaded."""
+        """Report which index is loaded."""
         self._index.labels(name, version).set(1)
 
     def observe_stages(self, milliseconds: Mapping[str, float]) -> None:

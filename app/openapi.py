@@ -1,4 +1,4 @@
-"""The OpenAPI document: FastAPI's, with what it does not write by itself."""
+"""The OpenAPI document: FastAPI's, with additions."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ HEADERS: dict[str, Any] = {
 def add_openapi(app: FastAPI) -> None:
     """Have ``app`` describe its errors, and its uploads so that generated clients work.
 
-    Every route refers to :class:`Problem`. Naming the model in each would do, but FastAPI
-    would then promise ``application/json`` besides ``application/problem+json``. So do the routes
-    that take images to the forms that they read by themselves.
+    Routes refer to :class:`Problem` by name: if they declared the model, FastAPI would promise
+    ``application/json`` besides ``application/problem+json``. Routes that take images refer to
+    their forms by name because they parse them themselves.
     """
 
     def openapi() -> dict[str, Any]:
@@ -74,8 +74,8 @@ def add_openapi(app: FastAPI) -> None:
 
 
 def _mend_schema(name: str, schema: dict[str, Any]) -> None:
-    # The models here allow no others, but a later version may add fields: clients that refuse
-    # what they do not know would break. (And openapi-generator warns.)
+    # The models here forbid additional fields, but a later version may add some, and clients that
+    # refuse them would break. (And openapi-generator warns.)
     schema.pop("additionalProperties", None)
     properties = schema.get("properties", {})
     if name in {form.__name__ for form in _FORMS}:
@@ -92,15 +92,15 @@ def _mend_operation(operation: dict[str, Any]) -> None:
         names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
         response["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in names}
     if "security" in operation:
-        # Keys are asked for only where the operator has set some.
+        # Keys are required only if the operator has set any.
         operation["security"].append({})
 
 
 def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     """Write a field of a form as generators understand it.
 
-    A form has no null: an optional field is one that may be missing. One with a default is taken
-    by some for one that is always there.
+    A form has no null: an optional field may be missing. Generators take a field with a default
+    for one that is always present.
     """
     kind: dict[str, Any] = next(
         (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}

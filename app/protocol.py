@@ -1,4 +1,4 @@
-"""HTTP/1.1 as uvicorn speaks it, with bounds on the head of a request and errors as problems."""
+"""uvicorn's HTTP/1.1, with bounds on the head of a request and errors as problems."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from app.errors import MEDIA_TYPE, ProblemError, problem_body
 
 
 class _HeadTooLargeError(Exception):
-    """The head has come, but is larger than allowed."""
+    """The head is complete, but larger than allowed."""
 
 
 class HttpProtocol(HttpToolsProtocol):
-    """uvicorn's protocol, which by itself waits for the head of a request without end.
+    """uvicorn's protocol, with a timeout and a size limit for the head of a request.
 
-    The head is the request line and the headers. A connection over which it does not come in
-    time, or on which it grows beyond all bounds, is closed.
+    The head is the request line and the headers. A connection on which it is late or too large is
+    closed.
     """
 
     head_timeout_s = 10.0
@@ -48,13 +48,13 @@ class HttpProtocol(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         if self._head_begun:
-            # A header is only seen once it is complete, however long it gets. What came with the
-            # first bytes of the head may belong to the request before.
+            # The parser reports a header only once it is complete. The bytes that came with the
+            # beginning of the head may belong to the previous request.
             self._head_bytes += 0 if self._head_is_new else len(data)
             if self._head_bytes > self.max_head_bytes:
                 self._refuse(self._head_too_large())
         elif self._head_timer is None and self._is_idle():
-            self._wait_for_head()  # uvicorn has just stopped to wait for the next request.
+            self._wait_for_head()  # uvicorn no longer waits for the next request.
 
     def on_message_begin(self) -> None:
         """Begin to read a head."""
@@ -72,7 +72,7 @@ class HttpProtocol(HttpToolsProtocol):
         super().on_headers_complete()
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is no request; called where the parser has raised."""
+        """Refuse what is not a request; called where the parser has raised."""
         error = sys.exc_info()[1]
         if error is not None and isinstance(error.__context__, _HeadTooLargeError):
             self._refuse(self._head_too_large())
@@ -95,7 +95,7 @@ class HttpProtocol(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         if not self._is_idle():
-            self._wait_for_head()  # The request before this one is still being answered.
+            self._wait_for_head()  # The previous request is still being answered.
         elif self._head_begun:
             late = f"expected all headers of the request within {self.head_timeout_s:g} seconds"
             self._refuse(ProblemError(408, late))
@@ -111,7 +111,7 @@ class HttpProtocol(HttpToolsProtocol):
         )
 
     def _refuse(self, problem: ProblemError) -> None:
-        """Write an answer past the application, and close."""
+        """Answer without the application, and close the connection."""
         body = problem_body(problem)
         head = (
             f"HTTP/1.1 {problem.status} {HTTPStatus(problem.status).phrase}\r\n"

@@ -1,4 +1,4 @@
-"""Estimates to the models of the public contract."""
+"""Estimates as models of the public contract."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
 METRE_DIGITS, PIXEL_DIGITS = 4, 2
-"""Tenths of millimetres and hundredths of pixels are kept of joints."""
+"""Joints are rounded to tenths of millimetres and hundredths of pixels."""
 
 
 @dataclass(frozen=True)
 class ReplyForm:
-    """How a caller wants the answer to a frame written.
+    """The form in which a caller wants an answer.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas
 def index_reply(
     index: PoseIndex, version: str, revision: str, detector: DetectorName
 ) -> schemas.IndexResponse:
-    """Write down what an index holds."""
+    """Describe an index."""
     parameters = dict(index.parameters)
     return schemas.IndexResponse(
         name=index.name,
@@ -76,7 +76,7 @@ def index_reply(
 
 
 def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.EntryResponse:
-    """Write down one entry of an index."""
+    """Describe an entry of an index."""
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse(
         entry=entry.number,
@@ -89,18 +89,18 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
 
 
 def _person(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> schemas.Person:
-    found, facing, silhouette = person.found, person.facing, person.found.silhouette
+    observed, facing, silhouette = person.observed, person.facing, person.observed.silhouette
     return schemas.Person(
         box=schemas.Box(
-            x=round(found.box.x, 2),
-            y=round(found.box.y, 2),
-            width=round(found.box.width, 2),
-            height=round(found.box.height, 2),
+            x=round(observed.box.x, 2),
+            y=round(observed.box.y, 2),
+            width=round(observed.box.width, 2),
+            height=round(observed.box.height, 2),
         ),
-        detection_score=_rounded(found.detection_score, 4),
-        source=found.source,
+        detection_score=_rounded(observed.detection_score, 4),
+        source=observed.source,
         silhouette=_silhouette(silhouette, frame_shape, form) if silhouette else None,
-        observed_keypoints=_observed(found.keypoints) if found.keypoints else None,
+        observed_keypoints=_observed(observed.keypoints) if observed.keypoints else None,
         facing=_facing(facing) if facing else None,
         hypotheses=[
             _hypothesis(placed, rank, form)
@@ -151,7 +151,7 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas
     hypothesis, label, keypoints = placed.hypothesis, placed.label, form.keypoints
     full, compact = form.joints == "full", form.joints == "compact"
     # Not validated: for its hundreds of points that would take a third of the time of writing an
-    # answer, and they are written here. The tests validate answers whole.
+    # answer, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
         entry=hypothesis.entry,
@@ -198,7 +198,7 @@ def _bones(keypoints: KeypointSet) -> list[schemas.Bone]:
 
 
 def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point3D | None]:
-    """A point the entry lacks is NaN there and null here."""
+    """A point that the entry lacks is NaN there and null here."""
     return [
         {"x": x, "y": y, "z": z} if math.isfinite(x + y + z) else None
         for x, y, z in points.take(keypoints.indices, axis=0).round(METRE_DIGITS).tolist()
@@ -206,7 +206,7 @@ def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
 
 
 def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point2D | None]:
-    """A point the entry lacks is NaN there and null here."""
+    """A point that the entry lacks is NaN there and null here."""
     return [
         {"x": x, "y": y} if math.isfinite(x + y) else None
         for x, y in points.take(keypoints.indices, axis=0).round(PIXEL_DIGITS).tolist()
@@ -214,6 +214,6 @@ def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
 
 
 def _flat(points: NDArray[np.float64], keypoints: KeypointSet, digits: int) -> list[float | None]:
-    """All coordinates in one list; a point the entry lacks is NaN there and nulls here."""
+    """All coordinates in one list; a point that the entry lacks is NaN there and nulls here."""
     rows: list[list[float]] = points.take(keypoints.indices, axis=0).round(digits).tolist()
     return [v for row in rows for v in (row if math.isfinite(sum(row)) else [None] * len(row))]

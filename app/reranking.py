@@ -1,6 +1,6 @@
 """Hypotheses of a silhouette, re-ranked by the keypoints of the photograph.
 
-A silhouette cannot tell front from back, nor what lies within it.
+A silhouette shows neither front or back nor what lies inside its outline.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from app.facing import Facing, azimuth_deg, faces_camera, front_share
 from app.vision.weights import fitted
 from index.matching import Hypothesis
 
-DISTANCE, KEYPOINTS, SIDES = 4.0, 1.0, 0.3
-"""What the logarithms count: of the descriptors' distance, against a hypothesis, and of the
-likelihoods of keypoints and of their sides. Chosen on the street people of even-numbered
+DISTANCE_WEIGHT, KEYPOINT_WEIGHT, SIDE_WEIGHT = 4.0, 1.0, 0.3
+"""Weights of the log distance of the descriptors (against a hypothesis), of the keypoints' log
+likelihood and of the log odds of their sides. Chosen on the street people of even-numbered
 photographs."""
 
-LEAN_DEG = 60.0
-"""Few people lean: so much of it makes a hypothesis 1/e as likely."""
+LEAN_SCALE_DEG = 60.0
+"""Few people lean: a lean of this size makes a hypothesis 1/e as likely."""
 
-OTHER_WAY = 7
-"""One of so many hypotheses faces the other way than the first: the photograph may mislead."""
+PER_OPPOSITE_FACING = 7
+"""Of every seven hypotheses, one faces the opposite way to the first: keypoints may mislead."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Ranked:
     ----------
     facing : Facing
     hypotheses : tuple of Hypothesis
-        As they came: their own distances and confidences are those of the silhouette.
+        Unchanged: their own distances and confidences are those of the silhouette.
     distances : tuple of float
-        Ascending: of each from all that is known. That is the descriptors' distance, and what
-        the photograph shows for a hypothesis makes it shorter, what it shows against it longer.
+        Ascending. The descriptors' distance, made shorter by keypoints that support a hypothesis
+        and longer by keypoints that contradict it.
     confidences : tuple of float
-        Those that all of it gives.
+        By silhouette and keypoints.
     """
 
     facing: Facing
@@ -50,9 +50,9 @@ class Ranked:
 
 
 def rank_by_silhouette(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
-    """Leave the nearest ``n`` hypotheses as the silhouette alone gives them.
+    """Keep the nearest ``n`` hypotheses, unchanged.
 
-    Facing is the share of them, weighted by confidence, whose front faces the camera.
+    The facing is the share of their confidence that faces the camera.
 
     Parameters
     ----------
@@ -61,11 +61,11 @@ def rank_by_silhouette(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
     n : int
     """
     hypotheses = tuple(hypotheses[:n])
-    confidences = np.array([one.confidence for one in hypotheses])
+    confidences = np.array([hypothesis.confidence for hypothesis in hypotheses])
     return Ranked(
         Facing(front_share(_azimuths(hypotheses), confidences), "none"),
         hypotheses,
-        tuple(one.distance for one in hypotheses),
+        tuple(hypothesis.distance for hypothesis in hypotheses),
         tuple(confidences.tolist()),
     )
 
@@ -76,7 +76,7 @@ def rank_by_keypoints(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
-        At least one; more than ``n`` leave more to choose from.
+        At least one; with more than ``n`` there is a choice.
     n : int
     """
     azimuths = _azimuths(hypotheses)
@@ -92,19 +92,21 @@ def rank_by_keypoints(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
 
 
 def fused_distances(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
-    """How far hypotheses are ``(N,)`` from silhouette and keypoints together."""
+    """Distances ``(N,)`` of hypotheses from silhouette and keypoints together."""
     likelihood = (
-        KEYPOINTS * np.array([one.log_likelihood for one in hypotheses])
-        + SIDES * np.array([one.side_odds for one in hypotheses])
-        - np.abs([one.lean_deg for one in hypotheses]) / LEAN_DEG
+        KEYPOINT_WEIGHT * np.array([hypothesis.log_likelihood for hypothesis in hypotheses])
+        + SIDE_WEIGHT * np.array([hypothesis.side_odds for hypothesis in hypotheses])
+        - np.abs([hypothesis.lean_deg for hypothesis in hypotheses]) / LEAN_SCALE_DEG
     )
-    return np.array([one.distance for one in hypotheses]) * np.exp(-likelihood / DISTANCE)
+    return np.array([hypothesis.distance for hypothesis in hypotheses]) * np.exp(
+        -likelihood / DISTANCE_WEIGHT
+    )
 
 
 def fused_confidences(distances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Probabilities ``(N,)`` that hypotheses at fused distances are right; fitted."""
     constants = fitted("confidence")
-    agreement = -DISTANCE * np.log(np.maximum(distances, 1e-9))
+    agreement = -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
     odds = constants["slope"] * agreement + constants["offset"]
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
@@ -112,10 +114,10 @@ def fused_confidences(distances: NDArray[np.float64]) -> NDArray[np.float64]:
 def nearest_of_both_facings(
     azimuths_deg: NDArray[np.float64], distances: NDArray[np.float64], n: int
 ) -> list[int]:
-    """Choose ``n`` hypotheses, nearest first, some of which face the other way.
+    """Choose ``n`` hypotheses, nearest first, a few of which face the opposite way.
 
-    The nearest of those that do not face as the first one does take the last places where none
-    would be among them; see :data:`OTHER_WAY`.
+    The nearest of those that face the opposite way to the first are among them however far they
+    are; see :data:`PER_OPPOSITE_FACING`.
 
     Parameters
     ----------
@@ -127,10 +129,10 @@ def nearest_of_both_facings(
     others = [i for i in order if front[i] != front[order[0]]]
     if n == 1 or not others:
         return order[:n]
-    kept = set(others[: max(1, n // OTHER_WAY)])
+    kept = set(others[: max(1, n // PER_OPPOSITE_FACING)])
     alike = [i for i in order if i not in kept][: n - len(kept)]
     return [i for i in order if i in kept.union(alike)]
 
 
 def _azimuths(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
-    return azimuth_deg(np.array([one.points_3d for one in hypotheses]))
+    return azimuth_deg(np.array([hypothesis.points_3d for hypothesis in hypotheses]))

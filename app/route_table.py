@@ -1,4 +1,4 @@
-"""Which paths the service has and what may be sent to them, for whoever names a wrong one."""
+"""The paths and methods of the service, for log lines, metrics and suggestions."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from app.messages import suggestion
 
 @dataclass(frozen=True)
 class KnownRoute:
-    """One path of the service.
+    """A path of the service.
 
     Parameters
     ----------
     path : str
-        As it is declared: ``/index/entries/{entry}``.
+        As declared: ``/index/entries/{entry}``.
     pattern : compiled regular expression
         What it matches.
     methods : tuple of str
@@ -31,33 +31,33 @@ class KnownRoute:
 
 
 class RouteTable:
-    """The routes of an application, whether or not the framework gets to see a request.
+    """The routes of an application, known before the framework has seen a request.
 
     Parameters
     ----------
     routes : iterable of BaseRoute
-        Starlette's and FastAPI's; those that match no path of their own are left out.
+        Starlette's and FastAPI's; those without a path are left out.
     """
 
     def __init__(self, routes: Iterable[BaseRoute]) -> None:
         self._routes = [_known(route) for route in routes if hasattr(route, "path_regex")]
 
     def find(self, path: str) -> KnownRoute | None:
-        """Return the route of a path, None where there is none."""
+        """Return the route of a path, None if there is none."""
         return next((route for route in self._routes if route.pattern.match(path)), None)
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """All methods that any route takes, in alphabetical order."""
+        """All methods of all routes, in alphabetical order."""
         return tuple(sorted({method for route in self._routes for method in route.methods}))
 
     def suggestion(self, path: str) -> str:
-        """Ask whether another path was meant, ``""`` where none is similar."""
+        """Ask whether another path was meant, ``""`` if none is similar."""
         return suggestion(path, {route.path: route.path for route in self._routes})
 
 
 def _known(route: BaseRoute) -> KnownRoute:
-    # What is mounted, folders of files here, declares no methods.
+    # Mounted folders of files declare no methods.
     methods = set(getattr(route, "methods", None) or {"GET"})
     if "GET" in methods:
         methods.add("HEAD")  # See app/head.py.

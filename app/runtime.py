@@ -1,4 +1,4 @@
-"""What the routes share while the service runs: the one place for its state."""
+"""The state of a running service, shared by its routes."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _LOADED_IN_S = 2
 
 @dataclass
 class Runtime:
-    """State of one application.
+    """State of an application.
 
     Parameters
     ----------
     settings : Settings
     executor : Executor
-        Where the work on images is done.
+        Does all work on images.
     metrics : Metrics
     estimator : Estimator or None
         None until the index is loaded.
     not_ready_because : str
-        While there is no estimator: a sentence for the operator.
+        If there is no estimator: a sentence for the operator.
     loading : bool
-        Whether there will soon be one.
+        Whether it is being loaded.
     """
 
     settings: Settings
@@ -49,22 +49,22 @@ class Runtime:
     def ready_estimator(self) -> Estimator:
         """Return the estimator, or raise a problem with status 503."""
         if self.estimator is None:
-            # What is broken is not mended by coming back.
+            # Retrying does not help once loading has failed.
             headers = {"Retry-After": str(_LOADED_IN_S)} if self.loading else {}
             raise ProblemError(503, self.not_ready_because, reason="not_ready", headers=headers)
         return self.estimator
 
 
 def runtime_of(request: Request) -> Runtime:
-    """Return what the routes share.
+    """Return the state of the application.
 
-    A call and no dependency: whatever FastAPI looks into takes its time of every frame.
+    Called rather than declared as a dependency, since each dependency costs time on every frame.
     """
     return cast(Runtime, request.app.state.runtime)
 
 
-# Dependencies are coroutines although they wait for nothing: FastAPI runs any other function
-# in a thread, and each way there and back takes milliseconds while frames keep the cores busy.
+# Dependencies are coroutines although they wait for nothing: FastAPI runs other functions in a
+# thread, which takes milliseconds while frames keep the cores busy.
 async def _ready_estimator(request: Request) -> Estimator:
     return runtime_of(request).ready_estimator()
 
@@ -76,7 +76,7 @@ async def run_frame(request: Request, work: Callable[[CancellationToken], T]) ->
     """Work on a request's frame in a thread; see :meth:`app.executor.Executor.run`."""
 
     async def until_gone() -> None:
-        # The body has been read, so the next message can only be the end.
+        # The body has been read, so what follows can only be the disconnect.
         while (await request.receive())["type"] != "http.disconnect":
             pass
 

@@ -17,7 +17,7 @@ Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
 
 class Model(BaseModel):
-    """What all models share: immutable, and an unknown field is a mistake."""
+    """Base of all models: immutable, unknown fields forbidden."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -29,7 +29,7 @@ FRAME = (
 
 
 class FrameUpload(Model):
-    """A frame, and where its people are if that is known."""
+    """A frame and, if known, where its people are."""
 
     frame: bytes | None = Field(
         default=None, description=f"{FRAME} Required unless a mask is given."
@@ -58,24 +58,24 @@ class Problem(Model):
     """An error, as RFC 9457 describes it."""
 
     type: str = Field(
-        description="URI of the kind of problem; `about:blank` where the status says it all.",
+        description="URI of the kind of problem; `about:blank` if the status says it all.",
         examples=["about:blank"],
     )
     title: str = Field(description="The status in words.", examples=["Unprocessable Entity"])
     status: int = Field(description="The HTTP status.", examples=[422])
     detail: str = Field(
-        description="What is wrong with this request, in a sentence.",
+        description="What is wrong with this request, in one sentence.",
         examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
     )
     field: str | None = Field(
         default=None,
-        description="The parameter or form field it is about, where it is about one.",
+        description="The parameter or form field it is about, if any.",
         examples=["mask"],
     )
 
 
-# Points are dictionaries, checked with the model that holds them: an answer has hundreds, and as
-# models of their own they would take as long to make as all the rest of it.
+# Points are dictionaries, checked with the model that holds them: an answer has hundreds, and
+# creating them as models would take as long as all the rest.
 @with_config(ConfigDict(extra="forbid"))
 class Point2D(TypedDict):
     """A point in an image."""
@@ -126,9 +126,9 @@ class Bone(Model):
 
 
 class Keypoints(Model):
-    """Which keypoints an answer lists, in which order."""
+    """The keypoints that an answer lists, and their order."""
 
-    set: KeypointSetName = Field(description="The set that was asked for.", examples=["native"])
+    set: KeypointSetName = Field(description="The requested set.", examples=["native"])
     names: list[str] = Field(
         description="Names in the order of every list of joints; left and right are the "
         "person's own.",
@@ -148,7 +148,7 @@ class RunLengths(Model):
     """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
 
     counts: str = Field(
-        description="How many pixels lie outside and inside in turns, down the columns of the "
+        description="Counts of pixels outside and inside, alternately, down the columns of the "
         "frame from the left, compressed as pycocotools does.",
         examples=["l]a76ja000000TZl5"],
     )
@@ -171,16 +171,16 @@ class SilhouetteSummary(Model):
     truncated: bool = Field(
         description="Whether part of the person is missing: the edge of the frame cuts the body "
         "(told by the silhouette, and by keypoints of head and feet that are not seen), or "
-        "somebody nearer hides it.",
+        "a nearer person hides it.",
         examples=[False],
     )
     rle: RunLengths | None = Field(
-        description="Its pixels, as COCO's run lengths. Null unless asked for by `silhouettes=rle`."
+        description="Its pixels, as COCO's run lengths. Null unless requested by `silhouettes=rle`."
     )
     polygon: list[list[FiniteFloat]] | None = Field(
         description="Its outlines, as COCO's polygon: for each part `[x1, y1, x2, y2, ...]` in "
         "pixels of the frame, through the centres of the outermost pixels; holes are left out. "
-        "Null unless asked for by `silhouettes=polygon`.",
+        "Null unless requested by `silhouettes=polygon`.",
         examples=[[[401.0, 120.0, 461.0, 120.0, 461.0, 267.0, 401.0, 267.0]]],
     )
 
@@ -192,7 +192,8 @@ class ObservedKeypoint(Model):
     x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
     y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
     score: Probability = Field(
-        description="How sure the network is, higher is surer; not calibrated.", examples=[0.81]
+        description="How certain the network is, higher is more certain; not calibrated.",
+        examples=[0.81],
     )
 
 
@@ -205,7 +206,7 @@ class Facing(Model):
     )
     evidence: Literal["image", "none"] = Field(
         description="What it rests on: `image`, the keypoints that the photograph shows; `none`, "
-        "nothing but the silhouette, which cannot tell. In both cases it is the share of the "
+        "the silhouette alone, which cannot tell. In both cases it is the share of the "
         "hypotheses' confidence that faces the camera.",
         examples=["image"],
     )
@@ -218,8 +219,8 @@ class MotionSource(Model):
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
     action: str = Field(
-        description="Label of what the clip shows there; not what the person in the photograph "
-        "does, which one frame cannot tell.",
+        description="Label of what the clip shows there, not of what the person in the photograph "
+        "does, which a single frame cannot tell.",
         examples=["walk"],
     )
     mirrored: bool = Field(
@@ -228,7 +229,7 @@ class MotionSource(Model):
 
 
 class Camera(Model):
-    """From where the virtual camera saw an entry."""
+    """Position of the virtual camera that saw an entry."""
 
     azimuth_deg: FiniteFloat = Field(
         description="Degrees; 0: it looks the person in the face, 90: it sees the person's left "
@@ -240,7 +241,7 @@ class Camera(Model):
     )
     roll_deg: FiniteFloat = Field(
         description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
-        "About 90 or -90 for somebody who lies.",
+        "About 90 or -90 for a person who lies.",
         examples=[0.0],
     )
 
@@ -252,28 +253,28 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="From all that is known of the person; ascends with the rank. It is the "
-        "distance of the silhouettes where `facing.evidence` is `none`; else what the photograph "
-        "shows for a hypothesis makes it shorter, what it shows against it longer.",
+        description="By silhouette and keypoints; ascends with the rank. It is the distance of the "
+        "silhouettes if `facing.evidence` is `none`; otherwise keypoints that support a hypothesis "
+        "make it shorter, and keypoints that contradict it longer.",
         examples=[0.031],
     )
     silhouette_distance: FiniteFloat = Field(
         ge=0,
-        description="Euclidean distance of the two descriptors, whatever the photograph shows; "
+        description="Euclidean distance of the two descriptors, regardless of keypoints; "
         "comparable within one index.",
         examples=[0.031],
     )
     reprojection_error_px: FiniteFloat = Field(
         ge=0,
-        description="Error of the outline, not of the joints: the mean distance between the "
-        "outlines of the person's silhouette and of the entry's, both ways, in pixels of the "
-        "normalised 128x48 frame.",
+        description="Mean distance between the outlines of the person's silhouette and of the "
+        "entry's, both ways, in pixels of the normalised 128x48 frame. It measures outlines, not "
+        "joints.",
         examples=[1.8],
     )
     confidence: Probability = Field(
-        description="Calibrated probability that the joints are right: that in the picture they "
-        "lie on average less than 5 px of the normalised 128x48 frame from the true ones. Where "
-        "keypoints were read from the photograph, they are taken into account.",
+        description="Calibrated probability that the mean joint error in the image is under 5 px "
+        "of the normalised 128x48 frame. Keypoints read from the photograph are taken into "
+        "account.",
         examples=[0.87],
     )
     joints_3d: list[Point3D | None] | None = Field(
@@ -307,8 +308,8 @@ class Person(Model):
 
     box: Box
     detection_score: FiniteFloat | None = Field(
-        description="Score of the detector, higher is surer; null where nothing was detected "
-        "because the caller said where people are.",
+        description="Score of the detector, higher is more certain; null if the caller said where "
+        "people are.",
         examples=[0.93],
     )
     source: PersonSource = Field(
@@ -317,24 +318,24 @@ class Person(Model):
         examples=["detector"],
     )
     silhouette: SilhouetteSummary | None = Field(
-        description="Null where a caller's box holds no silhouette; there are no hypotheses then."
+        description="Null if a caller's box holds no silhouette; there are no hypotheses then."
     )
     observed_keypoints: list[ObservedKeypoint | None] | None = Field(
-        description="The 17 COCO keypoints as the photograph shows them, in COCO's order; one is "
-        "null where it was not seen. Null as a whole where none were read: with "
-        "`evidence=silhouette`, without a frame, and where the network saw nobody."
+        description="The 17 COCO keypoints as the photograph shows them, in COCO's order; null for "
+        "one that was not seen. Null as a whole if none were read: with `evidence=silhouette`, "
+        "without a frame, and if the network found no person."
     )
-    facing: Facing | None = Field(description="Null where there are no hypotheses.")
+    facing: Facing | None = Field(description="Null if there are no hypotheses.")
     hypotheses: list[Hypothesis] = Field(
-        description="Distinct poses, the best first: near-copies of one another count once."
+        description="Distinct poses, the best first: near-duplicates are listed once."
     )
 
 
 class Timings(Model):
-    """Where the time went, in milliseconds."""
+    """Durations in milliseconds."""
 
     decode: FiniteFloat = Field(ge=0, description="Decoding the images.", examples=[3.1])
-    detect: FiniteFloat = Field(ge=0, description="Looking for people.", examples=[21.0])
+    detect: FiniteFloat = Field(ge=0, description="Detecting people.", examples=[21.0])
     segment: FiniteFloat = Field(ge=0, description="Cutting out silhouettes.", examples=[4.4])
     keypoints: FiniteFloat = Field(
         ge=0, description="Reading keypoints from the photograph.", examples=[12.5]
@@ -358,12 +359,12 @@ class PoseResponse(Model):
     image: ImageSize
     index: IndexVersion
     keypoints: Keypoints
-    persons: list[Person] = Field(description="Ordered left to right; empty where there is nobody.")
+    persons: list[Person] = Field(description="Ordered left to right; empty if there are none.")
     timings_ms: Timings
 
 
 class DescriptorSummary(Model):
-    """How silhouettes become vectors."""
+    """The descriptor of silhouettes."""
 
     name: str = Field(description="Name of the descriptor.", examples=["krawtchouk-discriminant"])
     dimension: int = Field(description="Values in a vector.", examples=[48])
@@ -381,7 +382,7 @@ class ServiceVersion(Model):
 
 
 class IndexResponse(Model):
-    """What the index holds and how it was made."""
+    """What the index holds and how it was built."""
 
     name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
     version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
@@ -411,7 +412,7 @@ class IndexResponse(Model):
 class EntryResponse(Model):
     """One entry of the index: a simulated silhouette and its skeleton."""
 
-    entry: int = Field(ge=0, description="Its number.", examples=[20117])
+    entry: int = Field(ge=0, description="Number of the entry.", examples=[20117])
     source: MotionSource
     camera: Camera
     keypoints: Keypoints
@@ -430,16 +431,16 @@ class DeepstackUpload(Model):
     image: bytes = Field(description=FRAME)
     min_confidence: Probability = Field(
         default=0.4,
-        description="Detections below this score are left out; 0.4 where it is missing.",
+        description="Detections below this score are left out; 0.4 if it is missing.",
         examples=[0.4],
     )
     api_key: str | None = Field(
-        default=None, description="Where the operator has set keys; a header does as well."
+        default=None, description="Required if the operator has set keys, unless a header has one."
     )
 
 
 class DeepstackPrediction(Model):
-    """One person, as DeepStack says it."""
+    """A person, in DeepStack's form."""
 
     label: Literal["person"] = Field(description="Always `person`.", examples=["person"])
     confidence: Probability = Field(description="Score of the detector.", examples=[0.93])
@@ -450,16 +451,16 @@ class DeepstackPrediction(Model):
 
 
 class DeepstackResponse(Model):
-    """The people of an image, as DeepStack says it."""
+    """The people of an image, in DeepStack's form."""
 
     success: Literal[True] = Field(
         description="Always true; an error has another status.", examples=[True]
     )
-    predictions: list[DeepstackPrediction] = Field(description="The surest first.")
+    predictions: list[DeepstackPrediction] = Field(description="The most certain first.")
     duration: FiniteFloat = Field(ge=0, description="Seconds.", examples=[0.042])
 
 
 class Health(Model):
-    """All is well; otherwise a problem says what is not."""
+    """All is well; otherwise the answer is a problem."""
 
     status: Literal["ok"] = Field(default="ok", description="Always `ok`.", examples=["ok"])

@@ -1,4 +1,4 @@
-"""Everything an operator can set, read from the environment (``POSE_...``, ``HOST``, ``PORT``)."""
+"""The settings, read from the environment (``POSE_...``, ``HOST``, ``PORT``, ``WORKERS``)."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _OF_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP
 
 
 class SettingsError(ValueError):
-    """A variable makes no sense; the message is one sentence that begins with its name."""
+    """A variable is invalid; the message is one sentence that begins with its name."""
 
 
 class Settings(BaseSettings):
-    """Settings of the service; each default suits one machine beside a few cameras."""
+    """Settings of the service; the defaults suit one machine and a few cameras."""
 
     model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, frozen=True)
 
@@ -68,9 +68,9 @@ class Settings(BaseSettings):
     concurrency: int = Field(
         default_factory=available_cores,
         ge=1,
-        description="Frames worked on at once; threads without a frame help with the people of others.",
+        description="Frames worked on at once; threads without one help with the people of others.",
     )
-    # Every frame that waits makes the answers to all behind it older.
+    # Each waiting frame makes the answers to those behind it older.
     queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")
     request_timeout_s: float = Field(
         default=10.0,
@@ -86,7 +86,7 @@ class Settings(BaseSettings):
     )
 
     api_keys: Annotated[tuple[SecretStr, ...], NoDecode] = Field(
-        default=(), description="Comma-separated; where there are none, nobody is asked for one."
+        default=(), description="Comma-separated; without any, no key is required."
     )
     cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
         default=(), description="Comma-separated origins whose pages may call the service."
@@ -103,7 +103,7 @@ class Settings(BaseSettings):
         if not isinstance(value, str):
             return value
         parts = tuple(part.strip() for part in value.split(","))
-        # An empty key would be no key, and a service that was meant to be locked open to all.
+        # An empty key would leave a service open that was meant to be locked.
         if not all(parts):
             raise ValueError("expected values separated by commas, got an empty one")
         return parts
@@ -135,7 +135,7 @@ def read_settings() -> Settings:
     Raises
     ------
     SettingsError
-        If a value makes no sense, or a variable looks like a setting and is none.
+        If a value is invalid, or a variable looks like a setting but is none.
     """
     _refuse_unknown(os.environ)
     try:
@@ -145,7 +145,7 @@ def read_settings() -> Settings:
         place = str(first["loc"][0]).upper()
         name = place if place in VARIABLES else f"{PREFIX}{place}"
         sentence = f"{_as_written(name, os.environ)}: {expected_and_got(first)}"
-    # Raised out here: what went before holds the values, and some of them are secrets.
+    # Raised outside the handler, whose error holds the values, secrets included.
     raise SettingsError(sentence)
 
 

@@ -1,4 +1,4 @@
-"""A person set upright, as silhouettes are matched, and the way back to the frame."""
+"""A person turned upright for matching, and the way back to the frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from index.skeleton import COCO17, LIMBS
 
 _LEAN_DEG = (0.0, 90.0, 180.0, -90.0)
 
-# The limbs and the nose: what an index has of eyes and ears lies elsewhere than COCO's.
+# The limbs and the nose: the index has its eyes and ears in other places than COCO.
 _COMPARED = [i for i, name in enumerate(COCO17.names) if name in (*LIMBS, "nose")]
 _LEAST_SCORE = 0.05
 _FEWEST = 4
@@ -36,14 +36,14 @@ class UprightPerson:
     turns : int
         Quarter turns counterclockwise that set the person upright.
     frame_shape : tuple of int
-        Rows and columns of the frame as it came.
+        Rows and columns of the original frame.
     silhouette : Silhouette
         In the turned frame.
     normalised : (128, 48) uint8 array
     placement : Placement
         From the silhouette's crop to the normalised frame.
     observed : ObservedKeypoints or None
-        In the turned frame; None where nothing was read.
+        In the turned frame; None if nothing was read.
     """
 
     turns: int
@@ -61,14 +61,14 @@ class UprightPerson:
         frame_shape: tuple[int, ...],
         observed: ObservedKeypoints | None,
     ) -> UprightPerson:
-        """Set a person upright; the silhouette and the keypoints are of the frame as it came."""
+        """Turn a person upright; silhouette and keypoints are given in the original frame."""
         if turns:
             silhouette = turned_silhouette(silhouette, frame_shape, turns)
             observed = observed and turned_keypoints(observed, frame_shape, turns)
         return cls(turns, frame_shape[:2], silhouette, *normalise(silhouette.crop), observed)
 
     def keypoints(self) -> Keypoints | None:
-        """The keypoints in the normalised frame, as an index compares them; None if too few."""
+        """The keypoints in the normalised frame, for an index; None if too few."""
         if self.observed is None:
             return None
         used = [i for i in _COMPARED if self.observed.scores[i] > _LEAST_SCORE]
@@ -83,11 +83,11 @@ class UprightPerson:
         )
 
     def points_in_frame(self, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` of the normalised frame in pixels of the frame as it came."""
+        """Points ``(..., 2)`` of the normalised frame in pixels of the original frame."""
         points = self.placement.to_image(points_normalised)
         points = points + np.array([self.silhouette.left, self.silhouette.top])
         return turned_points(points, turned_shape(self.frame_shape, self.turns), -self.turns)
 
     def in_frame(self, hypothesis: Hypothesis) -> Hypothesis:
-        """A hypothesis with its skeleton as it is in the frame as it came."""
+        """A hypothesis with its skeleton oriented as in the original frame."""
         return leaning_further(hypothesis, _LEAN_DEG[self.turns]) if self.turns else hypothesis

@@ -25,9 +25,11 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from app.drawing import draw_skeleton
-from app.estimates import Found, Person, Scene, Stopwatch, Upload
+from app.estimates import ObservedPerson, Person, Scene
 from app.estimator import Estimator
 from app.settings import Settings
+from app.stopwatch import Stopwatch
+from app.upload import Upload
 from app.upright import UprightPerson
 from app.vision.people import Box
 from app.vision.turning import turned_box, turned_shape
@@ -59,7 +61,7 @@ class Pictures:
 
 
 def pictures(
-    estimator: Estimator, frame: NDArray[np.uint8], found: Found, name: str
+    estimator: Estimator, frame: NDArray[np.uint8], found: ObservedPerson, name: str
 ) -> Pictures | None:
     """Draw one person; None without a silhouette."""
     silhouette = found.silhouette
@@ -117,7 +119,7 @@ def _nearest(
     estimator: Estimator, person: Person, frame_shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
     """Silhouette of the first hypothesis's entry, leaning as it does, placed on the person's."""
-    first, found = person.hypotheses[0].hypothesis, person.found
+    first, found = person.hypotheses[0].hypothesis, person.observed
     assert found.silhouette is not None
     upright = UprightPerson.of(found.silhouette, found.turns, frame_shape, None)
     entry = estimator.index.silhouette(first.entry)

@@ -12,11 +12,11 @@ from app.auth import check_key
 from app.cameras import NamesCamera
 from app.cancellation import CancellationToken
 from app.errors import ProblemError, documented, is_multipart, unsupported_body
-from app.estimates import UploadError
 from app.messages import expected_and_got
 from app.routes.forms import CheckQuery, check_fields, file_of, text_of
 from app.runtime import run_frame, runtime_of
 from app.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
+from app.upload import UploadError
 
 router = APIRouter(
     prefix="/v1/vision",
@@ -63,7 +63,7 @@ async def _read_upload(request: Request) -> DeepstackUpload:
 async def detect_deepstack(
     request: Request, upload: Annotated[DeepstackUpload, Depends(_read_upload)]
 ) -> DeepstackResponse:
-    """Find people, as DeepStack's clients ask for it.
+    """Find people for DeepStack's clients.
 
     Whole people by their boxes, without silhouettes or poses; only the label `person` occurs.
     """
@@ -77,9 +77,9 @@ async def detect_deepstack(
         try:
             people = estimator.detect(upload.image, token.check)
         except UploadError as error:
-            # The estimator knows it as a frame; here it has another name.
-            told = f"image{str(error).removeprefix(error.field)}"
-            raise UploadError("image", error.reason, told) from None
+            # The estimator calls it frame, DeepStack's clients image.
+            detail = f"image{str(error).removeprefix(error.field)}"
+            raise UploadError("image", error.reason, detail) from None
         return [
             DeepstackPrediction(
                 label="person",

@@ -1,4 +1,4 @@
-"""The API's documentation page, from files on this machine: it works without a network."""
+"""The API's documentation page, served from local files so that it works offline."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def add_docs(app: FastAPI) -> None:
             swagger_js_url=f"{_ASSETS}/swagger-ui-bundle.js",
             swagger_css_url=f"{_ASSETS}/swagger-ui.css",
             swagger_favicon_url=f"{_ASSETS}/favicon.png",
-            # Else the page asks a validator on the Internet what it thinks of this document.
+            # By default, the page sends the document's address to a validator on the Internet.
             swagger_ui_parameters={"validatorUrl": None},
         )
 

@@ -1,4 +1,4 @@
-"""Forms and query parameters, read so that nothing a caller sends is silently left out."""
+"""Forms and query parameters, read so that nothing a caller sends is silently ignored."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _LONGEST_NAME = 60
 
 
 def check_fields(form: FormData, known: Collection[str]) -> None:
-    """Raise a 422 where a form holds an unknown field, or one of them twice."""
+    """Raise a 422 if a form holds an unknown field, or a field twice."""
     _check_names((name for name, _ in form.multi_items()), known, "fields", "part")
 
 
 async def file_of(form: FormData, field: str) -> bytes | None:
-    """Content of a file; none is an empty field as well, which browsers send for no file."""
+    """Content of a file; None also for an empty field, which browsers send for no file."""
     part = form.get(field)
     if isinstance(part, UploadFile):
         return None if not part.filename and not part.size else await part.read()
@@ -31,7 +31,7 @@ async def file_of(form: FormData, field: str) -> bytes | None:
 
 
 def text_of(form: FormData, field: str) -> str | None:
-    """Return the text of a field, None where it is missing."""
+    """Return the text of a field, None if it is missing."""
     part = form.get(field)
     if isinstance(part, UploadFile):
         raise ProblemError(422, f"{field}: expected text, got a file", field=field)
@@ -60,7 +60,7 @@ def _check_names(given: Iterable[str], known: Collection[str], kind: str, unit: 
         short = name[:_LONGEST_NAME]
         if name not in known:
             expected = f"one of the {kind} {', '.join(known)}" if known else f"no {kind}"
-            meant = suggestion(short, {one: one for one in known})
+            meant = suggestion(short, {name: name for name in known})
             raise ProblemError(422, f"{short}: expected {expected}{meant}", field=short)
         if count > 1:
             raise ProblemError(422, f"{name}: expected one {unit}, got {count}", field=name)

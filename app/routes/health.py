@@ -1,4 +1,4 @@
-"""Probes for whoever restarts the service or sends it work."""
+"""Probes for orchestrators and load balancers, and metrics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ router = APIRouter(tags=["health"])
 
 @router.get("/healthz", operation_id="liveness", summary="Whether the process answers")
 async def liveness() -> Health:
-    """Tell that the process answers; nothing else is looked at."""
+    """Report that the process answers; nothing else is checked."""
     return Health()
 
 
@@ -26,7 +26,7 @@ async def liveness() -> Health:
     responses=documented(503),
 )
 async def readiness(estimator: EstimatorDep) -> Health:
-    """Tell whether frames can be answered; otherwise why not."""
+    """Report whether frames can be answered and, if not, why."""
     return Health()
 
 

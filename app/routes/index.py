@@ -1,4 +1,4 @@
-"""The index: what it holds, and its entries one by one."""
+"""The index: what it holds, and its single entries."""
 
 from __future__ import annotations
 

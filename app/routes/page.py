@@ -1,4 +1,4 @@
-"""The debug page: plain files that ship with the service and ask nobody else."""
+"""The debug page: plain files that ship with the service and need no other host."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from starlette.staticfiles import StaticFiles
 _FOLDER = Path(__file__).resolve().parent.parent / "static"
 
 _HEADERS = {
-    # Photographs of people pass through this page: nothing from elsewhere may run in it.
+    # Photographs of people pass through this page: no foreign script may run in it.
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; "
     "media-src 'self' blob:; frame-ancestors 'none'",
     "Cache-Control": "no-cache",

@@ -12,7 +12,6 @@ from app.cameras import NamesCamera
 from app.cancellation import CancellationToken
 from app.drawing import draw_labels, draw_overlay, encode_png
 from app.errors import documented
-from app.estimates import Stopwatch
 from app.replies import ReplyForm, pose_reply
 from app.routes.forms import CheckQuery
 from app.routes.uploads import (
@@ -26,6 +25,7 @@ from app.routes.uploads import (
 )
 from app.runtime import run_frame, runtime_of
 from app.schemas import PoseResponse
+from app.stopwatch import Stopwatch
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(
@@ -37,7 +37,7 @@ router = APIRouter(
 PNG: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "A PNG image; its type is always `image/png`.",
-        # openapi-python-client knows no images, and leaves out what it does not know.
+        # openapi-python-client ignores image types.
         "content": {
             media_type: {"schema": {"type": "string", "format": "binary"}}
             for media_type in ("image/png", "application/octet-stream")
@@ -64,8 +64,8 @@ async def estimate_pose(
 ) -> Response:
     """Estimate the 3D poses of the people in a frame.
 
-    For every person the nearest distinct poses of the index, the best first. A frame with
-    nobody in it gives an empty list.
+    For every person the nearest distinct poses of the index, the best first. A frame without
+    people gives an empty list.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()

@@ -8,10 +8,10 @@ from fastapi import Depends, Query, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from app.errors import ProblemError, is_image, is_multipart, unsupported_body
-from app.estimates import Upload
 from app.messages import expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
 from app.schemas import Evidence, FrameUpload, JointForm, KeypointSetName, SilhouetteForm
+from app.upload import Upload
 from app.vision.people import Box
 
 # Strict: true and "12" are no numbers.
@@ -36,9 +36,9 @@ KeypointSetQuery = Annotated[
 EvidenceQuery = Annotated[
     Evidence,
     Query(
-        description="`photograph`: what the photograph shows (keypoints, and with them which way "
-        "somebody faces) counts beside the silhouette; `silhouette`: the silhouette alone, as in "
-        "the paper, which is answered soonest.",
+        description="`photograph`: the silhouette and the keypoints that the photograph shows, and "
+        "with them which way a person faces; `silhouette`: the silhouette alone, as in the paper, "
+        "which is fastest.",
         examples=["photograph"],
     ),
 ]
@@ -46,7 +46,7 @@ EvidenceQuery = Annotated[
 SilhouettesQuery = Annotated[
     SilhouetteForm,
     Query(
-        description="Whether the answer holds people's silhouettes, and in which of COCO's forms: "
+        description="Whether the answer includes silhouettes, and in which of COCO's forms: "
         "`rle`, every pixel; `polygon`, the outlines.",
         examples=["rle"],
     ),
@@ -57,7 +57,7 @@ JointsQuery = Annotated[
     Query(
         description="How joints are written: `full`, an object for each; `compact`, plain "
         "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
-        "at all, for who wants boxes, silhouettes or entries only.",
+        "at all, if only boxes, silhouettes or entries are wanted.",
         examples=["full"],
     ),
 ]
@@ -72,11 +72,11 @@ DOCUMENTED_UPLOAD: dict[str, Any] = {
         },
     }
 }
-"""What FastAPI would write of the form, had it read it itself."""
+"""What FastAPI would write if it parsed the form itself."""
 
 
-# FastAPI reads the form that a route declares before it asks for the key, and telling four fields
-# apart takes it nearly as long as all else that it does with a request.
+# FastAPI parses the form that a route declares before it asks for the key, and its validation of
+# four fields takes nearly as long as all its other work on a request.
 async def _read_upload(request: Request) -> Upload:
     if is_image(request):
         return Upload(await request.body())

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Found, Person, PlacedHypothesis, Scene, Stopwatch
+from app.estimates import ObservedPerson, Person, PlacedHypothesis, Scene
 from app.estimator import Estimator
 from app.reranking import rank_by_keypoints
+from app.stopwatch import Stopwatch
 from app.upright import UprightPerson
 from app.vision.people import Box, Silhouette
 from index.keypoint_fit import fit_to_keypoints
@@ -30,7 +31,7 @@ def estimate_by_keypoints(
 
     The silhouette serves as the frame of reference alone.
     """
-    scene = Scene(frame, (Found(box, "boxes", None, silhouette),))
+    scene = Scene(frame, (ObservedPerson(box, "boxes", None, silhouette),))
     (found,) = estimator.with_keypoints(scene, lambda: None, Stopwatch()).people
     upright = UprightPerson.of(silhouette, 0, frame.shape, found.keypoints)
     matched = _match(estimator.index, upright, n)

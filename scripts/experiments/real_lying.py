@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import Stopwatch, Upload
 from app.estimator import Estimator
+from app.stopwatch import Stopwatch
+from app.upload import Upload
 from app.vision.boxes import iou_matrix
 from app.vision.people import Box
 from app.vision.turning import turned_box

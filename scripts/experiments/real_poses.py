@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import Evidence, Found, Person, Scene, Stopwatch
+from app.estimates import Evidence, ObservedPerson, Person, Scene
 from app.estimator import Estimator
+from app.stopwatch import Stopwatch
 from app.vision.people import COCO_NAMES, Box, Silhouette
 from app.vision.segmentation.segment import Segmenter
 from descriptor.silhouette import normalise
@@ -91,7 +92,7 @@ def estimate(
     n: int = HYPOTHESES,
 ) -> Person:
     """Hypotheses of one silhouette, and of the keypoints in a box if the photograph is asked."""
-    scene = Scene(frame, (Found(box, "boxes", None, silhouette),))
+    scene = Scene(frame, (ObservedPerson(box, "boxes", None, silhouette),))
     if evidence == "photograph":
         scene = estimator.with_keypoints(scene, lambda: None, Stopwatch())
     return estimator.with_hypotheses(scene, n, lambda: None, Stopwatch())[0]
@@ -101,7 +102,7 @@ def judge(
     name: str, person: Person, reference: Reference, height_px: float, *, odd: bool = False
 ) -> Trial:
     """Compare a person's hypotheses with the reference; ``height_px`` is the body's."""
-    silhouette = person.found.silhouette
+    silhouette = person.observed.silhouette
     assert silhouette is not None
     placement = normalise(silhouette.crop)[1]
     scale = placement.scale

@@ -8,9 +8,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from app.estimates import Found, Person, Scene, Stopwatch, Upload, UploadError
+from app.estimates import ObservedPerson, Person, Scene
 from app.estimator import Estimator
 from app.settings import Settings
+from app.stopwatch import Stopwatch
+from app.upload import Upload, UploadError
 from app.vision.people import Box, ObservedKeypoints
 from app.vision.turning import turned_box, turned_keypoints, turned_points, turned_silhouette
 from tests.conftest import ROOT, Photo, png
@@ -43,13 +45,13 @@ def poses(person: Person) -> list[tuple[int, bool, float]]:
 
 
 def mask_of(person: Person, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    assert person.found.silhouette is not None
-    return person.found.silhouette.mask(shape).astype(np.uint8)
+    assert person.observed.silhouette is not None
+    return person.observed.silhouette.mask(shape).astype(np.uint8)
 
 
 def test_the_photograph_is_evidence(walker: Person) -> None:
     assert walker.facing is not None and walker.facing.evidence == "image"
-    assert walker.found.keypoints is not None
+    assert walker.observed.keypoints is not None
     assert any(one.hypothesis.log_likelihood < 0 for one in walker.hypotheses)
     confidences = [one.confidence for one in walker.hypotheses]
     assert confidences == sorted(confidences, reverse=True)
@@ -59,7 +61,7 @@ def test_the_photograph_is_evidence(walker: Person) -> None:
 
 def test_poses_lie_on_the_keypoints(walker: Person) -> None:
     """The stick figures of the index are no walkers, but their ankles are down."""
-    keypoints = walker.found.keypoints
+    keypoints = walker.observed.keypoints
     assert keypoints is not None
     best = walker.hypotheses[0].points_2d
     head, ankle = best[4], best[[13, 17]].mean(axis=0)
@@ -78,7 +80,7 @@ def test_by_the_silhouette_alone_nothing_is_read(
     def fail(*_: object) -> None:
         raise AssertionError("expected nothing to be read, got a call of the reader")
 
-    monkeypatch.setattr(estimator._reader, "read", fail)
+    monkeypatch.setattr(estimator._finder.reader, "read", fail)
     wide = (WALKER, Box(100, 150, 120, 100))
     empty = street.copy()
     empty[150:270, 120:185] = street[30:150, 60:125]
@@ -91,9 +93,9 @@ def test_by_the_silhouette_alone_nothing_is_read(
     found = persons(estimator, upload, "silhouette")
     assert found
     for person in found:
-        assert person.found.source == source
-        assert person.found.keypoints is None
-        if person.found.silhouette is None:
+        assert person.observed.source == source
+        assert person.observed.keypoints is None
+        if person.observed.silhouette is None:
             continue
         assert person.facing is not None and person.facing.evidence == "none"
         for one in person.hypotheses:
@@ -108,7 +110,7 @@ def test_a_mask_with_its_photograph_is_answered_as_the_same_box(
     (by_mask,) = persons(estimator, Upload(png(street), mask=png(mask)))
     assert by_mask.facing is not None and by_mask.facing.evidence == "image"
     # The box is now that of the silhouette, so what is read differs a little.
-    ours, theirs = by_mask.found.keypoints, walker.found.keypoints
+    ours, theirs = by_mask.observed.keypoints, walker.observed.keypoints
     assert ours is not None and theirs is not None
     apart = np.linalg.norm(ours.positions - theirs.positions, axis=1)
     assert np.median(apart) < 0.03 * WALKER.height
@@ -126,7 +128,7 @@ def test_a_mask_alone_is_answered_as_by_the_silhouette_alone(
         (person,) = persons(estimator, Upload(mask=mask), evidence)
         assert poses(person) == poses(expected)
         assert person.facing == expected.facing
-        assert person.found.keypoints is None
+        assert person.observed.keypoints is None
         for one, other in zip(person.hypotheses, expected.hypotheses, strict=True):
             assert_array_equal(one.points_2d, other.points_2d)
 
@@ -150,21 +152,21 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
     estimator: Estimator, street: NDArray[np.uint8], walker: Person, turns: int, seen: bool
 ) -> None:
     shape = street.shape
-    silhouette, keypoints = walker.found.silhouette, walker.found.keypoints
+    silhouette, keypoints = walker.observed.silhouette, walker.observed.keypoints
     assert silhouette is not None and keypoints is not None
 
-    def answer(frame: NDArray[np.uint8], found: Found) -> Person:
+    def answer(frame: NDArray[np.uint8], found: ObservedPerson) -> Person:
         scene = Scene(frame, (found,))
         return estimator.with_hypotheses(scene, 5, lambda: None, Stopwatch())[0]
 
     def read(back: int) -> ObservedKeypoints | None:
         return turned_keypoints(keypoints, shape, back) if seen else None
 
-    upright = answer(street, Found(silhouette.box, "detector", 0.9, silhouette, read(0)))
+    upright = answer(street, ObservedPerson(silhouette.box, "detector", 0.9, silhouette, read(0)))
     lies = turned_silhouette(silhouette, shape, -turns)
     lying = answer(
         np.ascontiguousarray(np.rot90(street, -turns)),
-        Found(lies.box, "detector", 0.9, lies, read(-turns), turns),
+        ObservedPerson(lies.box, "detector", 0.9, lies, read(-turns), turns),
     )
     assert upright.facing == lying.facing
     assert poses(upright) == poses(lying)
@@ -186,36 +188,36 @@ def test_wide_boxes_and_masks_are_read_for_which_way_up_they_are(
     lying = np.ascontiguousarray(np.rot90(street, -turns))
     box = turned_box(WALKER, street.shape, -turns)
     (by_box,) = persons(estimator, Upload(png(lying), boxes=(box,)))
-    assert (walker.found.turns, by_box.found.turns) == (0, turns)
+    assert (walker.observed.turns, by_box.observed.turns) == (0, turns)
     # Cut out and read upright, both are what they were.
     expected = np.rot90(mask_of(walker, street.shape), -turns)
     ours = mask_of(by_box, lying.shape)
     assert (expected & ours).sum() / (expected | ours).sum() > 0.95
-    keypoints = walker.found.keypoints
-    assert keypoints is not None and by_box.found.keypoints is not None
+    keypoints = walker.observed.keypoints
+    assert keypoints is not None and by_box.observed.keypoints is not None
     there = turned_keypoints(keypoints, street.shape, -turns)
-    assert_allclose(by_box.found.keypoints.positions, there.positions, atol=2)
+    assert_allclose(by_box.observed.keypoints.positions, there.positions, atol=2)
     (by_mask,) = persons(estimator, Upload(png(lying), mask=png(ours)))
-    assert by_mask.found.turns == turns
+    assert by_mask.observed.turns == turns
     for one in (by_box, by_mask):
         assert abs(one.hypotheses[0].label.roll_deg) >= 45
     (plain,) = persons(estimator, Upload(png(lying), boxes=(box,)), "silhouette")
-    assert plain.found.turns == 0, "only keypoints tell which way up somebody is"
+    assert plain.observed.turns == 0, "only keypoints tell which way up somebody is"
 
 
 def test_who_lies_is_found_by_the_detector(estimator: Estimator, street: NDArray[np.uint8]) -> None:
     lying = np.ascontiguousarray(np.rot90(street))
     truth = turned_box(WALKER, street.shape, 1)
     found = persons(estimator, Upload(png(lying)))
-    (one,) = (person for person in found if person.found.box.iou(truth) > 0.5)
-    assert one.found.turns == 3
+    (one,) = (person for person in found if person.observed.box.iou(truth) > 0.5)
+    assert one.observed.turns == 3
     assert one.facing is not None and one.facing.evidence == "image"
     boxes = estimator.detect(png(lying), lambda: None)
     assert {other.turns for other in boxes} == {3}
 
 
 def test_people_come_left_to_right(estimator: Estimator, street: NDArray[np.uint8]) -> None:
-    boxes = [person.found.box.x for person in persons(estimator, Upload(png(street)))]
+    boxes = [person.observed.box.x for person in persons(estimator, Upload(png(street)))]
     assert len(boxes) >= 3
     assert boxes == sorted(boxes)
 
@@ -225,8 +227,8 @@ def test_a_box_without_a_silhouette_has_no_poses(
 ) -> None:
     monkeypatch.setattr(estimator.segmenter, "segment", lambda _, boxes: [None] * len(boxes))
     (person,) = persons(estimator, Upload(png(street), boxes=(WALKER,)))
-    assert person.found.box == WALKER
-    assert (person.found.silhouette, person.found.keypoints) == (None, None)
+    assert person.observed.box == WALKER
+    assert (person.observed.silhouette, person.observed.keypoints) == (None, None)
     assert (person.facing, person.hypotheses) == (None, ())
     # What the detector finds without one was hardly a person.
     assert persons(estimator, Upload(png(street))) == []
@@ -240,8 +242,8 @@ def test_the_detector_is_the_one_that_is_set(
     assert chosen.detector.name == name
     chosen.warm_up()
     found = chosen.estimate(Upload(png(street)), 1, lambda: None).persons
-    assert any(one.found.box.iou(WALKER) > 0.5 for one in found)
-    assert {one.found.source for one in found} == {"detector"}
+    assert any(one.observed.box.iou(WALKER) > 0.5 for one in found)
+    assert {one.observed.source for one in found} == {"detector"}
 
 
 def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo: Photo) -> None:

@@ -20,7 +20,7 @@ from anyio import to_thread
 
 from app.cancellation import CancellationToken, ClientGoneError, DeadlineError
 from app.executor import Executor, OverloadedError, SupersededError
-from app.observation import request_id
+from app.request_context import request_id
 
 pytestmark = pytest.mark.anyio
 

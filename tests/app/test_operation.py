@@ -221,7 +221,7 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         estimator.index,
         estimator.detector,
         estimator.segmenter,
-        estimator._reader,
+        estimator._finder.reader,
         min_person_px=50,
         max_pixels=10**6,
         max_persons=2,

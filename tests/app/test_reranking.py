@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.reranking import (
-    OTHER_WAY,
+    PER_OPPOSITE_FACING,
     fused_confidences,
     fused_distances,
     nearest_of_both_facings,
@@ -19,7 +19,7 @@ from app.reranking import (
 from index.matching import Hypothesis
 from index.skeleton import POINT_NAMES, POINTS
 
-some_distances = st.lists(st.floats(0, 5), min_size=1, max_size=12).map(sorted)
+ascending_distances = st.lists(st.floats(0, 5), min_size=1, max_size=12).map(sorted)
 
 
 def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: float) -> Hypothesis:
@@ -36,7 +36,7 @@ def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: floa
 
 
 class TestNearestOfBothFacings:
-    @given(distances=some_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
+    @given(distances=ascending_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
     def test_takes_the_nearest_and_keeps_some_that_face_the_other_way(
         self, distances: list[float], n: int, seed: int
     ) -> None:
@@ -51,7 +51,7 @@ class TestNearestOfBothFacings:
         others = set(np.flatnonzero(front != front[chosen[0]]).tolist())
         kept = others & set(chosen)
         if n > 1:
-            assert len(kept) >= min(len(others), max(1, n // OTHER_WAY))
+            assert len(kept) >= min(len(others), max(1, n // PER_OPPOSITE_FACING))
         # Nobody nearer was left out but for these.
         for i in set(range(len(shuffled))) - set(chosen):
             assert all(shuffled[i] >= shuffled[j] or j in others for j in chosen)
@@ -65,23 +65,23 @@ class TestFusedDistances:
     def test_each_evidence_brings_a_hypothesis_nearer_and_makes_it_surer(
         self, distance: float, likely: float, odds: float, lean: float
     ) -> None:
-        some = {"log_likelihood": likely, "side_odds": odds, "lean_deg": lean}
-        before = fused_distances([hypothesis_like(distance, **some)])
+        hypotheses = {"log_likelihood": likely, "side_odds": odds, "lean_deg": lean}
+        before = fused_distances([hypothesis_like(distance, **hypotheses)])
         assert 0 <= fused_confidences(before)[0] <= 1
         for better in (
-            hypothesis_like(0.9 * distance, **some),
-            hypothesis_like(distance, **{**some, "log_likelihood": likely / 2}),
-            hypothesis_like(distance, **{**some, "side_odds": odds + 5}),
-            hypothesis_like(distance, **{**some, "lean_deg": 0.0}),
+            hypothesis_like(0.9 * distance, **hypotheses),
+            hypothesis_like(distance, **{**hypotheses, "log_likelihood": likely / 2}),
+            hypothesis_like(distance, **{**hypotheses, "side_odds": odds + 5}),
+            hypothesis_like(distance, **{**hypotheses, "lean_deg": 0.0}),
         ):
             after = fused_distances([better])
             assert after[0] <= before[0]
             assert fused_confidences(after)[0] >= fused_confidences(before)[0]
 
-    @given(distances=some_distances)
+    @given(distances=ascending_distances)
     def test_a_photograph_that_shows_nothing_changes_nothing(self, distances: list[float]) -> None:
-        some = [hypothesis_like(one) for one in distances]
-        assert fused_distances(some) == pytest.approx(distances)
+        hypotheses = [hypothesis_like(one) for one in distances]
+        assert fused_distances(hypotheses) == pytest.approx(distances)
 
     @given(distance=st.floats(0.01, 5), lean=st.floats(0, 60))
     def test_either_lean_counts_alike(self, distance: float, lean: float) -> None:
@@ -91,13 +91,13 @@ class TestFusedDistances:
 
 
 class TestRankBySilhouette:
-    @given(distances=some_distances, n=st.integers(1, 15))
+    @given(distances=ascending_distances, n=st.integers(1, 15))
     def test_leaves_what_the_silhouette_says(self, distances: list[float], n: int) -> None:
-        some = [hypothesis_like(one, confidence=1 / (1 + one)) for one in distances]
-        ranked = rank_by_silhouette(some, n)
-        assert ranked.hypotheses == tuple(some[:n])
+        hypotheses = [hypothesis_like(one, confidence=1 / (1 + one)) for one in distances]
+        ranked = rank_by_silhouette(hypotheses, n)
+        assert ranked.hypotheses == tuple(hypotheses[:n])
         assert list(ranked.distances) == distances[:n]
-        assert list(ranked.confidences) == [one.confidence for one in some[:n]]
+        assert list(ranked.confidences) == [one.confidence for one in hypotheses[:n]]
         assert ranked.facing.evidence == "none"
 
     def test_the_facing_is_that_of_those_that_are_left(self) -> None:
@@ -124,25 +124,25 @@ class TestRankByKeypoints:
         """The same pose, once with its sides exchanged."""
         front = hypothesis_like(1, log_likelihood=-4, side_odds=odds)
         back = hypothesis_like(1, front=False, log_likelihood=-4, side_odds=-odds)
-        for some in ([front, back], [back, front]):
-            ranked = rank_by_keypoints(some, 2)
+        for hypotheses in ([front, back], [back, front]):
+            ranked = rank_by_keypoints(hypotheses, 2)
             assert ranked.hypotheses[0] is front
             assert ranked.facing.front_probability > 0.5
 
-    @given(distances=some_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
+    @given(distances=ascending_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
     def test_as_many_as_asked_in_ascending_distance(
         self, distances: list[float], n: int, seed: int
     ) -> None:
         rng = np.random.default_rng(seed)
-        some = [
+        hypotheses = [
             hypothesis_like(
                 one, front=bool(rng.integers(2)), log_likelihood=-float(rng.exponential(9)),
                 side_odds=float(rng.normal(0, 9)),
             )
             for one in distances
         ]  # fmt: skip
-        ranked = rank_by_keypoints(some, n)
-        assert len(ranked.hypotheses) == len(ranked.distances) == min(n, len(some))
+        ranked = rank_by_keypoints(hypotheses, n)
+        assert len(ranked.hypotheses) == len(ranked.distances) == min(n, len(hypotheses))
         assert list(ranked.distances) == sorted(ranked.distances)
-        assert ranked.distances[0] == pytest.approx(fused_distances(some).min())
+        assert ranked.distances[0] == pytest.approx(fused_distances(hypotheses).min())
         assert 0 <= ranked.facing.front_probability <= 1

@@ -13,13 +13,13 @@ from fastapi.routing import APIRoute
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from app.door import Door
+from app.admission import AdmissionMiddleware
 from app.errors import ProblemError
 from app.routes import deepstack, health, index, pose
 
 
 async def answer(
-    door: Door, method: str = "POST", headers: dict[bytes, bytes] | None = None
+    middleware: AdmissionMiddleware, method: str = "POST", headers: dict[bytes, bytes] | None = None
 ) -> tuple[int, dict[bytes, bytes], int]:
     """Status and headers of the answer, and how many messages of the body were read."""
     sent: list[Message] = []
@@ -34,7 +34,7 @@ async def answer(
         sent.append(message)
 
     scope = {"type": "http", "method": method, "headers": list((headers or {}).items())}
-    await door(scope, receive, send)
+    await middleware(scope, receive, send)
     return sent[0]["status"], dict(sent[0]["headers"]), read
 
 
@@ -47,8 +47,10 @@ async def reading(scope: Scope, receive: Receive, send: Send) -> None:
     await response(scope, receive, send)
 
 
-def door(*, full: bool = False, max_open: int = 4, timeout_s: float = 1) -> Door:
-    return Door(
+def admission(
+    *, full: bool = False, max_open: int = 4, timeout_s: float = 1
+) -> AdmissionMiddleware:
+    return AdmissionMiddleware(
         reading,
         is_full=lambda scope: full,
         retry_after_s=lambda: 7,
@@ -59,23 +61,23 @@ def door(*, full: bool = False, max_open: int = 4, timeout_s: float = 1) -> Door
 
 
 def test_a_frame_too_many_is_refused_unread() -> None:
-    status, headers, read = anyio.run(answer, door(full=True))
+    status, headers, read = anyio.run(answer, admission(full=True))
     assert (status, headers[b"retry-after"], read) == (503, b"7", 0)
 
 
 def test_an_upload_too_many_is_refused_unread() -> None:
-    status, headers, read = anyio.run(answer, door(max_open=0))
+    status, headers, read = anyio.run(answer, admission(max_open=0))
     assert (status, headers[b"retry-after"], read) == (503, b"1", 0)
 
 
 def test_a_body_announced_too_large_is_refused_unread() -> None:
-    status, _, read = anyio.run(answer, door(), "POST", {b"content-length": b"101"})
+    status, _, read = anyio.run(answer, admission(), "POST", {b"content-length": b"101"})
     assert (status, read) == (413, 0)
 
 
 @pytest.mark.parametrize(("method", "full"), [("POST", False), ("GET", True)])
 def test_others_pass(method: str, full: bool) -> None:
-    status, _, read = anyio.run(answer, door(full=full), method)
+    status, _, read = anyio.run(answer, admission(full=full), method)
     assert (status, read) == (200, 1)
 
 
@@ -94,10 +96,10 @@ def test_dependencies_do_not_hop_between_threads(routes: ModuleType) -> None:
 
 
 class StalledUploads:
-    """Requests whose bodies never come, at a door with room for two uploads."""
+    """Requests whose bodies never come, where there is room for two uploads."""
 
     def __init__(self) -> None:
-        self.door = door(max_open=2, timeout_s=30)
+        self.admission = admission(max_open=2, timeout_s=30)
         self.statuses: list[int] = []
 
     async def stall(self) -> None:
@@ -106,11 +108,11 @@ class StalledUploads:
                 self.statuses.append(message["status"])
 
         scope = {"type": "http", "method": "POST", "headers": []}
-        await self.door(scope, anyio.sleep_forever, send)
+        await self.admission(scope, anyio.sleep_forever, send)
 
 
 def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.door.STALLED_S", 0.05)
+    monkeypatch.setattr("app.admission.STALLED_S", 0.05)
     stalled = StalledUploads()
 
     async def ask() -> None:
@@ -118,10 +120,10 @@ def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyP
             for _ in range(2):
                 tasks.start_soon(stalled.stall)
             await anyio.wait_all_tasks_blocked()
-            assert (await answer(stalled.door))[0] == 503  # They have only just begun.
+            assert (await answer(stalled.admission))[0] == 503  # They have only just begun.
             await anyio.sleep(0.06)
             for _ in range(3):
-                assert (await answer(stalled.door))[0] == 200
+                assert (await answer(stalled.admission))[0] == 200
                 await anyio.wait_all_tasks_blocked()
             assert stalled.statuses == [408] * len(stalled.statuses) != []
             tasks.cancel_scope.cancel()
@@ -132,7 +134,7 @@ def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyP
 def test_a_stalled_upload_is_given_up_long_before_a_slow_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("app.door.GRACE_S", 0.05)
+    monkeypatch.setattr("app.admission.GRACE_S", 0.05)
     stalled = StalledUploads()
     with_deadline = anyio.run(_within, stalled.stall)
     assert with_deadline

@@ -1,8 +1,8 @@
-"""The door: how many uploads come in at once, how large they are and how long they take.
+"""Admission: how many uploads are received at once, how large they are and how long they take.
 
-FastAPI reads a whole body before any code of a route runs, so this stands before it, as
-plain ASGI. An upload that is refused costs neither parsing nor memory, so that at many times
-the load the service can carry, the cores are left to the frames it has accepted.
+FastAPI reads a whole body before any code of a route runs, so this comes before it, as plain ASGI.
+A refused upload costs neither parsing nor memory: under overload, the cores are left to the frames
+that have been accepted.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from app.executor import FULL
 
 GRACE_S = 5.0
 MIN_BYTES_PER_S = 4096
-"""An upload that falls behind this rate after the time of grace is given up."""
+"""An upload slower than this after the grace period is given up."""
 
 STALLED_S = 1.0
-"""After so long a silence an upload gives its place to another one that needs it."""
+"""An upload that has been silent for this long makes room for another one."""
 
 
 class _Upload:
@@ -40,7 +40,7 @@ class _Upload:
         self.complete = False
 
     async def next(self, receive: Receive) -> Message:
-        """Return the next part; raises TimeoutError where it does not come in time."""
+        """Return the next message; raise TimeoutError if it does not come in time."""
         grace_s = GRACE_S + self.received / MIN_BYTES_PER_S
         deadline = self._started + min(self._timeout_s, grace_s)
         try:
@@ -54,7 +54,7 @@ class _Upload:
         return message
 
     def silent_s(self) -> float:
-        """Seconds since its last part, 0 where nobody waits for the next."""
+        """Seconds since the last message, 0 while no further one is awaited."""
         if self._timeout is None:
             return 0.0
         return asyncio.get_running_loop().time() - self._last
@@ -66,20 +66,20 @@ class _Upload:
             self._timeout.reschedule(self._last)
 
 
-class Door:
+class AdmissionMiddleware:
     """ASGI middleware that refuses uploads which are too large, too slow or too many.
 
     Parameters
     ----------
     app : ASGI application
     is_full : callable
-        Whether a request of this scope would be refused where frames are worked on.
+        Whether the executor would refuse a request of this scope.
     retry_after_s : callable
-        Seconds until it probably would not be.
+        Seconds until it probably has room.
     max_bytes : int
         Of one request body.
     max_open : int
-        Requests with a body that are answered or received at once.
+        Requests with a body that are received or answered at once.
     timeout_s : float
         For receiving one body.
     """
@@ -114,7 +114,7 @@ class Door:
         upload = _Upload(self._timeout_s)
         self._uploads.add(upload)
         try:
-            await self._let_in(upload, scope, receive, send)
+            await self._admit(upload, scope, receive, send)
         finally:
             self._uploads.discard(upload)
 
@@ -129,7 +129,7 @@ class Door:
         return None
 
     def _make_room(self) -> bool:
-        """Give up the upload that has been silent for longest, if it has been for long."""
+        """Give up the upload that has been silent for longest, if that is long enough."""
         stalled = max(self._uploads, key=_Upload.silent_s, default=None)
         if stalled is None or stalled.silent_s() < STALLED_S:
             return False
@@ -141,7 +141,7 @@ class Door:
             413, f"expected a request of at most {self._max_bytes} bytes", reason="too_many_bytes"
         )
 
-    async def _let_in(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
         refusal: ProblemError | None = None
         started = False
 
@@ -154,8 +154,7 @@ class Door:
             except TimeoutError:
                 refusal = ProblemError(
                     408,
-                    f"expected the whole upload within {self._timeout_s:g} seconds, without a stop "
-                    "on the way",
+                    f"expected the whole upload in {self._timeout_s:g} seconds, without a pause",
                     reason="slow_upload",
                     headers={"Connection": "close"},
                 )

@@ -1,4 +1,4 @@
-"""Every request leaves a log line and its count, and carries an id; never its content."""
+"""Every request has an id, a log line and its count in the metrics; never its content."""
 
 from __future__ import annotations
 
@@ -6,32 +6,24 @@ import logging
 import re
 import time
 import uuid
-from contextvars import ContextVar
 from typing import Any
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.errors import ProblemError, problem_response
 from app.metrics import Metrics
+from app.request_context import NOTES, request_id
 from app.route_table import RouteTable
 
 log = logging.getLogger("app.request")
 
-request_id: ContextVar[str] = ContextVar("request_id", default="")
-
 _HEADER = "X-Request-ID"
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-_STATE = "pose.observation"
 
 
-def note_rejection(scope: Scope, reason: str) -> None:
-    """Say why a request was refused, for the log line and the metrics."""
-    if _STATE in scope:
-        scope[_STATE]["rejected"] = reason
-
-
-class Observation:
-    """ASGI middleware, the outermost: request ids, log lines, metrics.
+class AccessLogMiddleware:
+    """ASGI middleware, the outermost: request ids, log lines, metrics, and unhandled errors.
 
     Parameters
     ----------
@@ -52,9 +44,8 @@ class Observation:
             await self.app(scope, receive, send)
             return
         started = time.perf_counter()
-        # A dict of its own: routers copy the scope, and all copies share this.
-        notes: dict[str, Any] = {"status": 500}
-        scope[_STATE] = notes
+        notes: dict[str, Any] = {}
+        scope[NOTES] = notes
         identifier = _given_id(scope) or uuid.uuid4().hex
         token = request_id.set(identifier)
 
@@ -66,14 +57,20 @@ class Observation:
 
         try:
             await self.app(scope, receive, noting_send)
+        except Exception:
+            log.exception("unhandled error")
+            if "status" in notes:
+                raise  # The server has to break off the answer that was begun.
+            problem = ProblemError(500, "an error of the service; its log says more")
+            await problem_response(problem)(scope, receive, noting_send)
         finally:
-            self._write_down(scope, notes, time.perf_counter() - started)
+            self._record(scope, notes, time.perf_counter() - started)
             request_id.reset(token)
 
-    def _write_down(self, scope: Scope, notes: dict[str, Any], seconds: float) -> None:
+    def _record(self, scope: Scope, notes: dict[str, Any], seconds: float) -> None:
         known = self._table.find(scope["path"])
         route = known.path if known else "other"
-        status, rejected = notes["status"], notes.get("rejected")
+        status, rejected = notes.get("status", 500), notes.get("rejected")
         self._metrics.requests.labels(route, str(status)).inc()
         self._metrics.seconds.labels(route).observe(seconds)
         if rejected:

@@ -1,0 +1,58 @@
+"""The poses that fit a person: matched upright, re-ranked, and placed on the photograph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from app.estimates import ObservedPerson, Person, PlacedHypothesis
+from app.reranking import rank_by_keypoints, rank_by_silhouette
+from app.upright import UprightPerson
+from index.matching import Hypothesis, match_with_spares
+from index.store import Label, PoseIndex
+
+
+def set_upright(person: ObservedPerson, frame_shape: tuple[int, ...]) -> UprightPerson | None:
+    """Normalise a person's silhouette; None where there is none."""
+    if person.silhouette is None:
+        return None
+    return UprightPerson.of(person.silhouette, person.turns, frame_shape, person.keypoints)
+
+
+def fit_poses(
+    index: PoseIndex, observed: ObservedPerson, upright: UprightPerson | None, n: int
+) -> Person:
+    """Find the ``n`` nearest distinct poses of a person.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    observed : ObservedPerson
+    upright : UprightPerson or None
+        The same person; None where there is no silhouette.
+    n : int
+    """
+    if upright is None:
+        return Person(observed, None, ())
+    keypoints = upright.keypoints()
+    matched = match_with_spares(index, upright.normalised, n, keypoints)
+    ranked = rank_by_silhouette(matched, n) if keypoints is None else rank_by_keypoints(matched, n)
+    points_2d = upright.points_in_frame(
+        np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses])
+    )
+    hypotheses = [upright.in_frame(hypothesis) for hypothesis in ranked.hypotheses]
+    placed = [
+        PlacedHypothesis(hypothesis, distance, confidence, _label(index, hypothesis), points)
+        for hypothesis, distance, confidence, points in zip(
+            hypotheses, ranked.distances, ranked.confidences, points_2d, strict=True
+        )
+    ]
+    return Person(observed, ranked.facing, tuple(placed))
+
+
+def _label(index: PoseIndex, hypothesis: Hypothesis) -> Label:
+    label = index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
+    if not hypothesis.lean_deg:
+        return label
+    return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
