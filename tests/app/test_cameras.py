@@ -15,7 +15,7 @@ from app.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from tests.app.test_errors import check_problem
-from tests.app.test_operation import sample
+from tests.app.test_metrics import sample
 from tests.conftest import Photo
 
 

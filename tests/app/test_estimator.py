@@ -12,7 +12,7 @@ from app.estimates import ObservedPerson, Person, Scene
 from app.estimator import Estimator
 from app.settings import Settings
 from app.stopwatch import Stopwatch
-from app.upload import Upload, UploadError
+from app.upload import Upload
 from app.vision.people import Box, ObservedKeypoints
 from app.vision.turning import turned_box, turned_keypoints, turned_points, turned_silhouette
 from tests.conftest import ROOT, Photo, png
@@ -37,10 +37,10 @@ def persons(estimator: Estimator, upload: Upload, evidence: str = "photograph") 
 
 
 def poses(person: Person) -> list[tuple[int, bool, float]]:
-    """Which hypotheses somebody has."""
+    """The hypotheses of a person."""
     return [
-        (one.hypothesis.entry, one.hypothesis.mirrored, one.hypothesis.distance)
-        for one in person.hypotheses
+        (placed.hypothesis.entry, placed.hypothesis.mirrored, placed.hypothesis.distance)
+        for placed in person.hypotheses
     ]
 
 
@@ -52,10 +52,10 @@ def mask_of(person: Person, shape: tuple[int, ...]) -> NDArray[np.uint8]:
 def test_the_photograph_is_evidence(walker: Person) -> None:
     assert walker.facing is not None and walker.facing.evidence == "image"
     assert walker.observed.keypoints is not None
-    assert any(one.hypothesis.log_likelihood < 0 for one in walker.hypotheses)
-    confidences = [one.confidence for one in walker.hypotheses]
+    assert any(placed.hypothesis.log_likelihood < 0 for placed in walker.hypotheses)
+    confidences = [placed.confidence for placed in walker.hypotheses]
     assert confidences == sorted(confidences, reverse=True)
-    distances = [one.distance for one in walker.hypotheses]
+    distances = [placed.distance for placed in walker.hypotheses]
     assert distances == sorted(distances)
 
 
@@ -98,9 +98,9 @@ def test_by_the_silhouette_alone_nothing_is_read(
         if person.observed.silhouette is None:
             continue
         assert person.facing is not None and person.facing.evidence == "none"
-        for one in person.hypotheses:
-            assert one.hypothesis.log_likelihood == 0
-            assert one.distance == one.hypothesis.distance
+        for placed in person.hypotheses:
+            assert placed.hypothesis.log_likelihood == 0
+            assert placed.distance == placed.hypothesis.distance
 
 
 def test_a_mask_with_its_photograph_is_answered_as_the_same_box(
@@ -129,21 +129,15 @@ def test_a_mask_alone_is_answered_as_by_the_silhouette_alone(
         assert poses(person) == poses(expected)
         assert person.facing == expected.facing
         assert person.observed.keypoints is None
-        for one, other in zip(person.hypotheses, expected.hypotheses, strict=True):
-            assert_array_equal(one.points_2d, other.points_2d)
-
-
-def test_without_frame_and_mask_there_is_nothing_to_answer() -> None:
-    for rest in ({}, {"background": b"?"}, {"boxes": (WALKER,)}):
-        with pytest.raises(UploadError, match="frame: expected an image file, got none"):
-            Upload(**rest)  # type: ignore[arg-type]
+        for ours, theirs in zip(person.hypotheses, expected.hypotheses, strict=True):
+            assert_array_equal(ours.points_2d, theirs.points_2d)
 
 
 def test_the_camera_of_somebody_who_leans_is_turned(estimator: Estimator, walker: Person) -> None:
     for placed in walker.hypotheses:
-        one = placed.hypothesis
-        label = estimator.index.label(one.entry, mirrored=one.mirrored)
-        assert placed.label.roll_deg == pytest.approx(label.roll_deg + one.lean_deg)
+        hypothesis = placed.hypothesis
+        label = estimator.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
+        assert placed.label.roll_deg == pytest.approx(label.roll_deg + hypothesis.lean_deg)
 
 
 @pytest.mark.parametrize("seen", [True, False])
@@ -172,11 +166,11 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
     assert poses(upright) == poses(lying)
     lean = {1: 90, 2: 180, 3: -90}[turns]
     turn = {1: [[0, -1], [1, 0]], 2: [[-1, 0], [0, -1]], 3: [[0, 1], [-1, 0]]}[turns]
-    for one, other in zip(upright.hypotheses, lying.hypotheses, strict=True):
-        assert other.hypothesis.lean_deg - one.hypothesis.lean_deg == lean
-        assert_allclose(turned_points(one.points_2d, shape, -turns), other.points_2d, atol=1e-6)
+    for placed, other in zip(upright.hypotheses, lying.hypotheses, strict=True):
+        assert other.hypothesis.lean_deg - placed.hypothesis.lean_deg == lean
+        assert_allclose(turned_points(placed.points_2d, shape, -turns), other.points_2d, atol=1e-6)
         # The bodies turn as their pictures do; depth stays.
-        expected = one.hypothesis.points_3d.copy()
+        expected = placed.hypothesis.points_3d.copy()
         expected[:, :2] = expected[:, :2] @ np.array(turn).T
         assert_allclose(other.hypothesis.points_3d, expected, atol=1e-9)
 
@@ -199,8 +193,8 @@ def test_wide_boxes_and_masks_are_read_for_which_way_up_they_are(
     assert_allclose(by_box.observed.keypoints.positions, there.positions, atol=2)
     (by_mask,) = persons(estimator, Upload(png(lying), mask=png(ours)))
     assert by_mask.observed.turns == turns
-    for one in (by_box, by_mask):
-        assert abs(one.hypotheses[0].label.roll_deg) >= 45
+    for lying_person in (by_box, by_mask):
+        assert abs(lying_person.hypotheses[0].label.roll_deg) >= 45
     (plain,) = persons(estimator, Upload(png(lying), boxes=(box,)), "silhouette")
     assert plain.observed.turns == 0, "only keypoints tell which way up somebody is"
 
@@ -209,9 +203,9 @@ def test_who_lies_is_found_by_the_detector(estimator: Estimator, street: NDArray
     lying = np.ascontiguousarray(np.rot90(street))
     truth = turned_box(WALKER, street.shape, 1)
     found = persons(estimator, Upload(png(lying)))
-    (one,) = (person for person in found if person.observed.box.iou(truth) > 0.5)
-    assert one.observed.turns == 3
-    assert one.facing is not None and one.facing.evidence == "image"
+    (person,) = (person for person in found if person.observed.box.iou(truth) > 0.5)
+    assert person.observed.turns == 3
+    assert person.facing is not None and person.facing.evidence == "image"
     boxes = estimator.detect(png(lying), lambda: None)
     assert {other.turns for other in boxes} == {3}
 
@@ -242,8 +236,8 @@ def test_the_detector_is_the_one_that_is_set(
     assert chosen.detector.name == name
     chosen.warm_up()
     found = chosen.estimate(Upload(png(street)), 1, lambda: None).persons
-    assert any(one.observed.box.iou(WALKER) > 0.5 for one in found)
-    assert {one.observed.source for one in found} == {"detector"}
+    assert any(person.observed.box.iou(WALKER) > 0.5 for person in found)
+    assert {person.observed.source for person in found} == {"detector"}
 
 
 def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo: Photo) -> None:

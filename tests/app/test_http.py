@@ -9,9 +9,6 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimator import Estimator
-from app.main import create_app
-from app.settings import Settings
 from tests.app.test_errors import check_problem
 from tests.conftest import Photo
 
@@ -128,48 +125,3 @@ def test_answers_are_compressed_for_those_who_take_it(client: TestClient, photo:
 def test_what_is_small_or_a_picture_is_not(client: TestClient, path: str) -> None:
     response = client.get(path, headers={"accept-encoding": "gzip"})
     assert "content-encoding" not in response.headers
-
-
-@pytest.fixture
-def open_to_yard(settings: Settings, estimator: Estimator) -> TestClient:
-    allowing = settings.model_copy(update={"cors_origins": (ORIGIN,)})
-    return TestClient(create_app(allowing, estimator))
-
-
-def preflight(client: TestClient, **asked: str) -> httpx.Response:
-    headers = {f"access-control-request-{name}": value for name, value in asked.items()}
-    origin = headers.pop("access-control-request-origin", ORIGIN)
-    return client.options("/pose", headers={"origin": origin, **headers})
-
-
-def test_an_allowed_preflight_says_what_there_is(open_to_yard: TestClient) -> None:
-    response = preflight(open_to_yard, method="POST", headers="x-api-key")
-    assert response.status_code == 200
-    assert response.headers["access-control-allow-origin"] == ORIGIN
-    assert response.headers["access-control-allow-methods"] == "GET, HEAD, POST"
-
-
-@pytest.mark.parametrize(
-    "asked",
-    [
-        {"method": "DELETE"},
-        {"method": "POST", "origin": "https://other.example"},
-        {"method": "POST", "headers": "x-other"},
-    ],
-)
-def test_a_refused_preflight_advertises_nothing(
-    open_to_yard: TestClient, asked: dict[str, str]
-) -> None:
-    response = preflight(open_to_yard, **asked)
-    check_problem(response, 400)
-    assert [name for name in response.headers if name.startswith("access-control-")] == []
-    assert "Origin" in response.headers["vary"]
-
-
-def test_while_the_index_is_loaded_clients_are_told_to_come_back(settings: Settings) -> None:
-    app = create_app(settings)  # Without its lifespan nothing is loaded.
-    response = TestClient(app).get("/readyz")
-    check_problem(response, 503)
-    assert int(response.headers["retry-after"]) >= 1
-    app.state.runtime.loading = False
-    assert "retry-after" not in TestClient(app).get("/readyz").headers

@@ -61,8 +61,9 @@ def test_values_that_are_never_sent_are_not_declared(document: dict[str, Any]) -
 
 def test_errors_and_confidences_say_of_what_they_are(document: dict[str, Any]) -> None:
     fields = document["components"]["schemas"]["Hypothesis"]["properties"]
-    assert "outline, not of the joints" in fields["reprojection_error_px"]["description"]
-    assert "joints are right" in fields["confidence"]["description"]
+    assert "Mean distance between the outlines" in fields["reprojection_error_px"]["description"]
+    confidence = fields["confidence"]["description"]
+    assert "probability that the mean joint error in the image is under 5 px" in confidence
 
 
 def test_titles_and_summaries_are_written_by_a_person(document: dict[str, Any]) -> None:

@@ -80,7 +80,7 @@ class TestFusedDistances:
 
     @given(distances=ascending_distances)
     def test_a_photograph_that_shows_nothing_changes_nothing(self, distances: list[float]) -> None:
-        hypotheses = [hypothesis_like(one) for one in distances]
+        hypotheses = [hypothesis_like(distance) for distance in distances]
         assert fused_distances(hypotheses) == pytest.approx(distances)
 
     @given(distance=st.floats(0.01, 5), lean=st.floats(0, 60))
@@ -93,11 +93,13 @@ class TestFusedDistances:
 class TestRankBySilhouette:
     @given(distances=ascending_distances, n=st.integers(1, 15))
     def test_leaves_what_the_silhouette_says(self, distances: list[float], n: int) -> None:
-        hypotheses = [hypothesis_like(one, confidence=1 / (1 + one)) for one in distances]
+        hypotheses = [
+            hypothesis_like(distance, confidence=1 / (1 + distance)) for distance in distances
+        ]
         ranked = rank_by_silhouette(hypotheses, n)
         assert ranked.hypotheses == tuple(hypotheses[:n])
         assert list(ranked.distances) == distances[:n]
-        assert list(ranked.confidences) == [one.confidence for one in hypotheses[:n]]
+        assert list(ranked.confidences) == [hypothesis.confidence for hypothesis in hypotheses[:n]]
         assert ranked.facing.evidence == "none"
 
     def test_the_facing_is_that_of_those_that_are_left(self) -> None:
@@ -110,11 +112,11 @@ class TestRankBySilhouette:
 class TestRankByKeypoints:
     def test_keypoints_reorder(self) -> None:
         likely, unlikely = (
-            hypothesis_like(distance, log_likelihood=one)
-            for distance, one in ((0.8, -8.0), (0.5, -30.0))
+            hypothesis_like(distance, log_likelihood=likelihood)
+            for distance, likelihood in ((0.8, -8.0), (0.5, -30.0))
         )
         ranked = rank_by_keypoints([unlikely, likely], 2)
-        assert [one.log_likelihood for one in ranked.hypotheses] == [-8.0, -30.0]
+        assert [hypothesis.log_likelihood for hypothesis in ranked.hypotheses] == [-8.0, -30.0]
         assert list(ranked.distances) == sorted(ranked.distances)
         assert list(ranked.confidences) == sorted(ranked.confidences, reverse=True)
         assert ranked.facing.evidence == "image"
@@ -136,10 +138,10 @@ class TestRankByKeypoints:
         rng = np.random.default_rng(seed)
         hypotheses = [
             hypothesis_like(
-                one, front=bool(rng.integers(2)), log_likelihood=-float(rng.exponential(9)),
+                distance, front=bool(rng.integers(2)), log_likelihood=-float(rng.exponential(9)),
                 side_odds=float(rng.normal(0, 9)),
             )
-            for one in distances
+            for distance in distances
         ]  # fmt: skip
         ranked = rank_by_keypoints(hypotheses, n)
         assert len(ranked.hypotheses) == len(ranked.distances) == min(n, len(hypotheses))

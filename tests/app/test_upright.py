@@ -55,12 +55,12 @@ def test_whichever_way_they_lie_the_same_person_is_matched(turns: int) -> None:
 
 @TURNS
 def test_from_the_frame_to_the_normalised_one_and_back(turns: int) -> None:
-    one = person(turns, seen())
-    keypoints = one.keypoints()
+    upright = person(turns, seen())
+    keypoints = upright.keypoints()
     assert keypoints is not None
     expected = turned_keypoints(seen(), SHAPE, -turns).positions
     rows = [COCO_NAMES.index(POINT_NAMES[row]) for row in keypoints.rows]
-    assert_allclose(one.points_in_frame(keypoints.positions), expected[rows], atol=1e-9)
+    assert_allclose(upright.points_in_frame(keypoints.positions), expected[rows], atol=1e-9)
 
 
 @TURNS
@@ -74,9 +74,9 @@ def test_points_of_the_normalised_frame_turn_with_the_frame(turns: int, x: float
 
 @TURNS
 def test_pixels_of_the_silhouette_lie_on_it_in_the_frame(turns: int) -> None:
-    one = person(turns)
-    pixels = np.argwhere(one.normalised)[:, ::-1].astype(float)
-    x, y = np.rint(one.points_in_frame(pixels)).astype(int).T
+    upright = person(turns)
+    pixels = np.argwhere(upright.normalised)[:, ::-1].astype(float)
+    x, y = np.rint(upright.points_in_frame(pixels)).astype(int).T
     mask = turned_silhouette(standing(), SHAPE, -turns).mask(turned_shape(SHAPE, -turns))
     height, width = mask.shape
     inside = mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]

@@ -1,0 +1,83 @@
+"""API keys: what opens, what does not, and what needs none."""
+
+from __future__ import annotations
+
+import pytest
+from fastapi.testclient import TestClient
+from starlette.types import Message, Receive, Scope, Send
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
+from tests.conftest import Photo
+
+
+@pytest.fixture
+def locked(settings: Settings, estimator: Estimator, monkeypatch: pytest.MonkeyPatch) -> TestClient:
+    monkeypatch.setenv("POSE_API_KEYS", "first, second")
+    keys = Settings().api_keys
+    return TestClient(create_app(settings.model_copy(update={"api_keys": keys}), estimator))
+
+
+@pytest.mark.parametrize("key", ["first", "second"])
+def test_each_key_opens(locked: TestClient, key: str) -> None:
+    assert locked.get("/index", headers={"X-API-Key": key}).status_code == 200
+    assert locked.get("/index", headers={"Authorization": f"Bearer {key}"}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"X-API-Key": ""},
+        {"X-API-Key": "firs"},
+        {"X-API-Key": "first, second"},
+        {"Authorization": "Basic first"},
+        {"Authorization": "Bearer"},
+        {"X-API-Key": "\u00e9".encode()},
+    ],
+)
+def test_anything_else_does_not(locked: TestClient, headers: dict[str, str], photo: Photo) -> None:
+    for response in (
+        locked.get("/index", headers=headers),
+        locked.post("/pose", files={"frame": photo.frame_png}, headers=headers),
+        locked.post("/v1/vision/detection", files={"image": photo.frame_png}, headers=headers),
+    ):
+        assert response.status_code == 401
+        assert response.headers["content-type"] == "application/problem+json"
+        assert response.headers["www-authenticate"] == "Bearer"
+        assert "first" not in response.text
+
+
+def test_without_a_key_nothing_of_an_upload_is_read(locked: TestClient) -> None:
+    received = []
+    app = locked.app
+
+    async def watching(scope: Scope, receive: Receive, send: Send) -> None:
+        async def watched() -> Message:
+            received.append(await receive())
+            return received[-1]
+
+        await app(scope, watched, send)
+
+    response = TestClient(watching).post("/pose", files={"frame": b"a photograph"})
+    assert response.status_code == 401
+    assert received == []
+
+
+def test_probes_and_pages_need_no_key(locked: TestClient) -> None:
+    for path in ("/healthz", "/readyz", "/metrics", "/docs", "/openapi.json"):
+        assert locked.get(path).status_code == 200, path
+
+
+def test_deepstack_takes_its_form_field(locked: TestClient, photo: Photo) -> None:
+    response = locked.post(
+        "/v1/vision/detection", files={"image": photo.frame_png}, data={"api_key": "second"}
+    )
+    assert response.status_code == 200
+    assert response.json()["success"] is True
+
+
+def test_keys_do_not_show_in_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("POSE_API_KEYS", "first")
+    assert "first" not in repr(Settings())

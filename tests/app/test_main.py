@@ -1,0 +1,61 @@
+"""The application while its index is loaded, and when that fails."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
+from app.vision import weights
+from tests.app.test_errors import check_problem
+
+
+def test_while_the_index_is_loaded_clients_are_told_to_come_back(settings: Settings) -> None:
+    app = create_app(settings)  # Without its lifespan nothing is loaded.
+    response = TestClient(app).get("/readyz")
+    check_problem(response, 503)
+    assert int(response.headers["retry-after"]) >= 1
+    app.state.runtime.loading = False
+    assert "retry-after" not in TestClient(app).get("/readyz").headers
+
+
+def test_whatever_goes_wrong_while_loading_is_told_to_probes(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*_: object) -> Estimator:
+        raise ZeroDivisionError("an inside matter")
+
+    monkeypatch.setattr(Estimator, "load", fail)
+    with TestClient(create_app(settings)) as client:
+        while "not ready" not in caplog.text:
+            assert client.get("/healthz").status_code == 200
+        response = client.get("/readyz")
+        assert response.status_code == 503
+        assert "inside" not in response.text
+        assert "ZeroDivisionError" in caplog.text
+
+
+def test_a_network_that_is_not_the_one_that_ships_is_told_not_served(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """``python -m app`` ends at once (tests/vision/weights); started otherwise, probes tell."""
+    folder = tmp_path / "weights"
+    shutil.copytree(weights.FOLDER, folder)
+    network = folder / "movenet_multipose.tflite"
+    network.write_bytes(network.read_bytes()[:1000])
+    monkeypatch.setattr(weights, "FOLDER", folder)
+    expected = "movenet_multipose.tflite to have the SHA-256"
+    with TestClient(create_app(settings)) as client:
+        deadline, detail = time.monotonic() + 10, ""
+        while expected not in detail:
+            assert time.monotonic() < deadline, detail
+            response = client.get("/readyz")
+            assert response.status_code == 503
+            detail = response.json()["detail"]
+        assert client.post("/pose", files={"frame": b"x"}).status_code == 503

@@ -1,0 +1,41 @@
+"""Uploads that cannot be used; what else is refused stands in test_errors."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
+from app.upload import Upload, UploadError
+from app.vision.people import Box
+
+
+def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> None:
+    few = Estimator(
+        estimator.index,
+        estimator.detector,
+        estimator.segmenter,
+        estimator._finder.reader,
+        min_person_px=50,
+        max_pixels=10**6,
+        max_persons=2,
+    )
+    labels = np.zeros((90, 90), np.uint8)
+    for person in range(3):
+        labels[10:80, 10 + 20 * person : 20 + 20 * person] = person + 1
+    mask = cv2.imencode(".png", labels)[1].tobytes()
+    frame = cv2.imencode(".png", np.zeros((90, 90, 3), np.uint8))[1].tobytes()
+    with TestClient(create_app(settings, few)) as client:
+        response = client.post("/pose", files={"frame": frame, "mask": mask})
+        assert response.status_code == 422
+        assert response.json()["field"] == "mask"
+
+
+def test_without_frame_and_mask_there_is_nothing_to_answer() -> None:
+    for rest in ({}, {"background": b"?"}, {"boxes": (Box(1, 2, 30, 40),)}):
+        with pytest.raises(UploadError, match="frame: expected an image file, got none"):
+            Upload(**rest)  # type: ignore[arg-type]

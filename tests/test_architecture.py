@@ -1,0 +1,104 @@
+"""``docs/architecture.md`` names what there is, and imports lead only downward."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PACKAGES = ("app", "index", "descriptor")
+
+
+def table() -> dict[str, int]:
+    """Paths of the table, each with the number of its layer, counted from the top."""
+    rows = [
+        (cells[1].strip(), cells[2])
+        for line in PAGE.splitlines()
+        if line.startswith("| ") and (cells := line.split("|"))[1].strip() != "layer"
+    ]
+    layers = list(dict.fromkeys(layer for layer, _ in rows))
+    return {path: layers.index(layer) for layer, files in rows for path in named_paths(files)}
+
+
+def named_paths(text: str) -> list[str]:
+    return re.findall(r"`((?:app|index|descriptor)/[\w/.]*)`", text)
+
+
+def layer_of(path: str, layers: dict[str, int]) -> int | None:
+    """The layer of a file: its own, or that of the innermost folder that has one."""
+    folders = [f"{folder}/" for folder in Path(path).parents]
+    return next((layers[name] for name in (path, *folders) if name in layers), None)
+
+
+def imported_files(file: Path) -> set[str]:
+    """Files of the packages that a file imports."""
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{file}: expected absolute imports"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    found = set()
+    for name in names:
+        parts = name.split(".")
+        if parts[0] not in PACKAGES:
+            continue
+        while parts and not (ROOT / (path := "/".join(parts) + ".py")).is_file():
+            path = "/".join(parts) + "/__init__.py"
+            if (ROOT / path).is_file():
+                break
+            parts.pop()
+        found.add(path)
+    return found
+
+
+MODULES = [
+    str(file.relative_to(ROOT))
+    for package in PACKAGES
+    for file in sorted((ROOT / package).rglob("*.py"))
+]
+
+
+def test_every_file_that_the_page_names_exists() -> None:
+    paths = re.findall(r"\b((?:app|index|descriptor|tests)/[\w/]+(?:\.py)?)", PAGE)
+    assert len(paths) > 40
+    for path in paths:
+        assert (ROOT / path).exists(), path
+
+
+def test_every_module_of_the_service_has_a_layer() -> None:
+    layers = table()
+    assert [path for path in MODULES if layer_of(path, layers) is None] == ["app/__init__.py"]
+
+
+@pytest.mark.parametrize("path", MODULES)
+def test_imports_lead_downward(path: str) -> None:
+    layers = table()
+    layer = layer_of(path, layers)
+    for other in imported_files(ROOT / path) - {"app/__init__.py"}:
+        below = layer_of(other, layers)
+        assert layer is not None and below is not None
+        assert layer <= below, f"{path} imports {other}, which is in a layer above"
+
+
+def test_imports_are_seen() -> None:
+    """The test above could not fail otherwise."""
+    assert {"index/matching.py", "app/upright.py"} <= imported_files(ROOT / "app/hypotheses.py")
+    assert "app/schemas.py" in imported_files(ROOT / "app/replies.py")
+    layers = table()
+    assert layer_of("app/routes/pose.py", layers) == 0
+    assert layer_of("app/vision/decoding/decode.py", layers) == layers["app/vision/"]
+    assert layers["app/vision/"] < layers["index/"] < layers["descriptor/"]
+
+
+def test_vision_knows_nothing_but_images() -> None:
+    vision = [path for path in MODULES if path.startswith("app/vision/")]
+    for path in vision:
+        for other in imported_files(ROOT / path):
+            assert other.startswith("app/vision/"), f"{path} imports {other}"
