@@ -1,14 +1,15 @@
 """The threads on which all work on images is done, in two roles.
 
 Frames (:meth:`Executor.run`)
-    Whole requests: as many at once as there are threads, and a bounded queue before them. A frame
-    has a deadline and is dropped when its client hangs up. A frame of a live camera that still
-    waits is replaced by the next one of the same camera: a late answer is worth less than one to a
-    newer frame.
+    Whole requests: a bounded number at once, and a bounded queue before them. A frame has a
+    deadline and is dropped when its client hangs up. A frame of a live camera that still waits is
+    replaced by the next one of the same camera: a late answer is worth less than one to a newer
+    frame.
 Parts (:meth:`Executor.map`)
-    The people of a frame, or its images. The frame's own thread works through its parts; threads
-    without a frame help, one part at a time, with the frames in turn. A waiting frame goes before
-    any further part, so a frame of many people delays the next caller by one part at most.
+    The people of a frame, or its images. The frame's own thread works through its parts. While
+    there are fewer frames than may be worked on at once, other threads help, one part at a time,
+    with the frames in turn. A new frame never waits for them: it has a thread of its own, and they
+    take no further part while it is worked on.
 
 A frame must not start frames, nor a part parts: both would wait for threads that may never be free.
 """
@@ -170,29 +171,31 @@ class _Parts(Generic[Item, Result]):
 
 
 class Executor:
-    """A bounded number of threads with a bounded queue; started when first needed.
+    """A bounded number of frames at once, with a bounded queue; threads start when needed.
 
     Parameters
     ----------
-    threads : int
-        Frames worked on at once.
+    frames : int
+        Worked on at once.
     queue_length : int
         Frames that may wait; one more is refused at once.
     timeout_s : float
         For a frame, waiting included.
     """
 
-    def __init__(self, threads: int, queue_length: int, timeout_s: float) -> None:
-        self._count = threads
+    def __init__(self, frames: int, queue_length: int, timeout_s: float) -> None:
+        self._frames = frames
+        # Helpers finish their parts beside new frames.
         self._threads = ThreadPoolExecutor(
-            threads, thread_name_prefix="work", initializer=lower_thread_priority
+            2 * frames - 1, thread_name_prefix="work", initializer=lower_thread_priority
         )
-        self._capacity = threads + queue_length
+        self._capacity = frames + queue_length
         self._timeout_s = timeout_s
         self._mean_s = 0.0
         self._places: set[_Place] = set()
         self._newest: dict[Hashable, _Place] = {}
         self._lock = threading.Lock()
+        self._running = self._helping = 0
         self._waiting: deque[_Place] = deque()
         self._divided: deque[_Parts[Any, Any]] = deque()
 
@@ -215,7 +218,7 @@ class Executor:
 
     def retry_after_s(self) -> int:
         """Seconds until the frames inside are probably done, at least 1, at most the timeout."""
-        needed_s = self.inside * self._mean_s / self._count
+        needed_s = self.inside * self._mean_s / self._frames
         return max(1, math.ceil(min(needed_s, self._timeout_s)))
 
     async def run(
@@ -276,7 +279,7 @@ class Executor:
         if _role.get() == "part":
             raise RuntimeError("expected a part of a frame not to be divided again")
         parts = _Parts(function, items)
-        helpers = min(len(parts), self._count) - 1
+        helpers = min(len(parts), self._frames) - 1
         if helpers > 0:
             with self._lock:
                 self._divided.append(parts)
@@ -285,6 +288,10 @@ class Executor:
         while (part := parts.take()) is not None:
             part()
         return parts.results()
+
+    def submit(self, function: Callable[[], T]) -> Future[T]:
+        """Call a function that is no work on a frame, such as loading what frames need."""
+        return self._threads.submit(function)
 
     def shut_down(self) -> None:
         """Cancel what is left, and wait for the threads to end."""
@@ -325,16 +332,30 @@ class Executor:
     def _next(self) -> Callable[[], None] | None:
         """Return the work on a frame that waits, else on a part of the frame whose turn it is."""
         with self._lock:
-            if self._waiting:
+            if self._waiting and self._running < self._frames:
+                self._running += 1
                 return partial(self._work_on, self._waiting.popleft())
-            while self._divided:
+            while self._divided and self._running + self._helping < self._frames:
                 parts = self._divided.popleft()
                 if (part := parts.take()) is not None:
                     self._divided.append(parts)
-                    return part
+                    self._helping += 1
+                    return partial(self._help, part)
         return None
 
+    def _help(self, part: Callable[[], None]) -> None:
+        part()
+        with self._lock:
+            self._helping -= 1
+
     def _work_on(self, place: _Place) -> None:
+        try:
+            self._do(place)
+        finally:
+            with self._lock:
+                self._running -= 1
+
+    def _do(self, place: _Place) -> None:
         job = place.begin()
         if job is None:
             return

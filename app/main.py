@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import anyio
-from anyio import to_thread
 from fastapi import FastAPI
 from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
@@ -151,7 +151,8 @@ async def _load(runtime: Runtime) -> None:
         return estimator
 
     try:
-        estimator = await to_thread.run_sync(load)
+        # Where it is loaded, threads of the networks inherit the priority of those that use them.
+        estimator = await asyncio.wrap_future(runtime.executor.submit(load))
     except (ArtefactError, NetworkError) as error:
         runtime.not_ready_because, runtime.loading = str(error), False
         log.error("not ready: %s", error)

@@ -68,7 +68,7 @@ class Settings(BaseSettings):
     concurrency: int = Field(
         default_factory=available_cores,
         ge=1,
-        description="Frames worked on at once; threads without one help with the people of others.",
+        description="Frames worked on at once; one that shows several people uses free threads.",
     )
     # Each waiting frame makes the answers to those behind it older.
     queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")

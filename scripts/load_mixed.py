@@ -58,8 +58,8 @@ async def measure(url: str, frame: Call, stream: list[Call], rate: float, second
     beside = asyncio.create_task(ClosedLoop(url, [frame]).run(1, seconds))
     tally = await OpenLoop(url, stream).run(times)
     frames = await beside
-    if not frames.of(200):
-        raise RuntimeError("expected a frame of many people to be answered meanwhile")
+    if frames.of(503) or frames.broken:
+        raise RuntimeError("expected no frame of many people to be refused")
     return tally
 
 

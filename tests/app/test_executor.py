@@ -42,33 +42,34 @@ def until_cancelled(token: CancellationToken) -> None:
 
 class TestFrames:
     async def test_results_and_errors_pass_through(self) -> None:
-        executor = Executor(threads=1, queue_length=0, timeout_s=5)
+        executor = Executor(frames=1, queue_length=0, timeout_s=5)
         assert await executor.run(lambda _: 42, never) == 42
         with pytest.raises(KeyError, match="lost"):
             await executor.run(lambda _: {}["lost"], never)
         assert executor.inside == 0
 
     async def test_no_more_than_allowed_are_worked_on_at_once(self) -> None:
-        executor = Executor(threads=2, queue_length=10, timeout_s=5)
+        executor = Executor(frames=2, queue_length=10, timeout_s=5)
         lock = threading.Lock()
         running, most = 0, 0
 
-        def part(_: int) -> None:
+        def work(_: CancellationToken) -> None:
             nonlocal running, most
             with lock:
                 running += 1
                 most = max(most, running)
-            time.sleep(0.005)
+            executor.map(time.sleep, [0.005] * 3)
             with lock:
                 running -= 1
 
         async with anyio.create_task_group() as tasks:
             for _ in range(10):
-                tasks.start_soon(executor.run, lambda _: executor.map(part, range(3)), never)
+                tasks.start_soon(executor.run, work, never)
         assert most == 2
+        assert executor._running == executor._helping == 0
 
     async def test_the_frame_beyond_the_queue_is_refused_while_the_others_are_inside(self) -> None:
-        executor = Executor(threads=1, queue_length=1, timeout_s=5)
+        executor = Executor(frames=1, queue_length=1, timeout_s=5)
         release = threading.Event()
         async with anyio.create_task_group() as tasks:
             for _ in range(2):
@@ -83,7 +84,7 @@ class TestFrames:
         assert not executor.is_full()
 
     async def test_a_waiting_frame_is_dropped_when_its_client_hangs_up(self) -> None:
-        executor = Executor(threads=1, queue_length=1, timeout_s=5)
+        executor = Executor(frames=1, queue_length=1, timeout_s=5)
         release, done = threading.Event(), []
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(executor.run, lambda _: release.wait(), never)
@@ -95,12 +96,12 @@ class TestFrames:
         assert done == []
 
     async def test_work_is_cancelled_when_its_client_hangs_up(self) -> None:
-        executor = Executor(threads=1, queue_length=0, timeout_s=60)
+        executor = Executor(frames=1, queue_length=0, timeout_s=60)
         with anyio.fail_after(10), pytest.raises(ClientGoneError):
             await executor.run(until_cancelled, lambda: anyio.sleep(0.05))
 
     async def test_the_deadline_holds_for_work_and_for_waiting(self) -> None:
-        executor = Executor(threads=1, queue_length=1, timeout_s=0.1)
+        executor = Executor(frames=1, queue_length=1, timeout_s=0.1)
         outcomes = []
 
         async def frame() -> None:
@@ -116,7 +117,7 @@ class TestFrames:
         assert executor.inside == 0
 
     async def test_a_frame_that_waited_in_vain_is_told_that_the_service_was_busy(self) -> None:
-        executor = Executor(threads=1, queue_length=1, timeout_s=0.1)
+        executor = Executor(frames=1, queue_length=1, timeout_s=0.1)
         release = threading.Event()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(executor.run, lambda _: release.wait(), never)
@@ -126,7 +127,7 @@ class TestFrames:
             release.set()
 
     async def test_retry_after_follows_from_what_is_inside(self) -> None:
-        executor = Executor(threads=1, queue_length=9, timeout_s=10)
+        executor = Executor(frames=1, queue_length=9, timeout_s=10)
         executor._mean_s = 0.5
         release, waits = threading.Event(), []
         async with anyio.create_task_group() as tasks:
@@ -140,7 +141,7 @@ class TestFrames:
         assert waits == [1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 10]
 
     async def test_a_request_that_is_cancelled_cancels_its_work(self) -> None:
-        executor = Executor(threads=1, queue_length=1, timeout_s=60)
+        executor = Executor(frames=1, queue_length=1, timeout_s=60)
         begun, cancelled = threading.Event(), threading.Event()
 
         def work(token: CancellationToken) -> None:
@@ -159,7 +160,7 @@ class TestFrames:
     @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc, needs glibc")
     async def test_long_work_leaves_no_memory_behind(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("app.executor._TRIM_AFTER_S", 0.0)
-        executor = Executor(threads=1, queue_length=0, timeout_s=5)
+        executor = Executor(frames=1, queue_length=0, timeout_s=5)
         kept = []
 
         def resident() -> int:
@@ -180,7 +181,7 @@ class Crossing:
     """An executor with one thread, which is kept busy until it is let go."""
 
     def __init__(self, queue_length: int) -> None:
-        self.executor = Executor(threads=1, queue_length=queue_length, timeout_s=5)
+        self.executor = Executor(frames=1, queue_length=queue_length, timeout_s=5)
         self.let_go = threading.Event()
         self.order: list[str] = []
         self.refused: list[tuple[str, type[Exception]]] = []
@@ -262,21 +263,21 @@ class TestCameras:
 
 
 class TestParts:
-    @pytest.mark.parametrize("threads", [1, 3])
-    def test_results_come_in_the_order_of_the_parts(self, threads: int) -> None:
-        executor = Executor(threads, queue_length=0, timeout_s=5)
+    @pytest.mark.parametrize("frames", [1, 3])
+    def test_results_come_in_the_order_of_the_parts(self, frames: int) -> None:
+        executor = Executor(frames, queue_length=0, timeout_s=5)
         assert executor.map(lambda item: item**2, range(20)) == [i**2 for i in range(20)]
         assert executor.map(str, []) == []
 
     def test_several_are_worked_on_at_once(self) -> None:
         meeting = threading.Barrier(3, timeout=10)
         # Each waits for the others: one after the other they would wait in vain.
-        executor = Executor(threads=3, queue_length=0, timeout_s=5)
+        executor = Executor(frames=3, queue_length=0, timeout_s=5)
         assert sorted(executor.map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
 
-    @pytest.mark.parametrize("threads", [1, 2])
-    def test_the_first_failure_reaches_the_caller(self, threads: int) -> None:
-        executor = Executor(threads, queue_length=0, timeout_s=5)
+    @pytest.mark.parametrize("frames", [1, 2])
+    def test_the_first_failure_reaches_the_caller(self, frames: int) -> None:
+        executor = Executor(frames, queue_length=0, timeout_s=5)
         with pytest.raises(ZeroDivisionError):
             executor.map(lambda item: 1 // item, [1, 0, 2])
 
@@ -288,7 +289,7 @@ class TestParts:
             raise ValueError(item)
 
         with pytest.raises(ValueError, match="0"):
-            Executor(threads=1, queue_length=0, timeout_s=5).map(part, range(9))
+            Executor(frames=1, queue_length=0, timeout_s=5).map(part, range(9))
         assert begun == [0]
 
     def test_a_failure_keeps_nothing_of_the_frame(self) -> None:
@@ -298,7 +299,7 @@ class TestParts:
         def part(_: Picture) -> None:
             raise ValueError
 
-        executor = Executor(threads=1, queue_length=0, timeout_s=5)
+        executor = Executor(frames=1, queue_length=0, timeout_s=5)
         picture = Picture()
         kept = weakref.ref(picture)
         gc.disable()
@@ -310,32 +311,38 @@ class TestParts:
         finally:
             gc.enable()
 
-    async def test_a_waiting_frame_goes_before_further_parts_of_another(self) -> None:
-        executor = Executor(threads=2, queue_length=1, timeout_s=10)
+    async def test_a_new_frame_waits_for_no_part_of_another(self) -> None:
+        executor = Executor(frames=2, queue_length=0, timeout_s=10)
         begun: queue.Queue[str] = queue.Queue()
-        names = [*(f"person {number}" for number in range(8)), "mask"]
-        end = {name: threading.Event() for name in names}
+        crowd = [f"person {number}" for number in range(8)]
+        end = {name: threading.Event() for name in (*crowd, "mask")}
 
         def work(name: str) -> None:
             begun.put(name)
             assert end[name].wait(10)
 
-        async def next_two() -> set[str]:
-            return {await to_thread.run_sync(lambda: begun.get(timeout=10)) for _ in range(2)}
+        async def next_begun() -> str:
+            return await to_thread.run_sync(lambda: begun.get(timeout=10))
 
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(executor.run, lambda _: executor.map(work, names[:8]), never)
-            assert await next_two() == {"person 0", "person 1"}
+            tasks.start_soon(executor.run, lambda _: executor.map(work, crowd), never)
+            assert {await next_begun(), await next_begun()} == {"person 0", "person 1"}
             tasks.start_soon(executor.run, lambda _: work("mask"), never)
-            await anyio.wait_all_tasks_blocked()
+            assert await next_begun() == "mask"
+            # The frame's own thread goes on; the one that helped leaves its core to the mask.
             end["person 0"].set()
             end["person 1"].set()
-            assert await next_two() == {"person 2", "mask"}
+            assert await next_begun() == "person 2"
+            while executor._helping:
+                await anyio.sleep(0.001)
+            assert begun.empty()
+            end["mask"].set()
+            assert await next_begun() == "person 3"  # Whose thread helps now.
             for event in end.values():
                 event.set()
 
-    async def test_threads_without_a_frame_help_all_frames_in_turn(self) -> None:
-        executor = Executor(threads=3, queue_length=0, timeout_s=10)
+    async def test_other_threads_help_all_frames_in_turn(self) -> None:
+        executor = Executor(frames=3, queue_length=0, timeout_s=10)
         both_inside = threading.Barrier(2, timeout=10)
         begun = {name: threading.Event() for name in "ab"}
         end = threading.Event()
@@ -364,7 +371,7 @@ class TestParts:
         assert all(name != following for name, following in pairwise(helped[1:7]))
 
     async def test_frames_and_parts_know_the_request_they_belong_to(self) -> None:
-        executor = Executor(threads=2, queue_length=1, timeout_s=5)
+        executor = Executor(frames=2, queue_length=1, timeout_s=5)
         meeting = threading.Barrier(2, timeout=10)  # Two threads have to come.
 
         def part(_: int) -> str:
@@ -380,7 +387,7 @@ class TestReentry:
     """What could wait for itself raises instead."""
 
     async def test_a_frame_that_starts_another(self) -> None:
-        executor = Executor(threads=1, queue_length=1, timeout_s=5)
+        executor = Executor(frames=1, queue_length=1, timeout_s=5)
 
         def work(_: CancellationToken) -> None:
             asyncio.run(executor.run(lambda _: None, never))
@@ -388,9 +395,9 @@ class TestReentry:
         with pytest.raises(RuntimeError, match="not by another frame"):
             await executor.run(work, never)
 
-    @pytest.mark.parametrize("threads", [1, 2])
-    async def test_a_part_that_is_divided(self, threads: int) -> None:
-        executor = Executor(threads, queue_length=1, timeout_s=5)
+    @pytest.mark.parametrize("frames", [1, 2])
+    async def test_a_part_that_is_divided(self, frames: int) -> None:
+        executor = Executor(frames, queue_length=1, timeout_s=5)
 
         def part(_: int) -> list[str]:
             return executor.map(str, range(2))
@@ -402,7 +409,7 @@ class TestReentry:
 
 
 async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
-    executor = Executor(threads=2, queue_length=2, timeout_s=60)
+    executor = Executor(frames=2, queue_length=2, timeout_s=60)
     begun = threading.Semaphore(0)
     outcomes: list[str] = []
 
