@@ -30,6 +30,18 @@ from index.store import PoseIndex
 _NETWORK_THREADS = 2
 
 
+def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
+    """Threads of one pass of a network, and copies of it, that share the cores.
+
+    Examples
+    --------
+    >>> network_threads(cores=8, concurrency=8)
+    (2, 4)
+    """
+    threads = min(_NETWORK_THREADS, cores)
+    return threads, max(1, min(concurrency, cores // threads))
+
+
 class Estimator:
     """Frames to poses; immutable once loaded, so safe under several threads.
 
@@ -88,9 +100,7 @@ class Estimator:
         NetworkError
             If a network of the package is missing or altered.
         """
-        cores = available_cores()
-        threads = min(_NETWORK_THREADS, cores)
-        copies = max(1, min(settings.concurrency, cores // threads))
+        threads, copies = network_threads(available_cores(), settings.concurrency)
         movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
         body = BodyNetwork(network_path("body_mask"), threads=threads, copies=copies)
         smallest = settings.min_person_px

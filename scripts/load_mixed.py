@@ -74,6 +74,9 @@ def main() -> None:
     frame, stream = crowd(index, options.people), masks(index)
     with ServerProcess(options.index, POSE_REQUEST_TIMEOUT_S="60") as server:
         server.wait_until_ready()
+        asyncio.run(
+            OpenLoop(server.url, stream).run(np.arange(0, 1, 1 / options.rate))
+        )  # Warms up.
         alone = asyncio.run(OpenLoop(server.url, stream).run(np.arange(0, 5, 1 / options.rate)))
         beside = asyncio.run(measure(server.url, frame, stream, options.rate, options.seconds))
     rows = [

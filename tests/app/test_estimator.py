@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person, Scene
-from app.estimator import Estimator
+from app.estimator import Estimator, network_threads
 from app.settings import Settings
 from app.stopwatch import Stopwatch
 from app.upload import Upload
@@ -47,6 +47,16 @@ def poses(person: Person) -> list[tuple[int, bool, float]]:
 def mask_of(person: Person, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     assert person.observed.silhouette is not None
     return person.observed.silhouette.mask(shape).astype(np.uint8)
+
+
+@pytest.mark.parametrize("concurrency", [1, 2, 3, 64])
+@pytest.mark.parametrize("cores", [1, 2, 3, 8, 64])
+def test_passes_of_a_network_share_the_cores(cores: int, concurrency: int) -> None:
+    threads, copies = network_threads(cores, concurrency)
+    assert threads == min(2, cores)
+    assert threads * copies <= cores
+    # No more copies than frames, and no core idle while there are frames for it.
+    assert copies == concurrency or threads * (copies + 1) > cores
 
 
 def test_the_photograph_is_evidence(walker: Person) -> None:
