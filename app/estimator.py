@@ -22,7 +22,7 @@ from app.estimates import (
     UploadError,
 )
 from app.reranking import rank_by_keypoints, rank_by_silhouette
-from app.settings import Settings
+from app.settings import Settings, cores
 from app.upright import UprightPerson
 from app.vision.decoding.decode import (
     ImageError,
@@ -75,8 +75,8 @@ class Estimator:
     max_persons : int
         Detections beyond are dropped, the least sure first; a caller who names more people
         is refused.
-    concurrency : int
-        Frames that are worked on at once.
+    threads : int
+        That share the decoding and the people of frames.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Estimator:
         min_person_px: float,
         max_pixels: int,
         max_persons: int,
-        concurrency: int = 1,
+        threads: int = 1,
     ) -> None:
         self.index = index
         self.detector = detector
@@ -98,7 +98,7 @@ class Estimator:
         self._min_person_px = min_person_px
         self._max_pixels = max_pixels
         self._max_persons = max_persons
-        self._workers = Workers(concurrency)
+        self._workers = Workers(threads)
 
     @classmethod
     def load(cls, settings: Settings) -> Estimator:
@@ -111,8 +111,8 @@ class Estimator:
         NetworkError
             If a network of the package is missing or altered.
         """
-        threads = min(_NETWORK_THREADS, settings.concurrency)
-        copies = max(1, settings.concurrency // threads)
+        threads = min(_NETWORK_THREADS, cores())
+        copies = max(1, cores() // threads)
         movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
         body = BodyNetwork(network_path("body_mask"), threads=threads, copies=copies)
         smallest = settings.min_person_px
@@ -129,7 +129,7 @@ class Estimator:
             min_person_px=smallest,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            concurrency=settings.concurrency,
+            threads=cores(),
         )
 
     def warm_up(self) -> None:

@@ -22,9 +22,14 @@ _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
 _OF_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
 
-def _cores() -> int:
+def cores() -> int:
     """Cores this process may use: a container's share, not the machine's."""
     return len(os.sched_getaffinity(0))
+
+
+def _frames_at_once() -> int:
+    """Half the cores: a frame keeps two busy, and two frames on them are both answered later."""
+    return max(1, cores() // 2)
 
 
 class SettingsError(ValueError):
@@ -70,9 +75,7 @@ class Settings(BaseSettings):
         default=64, ge=1, description="Uploads open at once, those still being received included."
     )
     concurrency: int = Field(
-        default_factory=_cores,
-        ge=1,
-        description="Frames worked on at once; the people of a frame share as many threads.",
+        default_factory=_frames_at_once, ge=1, description="Frames worked on at once."
     )
     # Every frame that waits makes the answers to all behind it older.
     queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")

@@ -42,7 +42,7 @@ def _plain(name: str) -> str:
 
 def _default(field: FieldInfo) -> str:
     if field.default_factory is not None:
-        return "one a core"
+        return "half the cores, at least 1"
     value = field.default
     if isinstance(value, Path):
         return f"`{value.relative_to(ROOT)}` of the service"

@@ -240,12 +240,13 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         assert response.json()["field"] == "mask"
 
 
-@pytest.mark.parametrize("concurrency", [1, 3])
-def test_no_more_threads_beside_the_work_than_frames_worked_on(
-    settings: Settings, photo: Photo, concurrency: int
+@pytest.mark.parametrize("count", [1, 3])
+def test_no_more_threads_beside_the_work_than_cores(
+    settings: Settings, photo: Photo, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
+    monkeypatch.setattr("app.estimator.cores", lambda: count)
     before = set(threading.enumerate())
-    estimator = Estimator.load(settings.model_copy(update={"concurrency": concurrency}))
+    estimator = Estimator.load(settings)
     estimator.warm_up()
     upload = Upload(frame=photo.frame_png, mask=photo.mask_png)
     with ThreadPoolExecutor(6) as callers:
@@ -255,8 +256,8 @@ def test_no_more_threads_beside_the_work_than_frames_worked_on(
         list(callers.map(lambda _: estimator.detect(photo.frame_png, lambda: None), range(6)))
     # The callers' own are gone.
     beside = set(threading.enumerate()) - before
-    assert len(beside) <= concurrency
-    assert bool(beside) == (concurrency > 1)
+    assert len(beside) <= count
+    assert bool(beside) == (count > 1)
     assert all(len(answer.persons) == 1 for answer in answers)
 
 
