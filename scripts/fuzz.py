@@ -27,7 +27,7 @@ SHAPES = (
 )  # fmt: skip
 """Rows and columns of images that are thin, huge or odd; the service takes 12.5 megapixels."""
 
-SHAPED = 0.005
+SHAPED = 0.002
 """Share of the uploads that are of these shapes."""
 
 SLOWEST_MS = 2000.0
