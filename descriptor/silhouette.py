@@ -10,6 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 HEIGHT = 128
 WIDTH = 48
 
+# Silhouettes whose longer side is twice this or more are averaged over blocks before they are
+# resampled: for a mask a million pixels wide the resampling matrices alone would take 512 MB.
+_LARGEST_PX = 1024
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -80,12 +84,32 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
         float((WIDTH - 1) / 2 - scale * (left + right - 1) / 2),
         float((HEIGHT - 1) / 2 - scale * (top + bottom - 1) / 2),
     )
-    crop = filled[top:bottom, left:right].astype(np.float32)
-    vertical = _resampling_matrix(HEIGHT, bottom - top, scale)
-    horizontal = _resampling_matrix(WIDTH, right - left, scale)
+    block = max(1, max(bottom - top, right - left) // _LARGEST_PX)
+    crop = _averaged(filled[top:bottom, left:right], block)
+    vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
+    horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
     grey = vertical @ crop @ horizontal.T
     # A mask so thin that no pixel is half covered is kept where it covers most: never empty.
     return (grey >= min(0.5, grey.max())).astype(np.uint8), placement
+
+
+def _averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
+    """Means of the blocks of ``block`` x ``block`` pixels, whose grid is centred on the crop.
+
+    What a block holds beyond the crop counts as background.
+    """
+    if block == 1:
+        return crop.astype(np.float32)
+    means: NDArray[np.generic] = crop
+    # The longer side first: the shorter one may be padded to many times its length.
+    for axis in sorted((0, 1), key=lambda axis: -crop.shape[axis]):
+        missing = -means.shape[axis] % block
+        margins = [(0, 0), (0, 0)]
+        margins[axis] = missing // 2, missing - missing // 2
+        padded = np.pad(means, margins)
+        before, after = padded.shape[:axis], padded.shape[axis + 1 :]
+        means = padded.reshape(*before, -1, block, *after).mean(axis + 1, dtype=np.float32)
+    return np.asarray(means, np.float32)
 
 
 def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.float32]:

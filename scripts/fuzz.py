@@ -21,6 +21,15 @@ from scripts.server_process import ServerProcess
 from scripts.street import encode, street
 
 CLIENTS = 2
+SHAPES = (
+    (1, 1), (1, 1000), (1000, 1), (3, 4000), (4000, 3), (1, 1_000_000), (1_000_000, 1),
+    (12, 1_000_000), (1_000_000, 12), (200, 60_000), (60_000, 200), (3535, 3535), (7000, 1750),
+)  # fmt: skip
+"""Rows and columns of images that are thin, huge or odd; the service takes 12.5 megapixels."""
+
+SHAPED = 0.002
+"""Share of the uploads that are of these shapes."""
+
 SLOWEST_MS = 2000.0
 MOST_MB = 600.0
 
@@ -45,6 +54,19 @@ def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
         encode(".webp", mask * 255, cv2.IMWRITE_WEBP_QUALITY, 101),
     ]
     return frames, masks
+
+
+def shaped(rng: np.random.Generator) -> list[dict[str, bytes]]:
+    """Return images of each of :data:`SHAPES`: a frame of blotches, a mask of six people in it."""
+    found = []
+    for rows, columns in SHAPES:
+        coarse = rng.integers(0, 256, (min(rows, 40), min(columns, 40), 3), np.uint8)
+        frame = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_NEAREST)
+        mask = cv2.resize(coarse[:, :, 0] % 7, (columns, rows), interpolation=cv2.INTER_NEAREST)
+        # JPEG ends at 65,535 pixels each way.
+        extension = ".jpg" if max(rows, columns) < 65_000 else ".png"
+        found.append({"frame": encode(extension, frame), "mask": encode(".png", mask)})
+    return found
 
 
 def _with_exif_orientation(jpeg: bytes) -> bytes:
@@ -86,6 +108,7 @@ class Fuzz:
     def __init__(self, server: ServerProcess, index: PoseIndex, uploads: int) -> None:
         self._server = server
         self._frames, self._masks = seeds(index)
+        self._shaped = shaped(np.random.default_rng(0))
         self._uploads = uploads
         self._lock = threading.Lock()
         self._sent = 0
@@ -102,12 +125,28 @@ class Fuzz:
             thread.join()
 
     def _call(self, rng: np.random.Generator) -> Call:
+        if rng.random() < SHAPED:
+            return self._shaped_call(rng)
         frame = self._frames[rng.integers(len(self._frames))]
         if rng.random() < 0.7:
             # Boxes that name nobody: what is tried is the decoder, not the search for people.
             return Call("POST", "/pose", {"frame": mutate(frame, rng), "boxes": b"[]"})
         mask = mutate(self._masks[rng.integers(len(self._masks))], rng)
         return Call("POST", "/pose?n=1", {"frame": self._frames[2], "mask": mask})
+
+    def _shaped_call(self, rng: np.random.Generator) -> Call:
+        parts = self._shaped[rng.integers(len(self._shaped))]
+        if rng.random() < 0.2:
+            parts = {name: mutate(data, rng) for name, data in parts.items()}
+        frame, mask = parts["frame"], parts["mask"]
+        forms = (
+            {"frame": frame},
+            {"mask": mask},
+            {"frame": frame, "mask": mask},
+            {"frame": frame, "background": frame},
+            {"frame": frame, "boxes": b"[[0, 0, 1000000, 1000000], [0, 0, 1, 1]]"},
+        )
+        return Call("POST", "/pose", forms[rng.integers(len(forms))])
 
     def _client(self, number: int) -> None:
         rng = np.random.default_rng(1000 + number)
@@ -148,7 +187,8 @@ def report(fuzz: Fuzz, server: ServerProcess, seconds: float) -> tuple[str, list
     uploads = sum(fuzz.statuses.values())
     body = f"""`python -m scripts.fuzz --uploads {uploads}`, revision {revision()}.
 {machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s.
-Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %).
+Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %). {100 * SHAPED:g} % are images of
+1x1 to 1,000,000x12 and 3535x3535 pixels, most of them sound, in every kind of upload.
 
 | answers | {answers} |
 |---|---|

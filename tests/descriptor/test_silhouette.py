@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -174,6 +176,32 @@ def test_a_line_thinner_than_a_pixel_is_kept() -> None:
     line[:, 200] = 1
     line[1000, 150:250] = 1
     assert normalise(line)[0].any()
+
+
+@pytest.mark.parametrize("rows", [1024, 1025, 1027])
+def test_averaging_blocks_first_moves_nothing_but_the_outline(
+    monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    mask = smooth_person(rows)
+    whole, placement = normalise(mask)
+    monkeypatch.setattr("descriptor.silhouette._LARGEST_PX", 256)
+    by_blocks, same_placement = normalise(mask)
+    assert_differ_only_at_the_outline(by_blocks, whole)
+    assert (by_blocks != whole).sum() < 0.02 * whole.sum()
+    assert same_placement == placement
+
+
+@pytest.mark.parametrize("shape", [(1_000_000, 12), (12, 1_000_000)], ids=str)
+def test_extremely_thin_masks_take_memory_in_proportion_to_their_pixels(
+    shape: tuple[int, int],
+) -> None:
+    mask = np.ones(shape, np.uint8)
+    tracemalloc.start()
+    silhouette, _ = normalise(mask)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert silhouette.any()
+    assert peak < 10 * mask.nbytes
 
 
 @pytest.mark.parametrize("value", [1, 255, 0.25, True])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.people import Box, Detection, SegmenterName, Silhouette, silhouette_from_mask
+from app.vision.resampling import resize
 from app.vision.segmentation.mask_cleaning import fill_small_holes, keep_components
 from app.vision.segmentation.truncation import with_truncation
 
@@ -26,6 +28,8 @@ _SHADOW_TINT = 0.06
 _SHADOW_UNEVENNESS = 0.05
 # Share of the nearby difference that a pixel half covered by the person shows.
 _HALF_COVERED = 0.45
+# Larger frames are compared at this size: one of 12 megapixels took 13 s and 2 GB.
+_MOST_PIXELS = 1920 * 1080
 # A standing or walking body: width over height, and how much of its box it fills.
 _ASPECTS = (0.15, 1.2)
 _LEAST_FILL = 0.2
@@ -136,6 +140,14 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
     """
     if frame.shape != background.shape:
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")
+    height, width = frame.shape[:2]
+    if height * width > _MOST_PIXELS:
+        factor = math.sqrt(_MOST_PIXELS / (height * width))
+        size = max(1, int(factor * width)), max(1, int(factor * height))
+        reduced = foreground(resize(frame, *size), resize(background, *size))
+        return cv2.resize(
+            reduced.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+        ).view(np.bool_)
     now = cv2.GaussianBlur(frame, (0, 0), 0.8).astype(np.float32)
     scene = cv2.GaussianBlur(background, (0, 0), 0.8).astype(np.float32)
     expected = _exposed_alike(now, scene)
@@ -190,10 +202,15 @@ def _exposed_alike(now: NDArray[np.float32], scene: NDArray[np.float32]) -> NDAr
 
 def _shadow(now: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Where the scene is seen with less light: equally in all channels, and evenly."""
-    light = now.sum(axis=2) / expected.sum(axis=2)
-    share_now = now / np.maximum(now.sum(axis=2, keepdims=True), 1)
-    share_expected = expected / expected.sum(axis=2, keepdims=True)
-    tint = np.abs(share_now - share_expected).max(axis=2)
+    # Channel by channel, which takes a quarter of the time of sums along the last axis.
+    channels = range(3)
+    total_now = now[..., 0] + now[..., 1] + now[..., 2]
+    total_expected = expected[..., 0] + expected[..., 1] + expected[..., 2]
+    light = total_now / total_expected
+    total_now = np.maximum(total_now, 1)
+    tint = np.maximum.reduce(
+        [np.abs(now[..., c] / total_now - expected[..., c] / total_expected) for c in channels]
+    )
     mean = cv2.blur(light, (5, 5))
     unevenness = np.sqrt(np.maximum(cv2.blur(light**2, (5, 5)) - mean**2, 0))
     dimmed = (light > _DEEPEST_SHADOW) & (light < 0.98)

@@ -45,6 +45,9 @@ _THRESHOLD = 0.5
 _ROWS = 384
 # Share of a pixel that the mask as drawn covers, from which the pixel is the person's.
 _HALF_COVERED = 0.5
+# Boxes of people cut by the frame may end this far short of its edge. The network sees better than
+# the detector whether the body goes on.
+_NEAR_EDGE_PX = 5.0
 # Less than this share of the box, and the network did not see the person.
 _LEAST_FILL = 0.12
 
@@ -65,7 +68,11 @@ class NetworkSegmenter:
     def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
         """Cut out the person in each box; see :class:`Segmenter`."""
         height, width = frame.shape[:2]
-        visible = [(i, box) for i, whole in enumerate(boxes) if (box := whole.clip(width, height))]
+        visible = [
+            (i, _up_to_edges(box, width, height))
+            for i, whole in enumerate(boxes)
+            if (box := whole.clip(width, height))
+        ]
         windows = [body_window(box, height) for _, box in visible]
         maps = [self._network.probability(frame, window) for window in windows]
         found: list[Silhouette | None] = [None] * len(boxes)
@@ -79,6 +86,15 @@ class NetworkSegmenter:
                 box, windows[own], maps[own], [(windows[other], maps[other]) for other in others]
             )
         return with_truncation(found, boxes, frame.shape)
+
+
+def _up_to_edges(box: Box, width: int, height: int) -> Box:
+    """A box with the sides that end near the frame's edge moved out to it."""
+    sides = np.array([box.x, box.y, box.right, box.bottom])
+    edges = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
+    near = np.abs(sides - edges) <= _NEAR_EDGE_PX
+    left, top, right, bottom = np.where(near, edges, sides).tolist()
+    return Box(left, top, right - left, bottom - top)
 
 
 def _silhouette(

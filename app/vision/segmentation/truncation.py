@@ -10,10 +10,10 @@ import numpy as np
 from app.vision.people import COCO_NAMES, Box, ObservedKeypoints, Silhouette
 
 # All of this was chosen on even-numbered photographs: python -m scripts.evaluate truncation.
-# Who is cut by the frame's edge ends at it, or so near to it as boxes and silhouettes are precise:
-# in pixels, and as a share of the person's longer side.
-_NEAR_PX = 3.0
-_NEAR = 0.015
+# Who is cut by the frame's edge ends at it, or so near to it as silhouettes are precise: in pixels,
+# and as a share of the person's longer side.
+_NEAR_PX = 1.0
+_NEAR = 0.01
 # Along how much of its extent a silhouette may run on the frame's border: a shoe that just
 # reaches the last row is no cut.
 _ALONG_BORDER = 0.1

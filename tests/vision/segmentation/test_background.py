@@ -51,6 +51,18 @@ def test_exposure_and_noise_are_no_change(
     assert iou(foreground(frame, empty), person) > 0.85
 
 
+def test_large_frames_are_compared_smaller(
+    empty: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame, person = with_person(empty)
+    exact = foreground(frame, empty)
+    monkeypatch.setattr("app.vision.segmentation.background._MOST_PIXELS", frame[..., 0].size // 3)
+    smaller = foreground(frame, empty)
+    assert smaller.shape == exact.shape and smaller.dtype == bool
+    assert (smaller != exact).any()
+    assert iou(smaller, person) > 0.8
+
+
 def test_a_shadow_is_no_change(empty: np.ndarray) -> None:
     frame, person = with_person(empty)
     shadow = np.zeros(frame.shape[:2], bool)

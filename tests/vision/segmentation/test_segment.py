@@ -100,6 +100,28 @@ def test_a_pixel_that_two_claim_is_the_surer_ones() -> None:
     assert np.count_nonzero(surer & other) <= 0.02 * surer.sum()
 
 
+@pytest.mark.parametrize(("short_px", "is_cut"), [(0, True), (5, True), (7, False)])
+@pytest.mark.parametrize("edge", ["left", "top", "right", "bottom"])
+def test_boxes_that_end_just_short_of_the_frames_edge_do_not_end_the_silhouette(
+    edge: str, short_px: int, is_cut: bool
+) -> None:
+    height, width = FRAME.shape[:2]
+    body, visible = {
+        "left": (Box(-50.5, 19.5, 140, 200), Box(short_px - 0.5, 19.5, 90 - short_px, 200)),
+        "top": (Box(99.5, -60.5, 90, 200), Box(99.5, short_px - 0.5, 90, 140 - short_px)),
+        "right": (Box(width - 90.5, 19.5, 140, 200), Box(width - 90.5, 19.5, 90 - short_px, 200)),
+        "bottom": (
+            Box(99.5, height - 140.5, 90, 200),
+            Box(99.5, height - 140.5, 90, 140 - short_px),
+        ),
+    }[edge]
+    (found,) = NetworkSegmenter(PaintedNetwork([body], [0.9])).segment(FRAME, [visible])
+    mask = mask_of(found, FRAME.shape)
+    border = {"left": mask[:, 0], "top": mask[0], "right": mask[:, -1], "bottom": mask[-1]}[edge]
+    assert border.any() == is_cut
+    assert found is not None and found.truncated == is_cut
+
+
 def test_people_apart_are_cut_out_as_if_alone() -> None:
     left, right = Box(19.5, 29.5, 80, 180), Box(179.5, 29.5, 80, 180)
     both = painted([left, right], 0.6, 0.95)
