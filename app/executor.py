@@ -4,7 +4,8 @@ Frames (:meth:`Executor.run`)
     Whole requests: a bounded number at once, and a bounded queue before them. A frame has a
     deadline and is dropped when its client hangs up. A frame of a live camera that still waits is
     replaced by the next one of the same camera: a late answer is worth less than one to a newer
-    frame.
+    frame. At most half of the frames worked on at once are photographs in which people have to be
+    found: each keeps two cores busy, and two on two cores are both answered later.
 Parts (:meth:`Executor.map`)
     The people of a frame, or its images. The frame's own thread works through its parts. While
     there are fewer frames than may be worked on at once, other threads help, one part at a time,
@@ -79,6 +80,7 @@ class _Job:
 
     work: Callable[[CancellationToken], Any]
     token: CancellationToken
+    photograph: bool
     context: Context = field(default_factory=copy_context)
     future: Future[Any] = field(default_factory=Future)
 
@@ -195,7 +197,7 @@ class Executor:
         self._places: set[_Place] = set()
         self._newest: dict[Hashable, _Place] = {}
         self._lock = threading.Lock()
-        self._running = self._helping = 0
+        self._running = self._helping = self._photographs = 0
         self._waiting: deque[_Place] = deque()
         self._divided: deque[_Parts[Any, Any]] = deque()
 
@@ -226,6 +228,8 @@ class Executor:
         work: Callable[[CancellationToken], T],
         until_gone: Callable[[], Coroutine[None, None, None]],
         camera: Hashable = None,
+        *,
+        photograph: bool = False,
     ) -> T:
         """Work on a frame in a thread.
 
@@ -238,6 +242,9 @@ class Executor:
             one that has begun is cancelled.
         camera : hashable, optional
             A live camera: its frame that still waits is superseded.
+        photograph : bool
+            Whether people have to be found in it. Each keeps two cores busy, so no more than half of
+            the frames worked on at once are photographs; silhouettes overtake those that wait.
 
         Raises
         ------
@@ -247,7 +254,7 @@ class Executor:
         """
         if _role.get():
             raise RuntimeError("expected a frame to be started by a request, not by another frame")
-        job = _Job(work, CancellationToken(self._timeout_s))
+        job = _Job(work, CancellationToken(self._timeout_s), photograph)
         place = self._place(job, camera)
         done: asyncio.Future[T] = asyncio.wrap_future(job.future)
         gone = asyncio.ensure_future(until_gone())
@@ -332,9 +339,12 @@ class Executor:
     def _next(self) -> Callable[[], None] | None:
         """Return the work on a frame that waits, else on a part of the frame whose turn it is."""
         with self._lock:
-            if self._waiting and self._running < self._frames:
+            if self._running < self._frames and (place := self._next_place()) is not None:
+                self._waiting.remove(place)
+                photograph = place.job.photograph
                 self._running += 1
-                return partial(self._work_on, self._waiting.popleft())
+                self._photographs += photograph
+                return partial(self._work_on, place, photograph)
             while self._divided and self._running + self._helping < self._frames:
                 parts = self._divided.popleft()
                 if (part := parts.take()) is not None:
@@ -343,17 +353,23 @@ class Executor:
                     return partial(self._help, part)
         return None
 
+    def _next_place(self) -> _Place | None:
+        """Return the first place that waits and may be worked on beside the others."""
+        full = self._photographs >= max(1, self._frames // 2)
+        return next((p for p in self._waiting if not (full and p.job.photograph)), None)
+
     def _help(self, part: Callable[[], None]) -> None:
         part()
         with self._lock:
             self._helping -= 1
 
-    def _work_on(self, place: _Place) -> None:
+    def _work_on(self, place: _Place, photograph: bool) -> None:
         try:
             self._do(place)
         finally:
             with self._lock:
                 self._running -= 1
+                self._photographs -= photograph
 
     def _do(self, place: _Place) -> None:
         job = place.begin()

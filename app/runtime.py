@@ -72,7 +72,9 @@ async def _ready_estimator(request: Request) -> Estimator:
 EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
 
 
-async def run_frame(request: Request, work: Callable[[CancellationToken], T]) -> T:
+async def run_frame(
+    request: Request, work: Callable[[CancellationToken], T], *, photograph: bool
+) -> T:
     """Work on a request's frame in a thread; see :meth:`app.executor.Executor.run`."""
 
     async def until_gone() -> None:
@@ -80,4 +82,5 @@ async def run_frame(request: Request, work: Callable[[CancellationToken], T]) ->
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    return await runtime_of(request).executor.run(work, until_gone, camera_stream(request.scope))
+    camera = camera_stream(request.scope)
+    return await runtime_of(request).executor.run(work, until_gone, camera, photograph=photograph)

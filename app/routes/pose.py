@@ -77,7 +77,8 @@ async def estimate_pose(
         runtime.metrics.observe_persons(estimate.persons)
         return pose_reply(estimate, estimator.index, form).model_dump_json().encode()
 
-    return Response(await run_frame(request, work), media_type="application/json")
+    content = await run_frame(request, work, photograph=upload.mask is None)
+    return Response(content, media_type="application/json")
 
 
 @router.post(
@@ -108,7 +109,8 @@ async def draw_pose(
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
 
-    return Response(await run_frame(request, work), media_type="image/png")
+    content = await run_frame(request, work, photograph=upload.mask is None)
+    return Response(content, media_type="image/png")
 
 
 @router.post(
@@ -134,4 +136,5 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
         runtime.metrics.observe_stages(stopwatch.milliseconds)
         return encode_png(draw_labels(scene))
 
-    return Response(await run_frame(request, work), media_type="image/png")
+    content = await run_frame(request, work, photograph=upload.mask is None)
+    return Response(content, media_type="image/png")

@@ -66,7 +66,31 @@ class TestFrames:
             for _ in range(10):
                 tasks.start_soon(executor.run, work, never)
         assert most == 2
+        executor.shut_down()
         assert executor._running == executor._helping == 0
+
+    async def test_silhouettes_overtake_photographs_that_wait_for_their_share(self) -> None:
+        executor = Executor(frames=2, queue_length=4, timeout_s=5)
+        release, order = threading.Event(), list[str]()
+
+        async def ask(name: str, photograph: bool) -> None:
+            def work(_: CancellationToken) -> None:
+                if name == "first photograph":
+                    release.wait()
+                order.append(name)
+
+            await executor.run(work, never, photograph=photograph)
+
+        async with anyio.create_task_group() as tasks:
+            for name in ("first photograph", "second photograph"):
+                tasks.start_soon(ask, name, True)
+            await anyio.wait_all_tasks_blocked()
+            await ask("silhouette", False)
+            assert order == ["silhouette"]
+            release.set()
+        assert order == ["silhouette", "first photograph", "second photograph"]
+        executor.shut_down()
+        assert executor._running == executor._photographs == 0
 
     async def test_the_frame_beyond_the_queue_is_refused_while_the_others_are_inside(self) -> None:
         executor = Executor(frames=1, queue_length=1, timeout_s=5)
