@@ -6,6 +6,6 @@ origin at the centre of the top-left pixel, x right, y down.
 
 import os
 
-# OpenCV reads this once, when it is imported: a second line of defence behind the size
-# check of `decode`, for images whose decoder disagrees with their header.
+# OpenCV reads this when it is imported: a second line of defence behind the size check of
+# `decode`, for images whose decoder disagrees with their header.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))

@@ -109,7 +109,7 @@ class ObservedKeypoints:
     positions : (17, 2) float64 array
         Pixels, x before y; rows are :data:`COCO_NAMES`.
     scores : (17,) float64 array
-        How sure each is, 0 to 1.
+        Confidence of each, 0 to 1.
     """
 
     positions: NDArray[np.float64]
@@ -142,20 +142,20 @@ class Detection:
         Tight around the visible person.
     score : float
         Probability that the box holds a person, 0 to 1.
-    turns : int
-        Quarter turns counterclockwise that set the person upright, 0 to 3: 1 for somebody who lies
+    quarter_turns : int
+        Quarter turns counterclockwise that set the person upright, 0 to 3: 1 for a person lying
         with the head on the right of the picture, 3 with it on the left.
     """
 
     box: Box
     score: float
-    turns: int = 0
+    quarter_turns: int = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.score <= 1:
             raise ValueError(f"expected a score from 0 to 1, got {self.score}")
-        if self.turns not in range(4):
-            raise ValueError(f"expected 0 to 3 quarter turns, got {self.turns}")
+        if self.quarter_turns not in range(4):
+            raise ValueError(f"expected 0 to 3 quarter turns, got {self.quarter_turns}")
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Silhouette:
     left, top : int
         Column and row of the crop's first pixel in the frame.
     segmenter : str
-        What drew it: ``network``, ``background`` or ``mask``.
+        What made it: ``network``, ``background`` or ``mask``.
     truncated : bool
         Whether the frame's border or another person cuts the body.
     """

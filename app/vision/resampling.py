@@ -48,9 +48,9 @@ def cut(image: NDArray[Scalar], window: Window) -> NDArray[Scalar]:
 def cut_resized(image: NDArray[Scalar], window: Window, width: int, height: int) -> NDArray[Scalar]:
     """Cut a window out of an image, as :func:`cut`, and resize it to ``width`` and ``height``.
 
-    A window about somebody may be many times as large as the image: a box as wide as the image and
-    two pixels high has a window of a person's proportions. Where it is, only what lies within the
-    image is resized, good to a pixel of the result; it takes no more memory than the image.
+    The window of a person's proportions about a wide, flat box may be many times as large as the
+    image. Then only the part inside the image is resized, exact to a pixel of the result, which
+    takes no more memory than the image.
     """
     left, top, columns, rows = window
     if columns * rows <= _LARGEST_CUT:

@@ -112,7 +112,7 @@ def test_keypoints_are_seventeen(rows: int, scores: int) -> None:
         ObservedKeypoints(np.zeros((rows, 2)), np.zeros(scores))
 
 
-@pytest.mark.parametrize("turns", [-1, 4])
-def test_there_are_four_ways_up(turns: int) -> None:
+@pytest.mark.parametrize("quarter_turns", [-1, 4])
+def test_there_are_four_ways_up(quarter_turns: int) -> None:
     with pytest.raises(ValueError, match="quarter turns"):
-        Detection(Box(0, 0, 1, 1), 0.5, turns)
+        Detection(Box(0, 0, 1, 1), 0.5, quarter_turns)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
+import io
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageOps
 
-from app.vision.decoding.image_header import ImageError, ImageHeader, read_header
-from app.vision.decoding.png_chunks import check_png_chunks
+from app.vision.decoding.header import ImageError, check_chunks, is_lossy, read_header
 
 __all__ = ["ImageError", "ImageTooLargeError", "LabelImage", "decode_image", "decode_mask"]
 
@@ -96,7 +95,7 @@ def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
         If the bytes are no image, or a broken one.
     """
     header = _checked_header(data, max_pixels)
-    return _decode(data, header, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
+    return _decode(data, header.format, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
 
 
 def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
@@ -127,22 +126,17 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
         If the bytes are no image, the image is coloured, or it holds more than 100 labels.
     """
     header = _checked_header(data, max_pixels)
-    step = 1
-    if header.format == "png":
-        data, step = _png_with_stored_values(data)
-    pixels = _decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    if not np.issubdtype(pixels.dtype, np.unsignedinteger):
-        raise ImageError(f"expected a mask of whole numbers, got {pixels.dtype} values")
-    if pixels.ndim == 3:
-        tolerance = 16 if header.lossy else 0
-        if int(np.ptp(pixels.astype(np.int32), axis=2).max()) > tolerance:
-            raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
-        pixels = pixels[:, :, 0]
-    if header.lossy:
-        return LabelImage.of(np.asarray(pixels >= 128).view(np.uint8))
-    labels: Labels = pixels if step == 1 else pixels // step
-    if labels.dtype != np.uint8:
-        labels = labels.astype(np.uint16, copy=False)
+    if header.format == "PNG" and header.mode == "P":
+        labels: Labels = _palette_indices(data)
+    else:
+        pixels = _decode(data, header.format, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        lossy = is_lossy(header, data)
+        labels = _one_channel(pixels, tolerance=16 if lossy else 0)
+        if lossy:
+            return LabelImage.of(np.asarray(labels >= 128).view(np.uint8))
+        if header.format == "PNG" and header.mode == "L":
+            # OpenCV stretches 2 and 4 bits to 0..255; the 25th byte of a PNG is its bit depth.
+            labels = labels // {2: 85, 4: 17}.get(data[24], 1)
     image = LabelImage.of(labels)
     if len(image.present) == 1 and image.present != [1]:
         return image.of_one()
@@ -164,52 +158,43 @@ def _labels_in(part: Labels) -> list[int]:
     return (np.flatnonzero(counts[1:]) + 1).tolist()
 
 
-def _checked_header(data: bytes, max_pixels: int) -> ImageHeader:
+def _checked_header(data: bytes, max_pixels: int) -> Image.Image:
     header = read_header(data)
     if header.width * header.height > max_pixels:
         raise ImageTooLargeError(
             f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
         )
-    check_png_chunks(data)
+    if header.format == "PNG":
+        check_chunks(data)
     return header
 
 
-def _decode(data: bytes, header: ImageHeader, flags: int) -> NDArray[Any]:
+def _decode(data: bytes, form: str | None, flags: int) -> NDArray[Any]:
     """Decode with OpenCV, turning its two ways to fail into one."""
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
-        raise ImageError(f"the {header.format.upper()} image is broken") from error
+        raise ImageError(f"the {form} image is broken") from error
     if pixels is None:
-        raise ImageError(f"the {header.format.upper()} image is broken")
+        raise ImageError(f"the {form} image is broken")
     return pixels
 
 
-def _png_with_stored_values(data: bytes) -> tuple[bytes, int]:
-    """Make OpenCV return the stored values of a PNG of few bits or with a palette.
+def _palette_indices(data: bytes) -> NDArray[np.uint8]:
+    """Stored values ``(H, W)`` of a PNG with a palette, which OpenCV replaces by colours."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            return np.asarray(ImageOps.exif_transpose(image))
+    except Exception as error:  # Damaged data make Pillow raise almost anything.
+        raise ImageError("the PNG image is broken") from error
 
-    OpenCV replaces palette indices by colours and stretches 1, 2 and 4 bits to 0..255. The
-    first is avoided by relabelling the image as grey; the second is undone by a division.
 
-    Returns
-    -------
-    data : bytes
-        The PNG, without its palette if it had one.
-    step : int
-        What the decoded values are to be divided by.
-    """
-    if len(data) < 33:
-        raise ImageError("the image ends before its header does")
-    depth, colour_type = data[24], data[25]
-    step = 255 // ((1 << depth) - 1) if depth in (1, 2, 4) and colour_type in (0, 3) else 1
-    if colour_type != 3:
-        return data, step
-    header = b"IHDR" + data[16:25] + b"\0" + data[26:29]
-    parts = [data[:8], struct.pack(">I", 13), header, struct.pack(">I", zlib.crc32(header))]
-    position = 33
-    while position + 8 <= len(data):
-        end = position + 12 + struct.unpack_from(">I", data, position)[0]
-        if data[position + 4 : position + 8] not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
-            parts.append(data[position:end])
-        position = end
-    return b"".join(parts), step
+def _one_channel(pixels: NDArray[Any], tolerance: int) -> Labels:
+    """Values ``(H, W)`` of an image of one channel, or of three that differ by no more."""
+    if not np.issubdtype(pixels.dtype, np.unsignedinteger):
+        raise ImageError(f"expected a mask of whole numbers, got {pixels.dtype} values")
+    if pixels.ndim == 3:
+        if int(np.ptp(pixels.astype(np.int32), axis=2).max()) > tolerance:
+            raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
+        pixels = pixels[:, :, 0]
+    return pixels if pixels.dtype == np.uint8 else pixels.astype(np.uint16, copy=False)

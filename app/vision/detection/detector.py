@@ -1,8 +1,8 @@
-"""The detectors: the network with HOG beside it, and HOG alone."""
+"""The detectors: the network judged by HOG, and HOG alone."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, Protocol
 
 import numpy as np
@@ -14,27 +14,27 @@ from app.vision.detection.tiles import LONGEST_PX, Tile, tiles_of
 from app.vision.keypoints.movenet import MoveNet, PersonInPicture
 from app.vision.people import Box, Detection
 from app.vision.resampling import cut, resize
-from app.vision.turning import turned_box, turns_upright
+from app.vision.rotation import find_quarter_turns, rotate_box
 from app.vision.weights import fitted
 
 DetectorName = Literal["network", "hog"]
 
 MIN_SCORE = 0.2
-"""Least probability reported where nothing else is asked for."""
+"""Default of the least probability reported."""
 
 SAME_PERSON = 0.4
 """Overlap (IoU) from which two boxes are one person: two people walking together reach 0.3."""
 
-# People shown at least so high are best seen in the overview, smaller ones in the tiles: there, two
-# who walk together are two.
+# People at least this high as shown are best found in the overview, smaller ones in the tiles,
+# which tell apart two people walking together.
 _LARGE_PX = 96
-# Boxes that end within so many pixels, as shown, of a tile's edge inside the frame are cut by it.
+# Boxes that end within this many pixels, as shown, of a tile's edge inside the frame are cut by it.
 _CUT_PX = 4.0
 _LEAST_NETWORK_SCORE = 0.02
 
 
 class Detector(Protocol):
-    """A frame to people; implementations are safe under several threads."""
+    """A frame to people; implementations are thread-safe."""
 
     name: DetectorName
 
@@ -77,28 +77,24 @@ class NetworkDetector:
 
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
-        people, turns, scores = self.candidates(frame)
-        odds = log_odds(scores[:, 0], scores[:, 1])
-        detections = [
-            Detection(box, probability, turn)
-            for box, turn, probability in zip(people, turns, sigmoid(odds).tolist(), strict=True)
-            if probability >= self._min_score
-        ]
-        return sorted(detections, key=lambda one: -one.score)
+        boxes, quarter_turns, scores = self.candidates(frame)
+        probabilities = sigmoid(log_odds(scores[:, 0], scores[:, 1])).tolist()
+        detections = map(Detection, boxes, probabilities, quarter_turns)
+        return _best_first(detections, self._min_score)
 
     def candidates(
         self, frame: NDArray[np.uint8]
     ) -> tuple[list[Box], list[int], NDArray[np.float64]]:
-        """Whom the network takes for a person, however unsure.
+        """Find all candidates of the network, however low their score.
 
         Returns
         -------
         boxes : list of Box
-            One for each person, the surest first.
-        turns : list of int
+            One for each person, best first.
+        quarter_turns : list of int
             Of each; see :class:`app.vision.people.Detection`.
         scores : (N, 2) float64 array
-            The network's score, and HOG's margin on the box's window, turned upright.
+            The network's score, and HOG's margin on the box's window, rotated upright.
         """
         height, width = frame.shape[:2]
         tiles = tiles_of(width, height, self._min_person_px)
@@ -114,12 +110,13 @@ class NetworkDetector:
                 found.append((box, person))
                 preferred.append(len(tiles) == 1 or large == (number == 0))
         kept = [found[i] for i in _suppressed(found, preferred)]
-        boxes, turns = [box for box, _ in kept], [turns_upright(one.keypoints) for _, one in kept]
+        quarter_turns = [find_quarter_turns(person.keypoints) for _, person in kept]
         scores = [
-            (person.score, person_margin(np.rot90(frame, turn), turned_box(box, frame.shape, turn)))
-            for (box, person), turn in zip(kept, turns, strict=True)
+            (person.score, person_margin(np.rot90(frame, turn), rotate_box(box, frame.shape, turn)))
+            for (box, person), turn in zip(kept, quarter_turns, strict=True)
         ]
-        return boxes, turns, np.array(scores, np.float64).reshape(-1, 2)
+        boxes = [box for box, _ in kept]
+        return boxes, quarter_turns, np.array(scores, np.float64).reshape(-1, 2)
 
 
 class HogDetector:
@@ -143,13 +140,12 @@ class HogDetector:
         boxes, margins = self.people(frame)
         constants = fitted("detection")
         scores = sigmoid(constants["hog_alone"] * margins + constants["hog_alone_offset"])
-        found = [
+        detections = [
             Detection(inside, float(score))
             for box, score in zip(boxes, scores, strict=True)
-            if score >= self._min_score
-            and (inside := Box(*box.tolist()).clip(width, height)) is not None
+            if (inside := Box(*box.tolist()).clip(width, height)) is not None
         ]
-        return sorted(found, key=lambda one: -one.score)
+        return _best_first(detections, self._min_score)
 
     def people(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
         """One box for each person, and its margin; see :func:`hog_people`."""
@@ -177,7 +173,7 @@ def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, N
     boxes : (K, 4) float64 array
         x, y, width, height; best first.
     margins : (K,) float64 array
-        Distance from the classifier's border, positive.
+        Distance from the decision boundary, positive.
     """
     boxes, margins = person_windows(frame, min_person_px, threshold=0.0)
     if len(boxes) == 0:
@@ -189,7 +185,7 @@ def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, N
 def log_odds(
     network_scores: NDArray[np.float64], hog_margins: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Log odds that boxes hold a person, of both detectors ``(N,)``; fitted."""
+    """Log odds ``(N,)`` that boxes hold a person, from the scores of both detectors."""
     constants = fitted("detection")
     return np.asarray(
         constants["network"] * logit(network_scores)
@@ -199,18 +195,18 @@ def log_odds(
 
 
 def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scores from 0 to 1 to the logarithms of their odds, finite."""
+    """Log odds of scores from 0 to 1, finite."""
     clipped = np.clip(scores, 1e-4, 1 - 1e-4)
     return np.asarray(np.log(clipped / (1 - clipped)))
 
 
 def sigmoid(odds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Logarithms of odds to probabilities."""
+    """Probabilities of log odds."""
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 
 def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:
-    """A box of a tile in pixels of the frame; None where the tile's edge cuts the person."""
+    """A tile's box in pixels of the frame; None if the tile's edge cuts the person."""
     left, top, columns, rows = tile.window
     reach = _CUT_PX / tile.factor
     whole = box.scaled(1 / tile.factor)
@@ -228,10 +224,15 @@ def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:
 def _suppressed(
     found: Sequence[tuple[Box, PersonInPicture]], preferred: Sequence[bool]
 ) -> list[int]:
-    """Non-maximum suppression over all tiles, those seen at the better size first."""
+    """Non-maximum suppression over all tiles, people shown at the better size first."""
     boxes = np.array([[b.x, b.y, b.width, b.height] for b, _ in found], np.float64).reshape(-1, 4)
     scores = np.array([person.score for _, person in found], np.float64)
     return suppress(boxes, scores + np.array(preferred, np.float64), SAME_PERSON)
+
+
+def _best_first(detections: Iterable[Detection], min_score: float) -> list[Detection]:
+    kept = [detection for detection in detections if detection.score >= min_score]
+    return sorted(kept, key=lambda detection: -detection.score)
 
 
 def _checked(min_person_px: float, min_score: float) -> float:

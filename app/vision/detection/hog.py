@@ -26,7 +26,7 @@ _PYRAMID_STEP = 1.15
 # The person inside a window, as shares of its width and height.
 _PERSON_X = (0.18, 0.82)
 _PERSON_Y = (0.09, 0.93)
-# Room beyond the frame, in window pixels, so that people at its border get a whole window.
+# Padding about the frame, in window pixels, so that people at its border get a whole window.
 _BEYOND = 16
 # A box is judged a little larger than it is, in windows up to a stride aside.
 _JUDGED_SCALE = 1.06
@@ -40,12 +40,12 @@ def _people_classifier() -> cv2.HOGDescriptor:
     return hog
 
 
-# One for all threads: once its weights are set, `detect` only reads them.
+# Shared by all threads: `detect` only reads the weights.
 _HOG = _people_classifier()
 
 
 def person_margin(frame: NDArray[np.uint8], box: Box) -> float:
-    """How much like an upright person a box looks.
+    """Score how much a box looks like an upright person.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def person_margin(frame: NDArray[np.uint8], box: Box) -> float:
     Returns
     -------
     float
-        Signed distance from the classifier's border, the highest of a few windows about the box.
+        Signed distance from the decision boundary, the highest of a few windows about the box.
     """
     px = _JUDGED_SCALE * box.height / _PERSON_PX
     width, height = (max(1, round(side * px)) for side in _JUDGED)
@@ -80,14 +80,14 @@ def person_windows(
     min_person_px : float
         Height of the smallest person wanted, in pixels.
     threshold : float
-        Least classifier score; 0 is the classifier's own border, lower finds more.
+        Least classifier score; 0 is the decision boundary, lower finds more.
 
     Returns
     -------
     boxes : (N, 4) float64 array
         Of the person within each window: x, y, width, height in pixels of the frame.
     scores : (N,) float64 array
-        Signed distance from the classifier's border.
+        Signed distance from the decision boundary.
     """
     found = [(np.zeros((0, 4)), np.zeros(0))]
     factor = _PERSON_PX / min_person_px
@@ -121,7 +121,7 @@ def _search(
 
 
 def _cut_replicated(frame: NDArray[np.uint8], window: Window) -> NDArray[np.uint8]:
-    """Cut a window out of a frame whose border goes on beyond it: no new edge arises there."""
+    """Cut a window out of a frame, replicating its border, which adds no edge."""
     left, top, width, height = window
     rows, columns = frame.shape[:2]
     # A window wholly beyond the frame shows its nearest border.

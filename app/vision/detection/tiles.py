@@ -1,8 +1,8 @@
-"""At which sizes, and in which parts, a frame is shown to the network.
+"""The sizes and tiles in which a frame is shown to the network.
 
-The whole frame is shown once, small: there large people are found. Where the smallest wanted
-person would be too small in it, the frame is shown again at the resolution that they need, in
-overlapping tiles, since memory grows with what is shown at once.
+The whole frame is shown once, small, to find large people. Where the smallest wanted person would
+be too small in it, the frame is shown again at a higher resolution, in overlapping tiles to bound
+the memory.
 """
 
 from __future__ import annotations
@@ -13,28 +13,27 @@ from dataclasses import dataclass
 from app.vision.resampling import Window
 
 OVERVIEW_PX = 320
-"""Longer side of the whole frame as it is first shown: of those tried the one with the highest
-average precision alone (docs/results/scales.md); above 512 people who fill it are missed."""
+"""Longer side of the whole frame as it is first shown: of the sizes tried, the one with the highest
+average precision (docs/results/scales.md); above 512, people who fill the frame are missed."""
 
 SMALLEST_PERSON_PX = 38.0
 """Height at which the smallest wanted person is shown."""
 
 WORTHWHILE = 1.1
-"""Less than so much finer than the overview, tiles add nothing."""
+"""Least ratio of the tiles' resolution to the overview's; below it tiles add nothing."""
 
 LONGEST_PX = 1280
-"""Longer side of the finest resolution: people under a 30th of a frame's longer side are not
-looked for, and a frame of any size takes a bounded time."""
+"""Longer side at the finest resolution: people under a 30th of a frame's longer side are not
+searched for, and a frame of any size takes a bounded time."""
 
 LARGEST_TILE_PX = 160_000
-"""Pixels of a tile as it is shown."""
+"""Area of a tile as shown, in pixels."""
 
 OVERLAP_PX = 96
-"""Tiles overlap by so much, as shown, that who is cut by one is whole in the next or in the
-overview."""
+"""Overlap of tiles as shown: a person cut by a tile is whole in the next or in the overview."""
 
 THINNEST_PX = 12
-"""Nobody is looked for in a frame whose shorter side, as shown, is less."""
+"""Least shorter side, as shown, of a frame that is searched."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Tile:
 
 
 def tiles_of(width: int, height: int, min_person_px: float) -> list[Tile]:
-    """Plan how a frame is shown.
+    """Plan the tiles of a frame.
 
     Parameters
     ----------
@@ -110,7 +109,7 @@ def _grid(width: int, height: int, factor: float) -> list[Window]:
 
 
 def _part(length: int, count: int, overlap: float) -> float:
-    """Length of each of so many overlapping parts."""
+    """Length of each of ``count`` overlapping parts."""
     return (length + (count - 1) * overlap) / count
 
 

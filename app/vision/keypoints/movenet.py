@@ -24,10 +24,10 @@ from app.vision.people import Box, ObservedKeypoints
 from app.vision.runtime.tflite import TfliteNetwork
 
 CELL_PX = 4
-"""Heatmaps have one cell for so many pixels each way."""
+"""Pixels of the picture per heatmap cell, each way."""
 
 MULTIPLE_PX = 32
-"""Sides of the picture that the network sees are multiples of this."""
+"""The sides of the network's input are multiples of this."""
 
 KEYPOINTS = 17
 
@@ -35,22 +35,22 @@ LEAST_KEYPOINT_SCORE = 0.127
 """Keypoints below do not count for the score of a person, as in the published graph."""
 
 _MOST_PEOPLE = 60
-# Width of the bell by which a heatmap counts about the first guess, as a share of the heatmap's
-# shorter side: of the published graph.
+# Width of the Gaussian that weights a heatmap about the first guess, as a share of the heatmap's
+# shorter side; from the published graph.
 _GUESS_SPREAD = 0.3
 
 
 @dataclass(frozen=True)
 class PersonInPicture:
-    """A person as the network sees them.
+    """A person as the network detects them.
 
     Parameters
     ----------
     box : Box
         Pixels of the picture.
     score : float
-        0 to 1: of the centre, times the mean of the keypoints that are seen. It is no probability,
-        and low for small and covered people.
+        0 to 1: of the centre, times the mean of the visible keypoints. It is not a probability,
+        and is low for small and covered people.
     centre_score : float
         Of the centre alone.
     keypoints : ObservedKeypoints
@@ -63,7 +63,7 @@ class PersonInPicture:
 
 
 class MoveNet:
-    """The network; safe under several threads.
+    """The network; thread-safe.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class MoveNet:
     threads : int
         That share the work of one call.
     copies : int
-        How many calls it serves at a time.
+        Number of calls served at once.
 
     Raises
     ------
@@ -92,14 +92,14 @@ class MoveNet:
         Parameters
         ----------
         picture : (H, W, 3) uint8 array
-            BGR; shown as it is, so no larger than memory and time allow.
+            BGR; taken at its full size, which memory and time must allow.
         least_centre_score : float
             People below are left out.
 
         Returns
         -------
         list of PersonInPicture
-            The surest centre first.
+            Highest centre score first.
         """
         height, width = picture.shape[:2]
         rows, columns = (-(-side // MULTIPLE_PX) * MULTIPLE_PX for side in (height, width))
@@ -111,14 +111,14 @@ class MoveNet:
 def decode(
     heads: Sequence[NDArray[np.float32]], least_centre_score: float
 ) -> list[PersonInPicture]:
-    """People out of the network's heads.
+    """Decode the network's heads into people.
 
     Parameters
     ----------
     heads : sequence of (h, w, C) float32 arrays
-        Centres (1 channel), sizes of boxes (2), centres of boxes (2), keypoints as guessed from a
-        centre (34), heatmaps of keypoints (17), and where in its cell each keypoint lies (34); rows
-        before columns, in cells.
+        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
+        from a centre (34), heatmaps of keypoints (17), and where in its cell each keypoint lies
+        (34); rows before columns, in cells.
     least_centre_score : float
     """
     centres = heads[0][..., 0]

@@ -10,17 +10,17 @@ from app.vision.people import Box, ObservedKeypoints
 from app.vision.resampling import Window, cut_resized
 
 LONG_PX, SHORT_PX = 256, 160
-"""Sides of the window as the network sees it: the long one along the person."""
+"""Sides of the network's input: the long one along the person."""
 
 ROOM = 1.25
-"""How much wider and higher than the person's box the window is."""
+"""Size of the window, as a multiple of the person's box."""
 
-LEAST_OVERLAP = 0.2
-"""Overlap (IoU) with the box from which somebody seen in the window may be the person."""
+MIN_OVERLAP = 0.2
+"""Least overlap (IoU) with the box of a person found in the window."""
 
 
 class KeypointReader:
-    """Reads keypoints; safe under several threads.
+    """Reads keypoints; thread-safe.
 
     Parameters
     ----------
@@ -43,20 +43,20 @@ class KeypointReader:
         Returns
         -------
         ObservedKeypoints or None
-            Pixels of the frame; None where the network sees nobody in the box.
+            Pixels of the frame; None if the network finds nobody in the box.
         """
         window, columns, rows = keypoint_window(box)
         seen = self._network.people(cut_resized(frame, window, columns, rows))
         scale = window[2] / columns
         inside = Box(box.x - window[0], box.y - window[1], box.width, box.height).scaled(1 / scale)
-        person = _the_one_in(seen, inside)
+        person = _best_match(seen, inside)
         if person is None:
             return None
         return person.keypoints.scaled(scale).moved(window[0], window[1])
 
 
 def keypoint_window(box: Box) -> tuple[Window, int, int]:
-    """Window about a box in whole pixels, and the columns and rows that it is shown at."""
+    """Window about a box in whole pixels, and the columns and rows it is resized to."""
     columns, rows = (LONG_PX, SHORT_PX) if box.width > box.height else (SHORT_PX, LONG_PX)
     scale = ROOM * max(box.width / columns, box.height / rows)
     width, height = max(1, round(scale * columns)), max(1, round(scale * rows))
@@ -65,9 +65,8 @@ def keypoint_window(box: Box) -> tuple[Window, int, int]:
     return (left, top, width, height), columns, rows
 
 
-def _the_one_in(people: list[PersonInPicture], box: Box) -> PersonInPicture | None:
-    """Whom a box is about: neighbours are in the window as well."""
-    # On a blank wall a centre may show, but no keypoint: its score is 0.
-    fits = [(box.iou(one.box), one) for one in people if one.score > 0]
-    near = [(iou * one.centre_score**0.5, one) for iou, one in fits if iou >= LEAST_OVERLAP]
-    return max(near, key=lambda pair: pair[0])[1] if near else None
+def _best_match(people: list[PersonInPicture], box: Box) -> PersonInPicture | None:
+    """The person whom a box is about; the window may show neighbours as well."""
+    # A blank wall can have a centre but no keypoints: its score is 0.
+    near = [person for person in people if person.score > 0 and box.iou(person.box) >= MIN_OVERLAP]
+    return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from queue import LifoQueue
 
 import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 from numpy.typing import NDArray
-
-from app.vision.runtime.copies import Copies
 
 Shape = tuple[int | None, ...]
 
@@ -19,19 +19,19 @@ class NetworkError(RuntimeError):
 
 
 class TfliteNetwork:
-    """An image in, images out; safe under several threads.
+    """An image in, images out; thread-safe.
 
     Parameters
     ----------
     path : Path
-    entering : (int or None, int or None, int)
-        Rows, columns and channels of the input; None where it takes any.
-    leaving : sequence of the same
+    input_shape : (int or None, int or None, int)
+        Rows, columns and channels; None where the network takes any.
+    output_shapes : sequence of the same
         Of each output.
     threads : int
         That share the work of one call.
     copies : int
-        How many calls it serves at a time; the others wait.
+        Number of calls served at once; others wait.
 
     Raises
     ------
@@ -42,24 +42,39 @@ class TfliteNetwork:
     def __init__(
         self,
         path: Path,
-        entering: Shape,
-        leaving: Sequence[Shape],
+        input_shape: Shape,
+        output_shapes: Sequence[Shape],
         *,
         threads: int = 1,
         copies: int = 1,
     ) -> None:
         self._path = path
         self._threads = threads
-        # An interpreter keeps what its layers give inside, so each serves one call at a time.
-        self._copies = Copies(self._read, copies)
-        with self._copies.one() as interpreter:
-            inputs = [_shape(end) for end in interpreter.get_input_details()]
-            outputs = [_shape(end) for end in interpreter.get_output_details()]
-        if inputs != [(1, *entering)] or outputs != [(1, *shape) for shape in leaving]:
+        # An interpreter holds the activations of its layers, so each serves one call at a time.
+        # None stands for one that is not made yet.
+        self._idle: LifoQueue[Interpreter | None] = LifoQueue()
+        for _ in range(copies):
+            self._idle.put(None)
+        with self._interpreter() as interpreter:
+            inputs = [_shape(tensor) for tensor in interpreter.get_input_details()]
+            outputs = [_shape(tensor) for tensor in interpreter.get_output_details()]
+        if inputs != [(1, *input_shape)] or outputs != [(1, *shape) for shape in output_shapes]:
             raise NetworkError(
-                f"expected {path} to have one input {entering} and outputs {list(leaving)}, "
-                f"got {inputs} and {outputs}"
+                f"expected {path} to have one input {input_shape} and outputs "
+                f"{list(output_shapes)}, got {inputs} and {outputs}"
             )
+
+    @contextmanager
+    def _interpreter(self) -> Iterator[Interpreter]:
+        """Borrow an idle interpreter; one whose call fails is replaced."""
+        interpreter = self._idle.get()
+        usable = None
+        try:
+            interpreter = interpreter or self._read()
+            yield interpreter
+            usable = interpreter
+        finally:
+            self._idle.put(usable)
 
     def _read(self) -> Interpreter:
         if not self._path.is_file():
@@ -72,20 +87,19 @@ class TfliteNetwork:
         return interpreter
 
     def run(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Show it one input ``(H, W, C)`` and return each of its outputs."""
-        with self._copies.one() as interpreter:
-            entry = interpreter.get_input_details()[0]
-            if tuple(entry["shape"]) != (1, *image.shape):
-                interpreter.resize_tensor_input(entry["index"], (1, *image.shape))
+        """Run it on one input ``(H, W, C)`` and return each output."""
+        with self._interpreter() as interpreter:
+            (source,) = interpreter.get_input_details()
+            if tuple(source["shape"]) != (1, *image.shape):
+                interpreter.resize_tensor_input(source["index"], (1, *image.shape))
                 interpreter.allocate_tensors()
-            interpreter.set_tensor(entry["index"], image[None])
+            interpreter.set_tensor(source["index"], image[None])
             interpreter.invoke()
-            return [
-                interpreter.get_tensor(end["index"])[0] for end in interpreter.get_output_details()
-            ]
+            outputs = interpreter.get_output_details()
+            return [interpreter.get_tensor(output["index"])[0] for output in outputs]
 
 
-def _shape(end: dict[str, NDArray[np.int32]]) -> Shape:
+def _shape(tensor: dict[str, NDArray[np.int32]]) -> Shape:
     """Shape of an input or output, None where the network leaves a size open."""
-    pairs = zip(end["shape"].tolist(), end["shape_signature"].tolist(), strict=True)
+    pairs = zip(tensor["shape"].tolist(), tensor["shape_signature"].tolist(), strict=True)
     return tuple(None if signed < 0 else size for size, signed in pairs)

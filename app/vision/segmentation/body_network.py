@@ -1,6 +1,6 @@
-"""The body network: windows about people to probabilities that a pixel shows the one in the middle.
+"""The body network: for each pixel of a window, the probability that it shows the central person.
 
-It is the mask of MediaPipe's pose network.
+It is the mask output of MediaPipe's pose network.
 """
 
 from __future__ import annotations
@@ -16,20 +16,19 @@ from app.vision.resampling import Window, cut_resized
 from app.vision.runtime.tflite import TfliteNetwork
 
 ROWS, COLUMNS = 256, 192
-"""Rows and columns that the network sees."""
+"""Rows and columns of the network's input."""
 
-# The window leaves this much room about the box, in shares of its sizes; chosen on street people
-# of even-numbered photographs.
+# Size of the window, as a multiple of the box; chosen on people of even-numbered photographs.
 _ROOM = 1.2
-# Bodies that the frame cuts go on beyond it until they are so many times as high as wide: the
-# network knows people by where they are in its window.
+# Assumed ratio of height to width of bodies that the frame cuts: the network expects a person at a
+# certain place in its window.
 _HEIGHT = 2.5
-# So near to the frame's edge, in pixels, a box is cut by it.
+# Boxes this near to the frame's edge are cut by it.
 _CUT_PX = 1.0
 
 
 class BodyNetwork:
-    """The network; safe under several threads.
+    """The network; thread-safe.
 
     Parameters
     ----------
@@ -50,7 +49,7 @@ class BodyNetwork:
         )
 
     def probability(self, frame: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
-        """Probability that a pixel of a window shows the person in its middle.
+        """Probability that each pixel of a window shows the person in its middle.
 
         Parameters
         ----------
@@ -65,9 +64,8 @@ class BodyNetwork:
             0 to 1.
         """
         picture = cv2.cvtColor(cut_resized(frame, window, COLUMNS, ROWS), cv2.COLOR_BGR2RGB)
-        (odds,) = self._network.run(picture * np.float32(1 / 255))
-        # Odds are clipped where single precision knows no more than 0 and 1.
-        return np.asarray(1 / (1 + np.exp(-np.clip(odds[..., 0], -30, 30))))
+        (log_odds,) = self._network.run(picture * np.float32(1 / 255))
+        return np.asarray(1 / (1 + np.exp(-np.clip(log_odds[..., 0], -30, 30))))
 
 
 def body_window(box: Box, frame_rows: int) -> Window:
@@ -78,7 +76,7 @@ def body_window(box: Box, frame_rows: int) -> Window:
     box : Box
         Tight around the visible person.
     frame_rows : int
-        Height of the frame: what its upper or lower edge cuts off has room in the window.
+        Height of the frame; the window leaves room for what its upper or lower edge cuts off.
 
     Returns
     -------
@@ -98,21 +96,21 @@ def body_window(box: Box, frame_rows: int) -> Window:
 def resampled(
     probability: NDArray[np.float32], of: Window, window: Window, width: int, height: int
 ) -> NDArray[np.float32]:
-    """What was seen in one window, as another one holds it; 0 beyond the first.
+    """Resample the probabilities of one window in another; 0 beyond the first.
 
     Parameters
     ----------
     probability : (h, w) float32 array
     of, window : (left, top, width, height)
-        The window that was seen, and the other one.
+        The window of the probabilities, and the other.
     width, height : int
-        At which the other one is sampled.
+        Size of the result in pixels.
 
     Returns
     -------
     (height, width) float32 array
     """
-    # From a pixel of the result to the same place in what was seen.
+    # From a pixel of the result to the same place in the probabilities.
     across = (window[2] / width, probability.shape[1] / of[2])
     down = (window[3] / height, probability.shape[0] / of[3])
     matrix = np.array(

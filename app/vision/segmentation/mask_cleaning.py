@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
     """Fill holes smaller than ``share`` of the mask's area.
 
-    Larger ones stay: the gap between an arm and the trunk says much about the pose.
+    Larger ones stay: the gap between an arm and the trunk tells the pose.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool
 
 
 def end_beyond_border(
-    box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...], turns: int = 0
+    box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...], quarter_turns: int = 0
 ) -> bool:
     """Whether the frame cuts off the head or the feet: no keypoint of them is seen.
 
@@ -87,11 +87,11 @@ def end_beyond_border(
     keypoints : ObservedKeypoints
     frame_shape : tuple of int
         Height and width first.
-    turns : int
+    quarter_turns : int
         Quarter turns that set the person upright; see :class:`app.vision.people.Detection`.
     """
     # The edges in the frame as it is when the person is upright.
-    _, above, _, below = np.roll(_gaps(box, frame_shape), -turns)
+    _, above, _, below = np.roll(_gaps(box, frame_shape), -quarter_turns)
     near = _NEAR_UNSEEN * max(box.width, box.height)
     head, feet = (keypoints.scores[rows].max() >= _LEAST_SCORE for rows in (_HEAD, _FEET))
     return bool((above <= near and not head) or (below <= near and not feet))

@@ -1,7 +1,7 @@
 """The networks that ship, and the constants fitted to what they answer.
 
-``models.json`` says of each network what it is, whence it comes, how its file was made and its
-SHA-256; ``fitted.json`` holds the constants, each written by the command that it names.
+``models.json`` gives each network's description, source, conversion and SHA-256; ``fitted.json``
+holds the constants, each written by the command it names.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def network_path(name: str) -> Path:
 
 
 def check_networks() -> None:
-    """Raise :class:`NetworkError` where a network's file is not the one that ships."""
+    """Raise :class:`NetworkError` if a network's file is not the one that ships."""
     for name in json.loads(MODELS.read_text()):
         network_path(name)
 
@@ -64,9 +64,9 @@ def write_fitted(name: str, command: str, data: str, constants: dict[str, Any]) 
     ----------
     name : str
     command : str
-        That fits it.
+        The command that fits it.
     data : str
-        What it was fitted to.
+        The data it was fitted to.
     constants : dict
         JSON values.
     """

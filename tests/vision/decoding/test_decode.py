@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import struct
 import zlib
 
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from PIL import Image
 
 from app.vision.decoding.decode import (
     ImageError,
@@ -21,7 +23,7 @@ from app.vision.decoding.decode import (
     decode_image,
     decode_mask,
 )
-from app.vision.decoding.image_header import read_header
+from app.vision.decoding.header import read_header
 
 LIMIT = 1_000_000
 
@@ -108,11 +110,6 @@ def test_formats(extension: str) -> None:
 
 
 def test_gif() -> None:
-    pytest.importorskip("PIL")
-    import io
-
-    from PIL import Image
-
     buffer = io.BytesIO()
     Image.fromarray(quadrants()[:, :, ::-1]).save(buffer, "GIF")
     assert decode_image(buffer.getvalue(), max_pixels=LIMIT).shape == (40, 60, 3)
@@ -186,6 +183,25 @@ def test_damaged_bytes_raise_nothing_but_image_errors(noise: bytes, extension: s
         for decode in (decode_image, decode_mask):
             with contextlib.suppress(ImageError):
                 decode(damaged, max_pixels=LIMIT)
+
+
+def test_a_chunk_that_announces_gigabytes_is_refused_before_opencv_sets_them_aside() -> None:
+    image = encode(quadrants())
+    for kind, place in ((b"tEXt", 33), (b"IDAT", image.index(b"IDAT") - 4)):
+        data = image[:place] + struct.pack(">I", 2**31 - 1) + kind + bytes(1000)
+        for decode in (decode_image, decode_mask):
+            with pytest.raises(ImageError, match="broken"):
+                decode(data, max_pixels=LIMIT)
+
+
+def test_an_image_of_a_million_empty_segments_is_refused() -> None:
+    jpeg, image = encode(quadrants(), ".jpg"), encode(quadrants())
+    with pytest.raises(ImageError, match="too many segments"):
+        decode_image(jpeg[:2] + b"\xff\xe5\0\2" * 1_000_000 + jpeg[2:], max_pixels=LIMIT)
+    empty = struct.pack(">I4sI", 0, b"IDAT", zlib.crc32(b"IDAT"))
+    place = image.index(b"IDAT") - 4
+    with pytest.raises(ImageError, match="broken"):
+        decode_image(image[:place] + empty * 100_000 + image[place:], max_pixels=LIMIT)
 
 
 def test_a_bomb_is_refused_before_it_is_decoded() -> None:
@@ -264,6 +280,24 @@ def test_a_palette_image_keeps_its_indices(depth: int) -> None:
     row = bytes([0x01, 0x2F]) if depth == 4 else bytes([0, 1, 2, 15])
     data = png([row], 4, depth, 3, (b"PLTE", palette), (b"tRNS", b"\0\x80"))
     assert decode_mask(data, max_pixels=LIMIT).labels.tolist() == [[0, 1, 2, 15]]
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+def test_a_palette_image_turns_with_its_frame(orientation: int) -> None:
+    image = Image.fromarray(np.array([[0, 1, 2], [0, 3, 3]], np.uint8), "P")
+    image.putpalette(range(48))
+    buffer, exif = io.BytesIO(), Image.Exif()
+    exif[0x112] = orientation
+    image.save(buffer, "PNG", exif=exif)
+    decoded = decode_mask(buffer.getvalue(), max_pixels=LIMIT)
+    expected = UPRIGHT[orientation](np.asarray(image)[..., None])[..., 0]
+    assert decoded.labels.tolist() == expected.tolist()
+
+
+def test_a_lossless_webp_keeps_labels() -> None:
+    labels = np.array([[0, 1, 1], [0, 3, 2]], np.uint8)
+    data = encode(np.dstack([labels] * 3), ".webp", cv2.IMWRITE_WEBP_QUALITY, 101)
+    assert (decode_mask(data, max_pixels=LIMIT).labels == labels).all()
 
 
 def test_a_lossy_mask_is_one_person() -> None:

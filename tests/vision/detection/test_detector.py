@@ -22,7 +22,7 @@ from app.vision.detection.detector import (
 )
 from app.vision.keypoints.movenet import MoveNet
 from app.vision.people import Box, Detection
-from app.vision.turning import turned_box
+from app.vision.rotation import rotate_box
 
 
 def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box]) -> float:
@@ -48,7 +48,7 @@ def test_walkers_are_found_and_nobody_else(
     found = chosen.detect(street)
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
     for one in found:
-        assert one.turns == 0
+        assert one.quarter_turns == 0
         assert max(one.box.iou(person) for person in (*walkers, *far_walkers)) > 0.4
 
 
@@ -115,17 +115,17 @@ def test_one_person_across_two_tiles_is_one(
     assert [box.iou(expected) > 0.6 for box in found] == [True]
 
 
-@pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
 def test_somebody_who_lies_is_found_and_told_to_lie(
-    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], turns: int
+    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], quarter_turns: int
 ) -> None:
-    lying = np.ascontiguousarray(np.rot90(street, turns))
+    lying = np.ascontiguousarray(np.rot90(street, quarter_turns))
     large = cv2.resize(lying, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    truths = [turned_box(box, street.shape, turns).scaled(2) for box in walkers]
+    truths = [rotate_box(box, street.shape, quarter_turns).scaled(2) for box in walkers]
     found = NetworkDetector(movenet, min_person_px=100).detect(large)
-    told = [one.turns for truth in truths for one in found if one.box.iou(truth) > 0.5]
+    told = [one.quarter_turns for truth in truths for one in found if one.box.iou(truth) > 0.5]
     assert told, "expected somebody who lies, found nobody"
-    assert set(told) == {-turns % 4}
+    assert set(told) == {-quarter_turns % 4}
 
 
 def test_threads_agree(detector: NetworkDetector, street: NDArray[np.uint8]) -> None:
@@ -151,8 +151,8 @@ def test_who_is_less_sure_than_asked_is_left_out(
 def test_candidates_are_judged_by_both(
     detector: NetworkDetector, street: NDArray[np.uint8]
 ) -> None:
-    boxes, turns, scores = detector.candidates(street)
-    assert len(boxes) == len(turns) == len(scores) >= len(detector.detect(street))
+    boxes, quarter_turns, scores = detector.candidates(street)
+    assert len(boxes) == len(quarter_turns) == len(scores) >= len(detector.detect(street))
     assert (np.diff(scores[:, 0]) <= 0).all()
     best = detector.detect(street)[0]
     assert best.score == pytest.approx(

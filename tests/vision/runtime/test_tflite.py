@@ -13,7 +13,7 @@ from app.vision.runtime.tflite import NetworkError, TfliteNetwork
 from app.vision.segmentation.body_network import COLUMNS, ROWS
 from app.vision.weights import network_path
 
-ENTERING, LEAVING = (ROWS, COLUMNS, 3), [(ROWS, COLUMNS, 1)]
+INPUT, OUTPUTS = (ROWS, COLUMNS, 3), [(ROWS, COLUMNS, 1)]
 HEADS = [(None, None, channels) for channels in (1, 2, 2, 34, 17, 34)]
 
 
@@ -28,8 +28,8 @@ def images(count: int, *shape: int) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("copies", [1, 3])
 def test_threads_agree(path: Path, copies: int) -> None:
-    network = TfliteNetwork(path, ENTERING, LEAVING, copies=copies)
-    shown = images(8, *ENTERING)
+    network = TfliteNetwork(path, INPUT, OUTPUTS, copies=copies)
+    shown = images(8, *INPUT)
     expected = [network.run(image)[0] for image in shown]
     with ThreadPoolExecutor(4) as pool:
         for (found,), wanted in zip(pool.map(network.run, shown), expected, strict=True):
@@ -37,21 +37,31 @@ def test_threads_agree(path: Path, copies: int) -> None:
 
 
 def test_a_pass_shared_by_two_threads_gives_the_same(path: Path) -> None:
-    (image,) = images(1, *ENTERING)
+    (image,) = images(1, *INPUT)
     alone, shared = (
-        TfliteNetwork(path, ENTERING, LEAVING, threads=threads).run(image)[0] for threads in (1, 2)
+        TfliteNetwork(path, INPUT, OUTPUTS, threads=threads).run(image)[0] for threads in (1, 2)
     )
     # Sums may be added in another order, in single precision.
     assert_allclose(shared, alone, atol=1e-3)
 
 
 def test_what_it_gave_stays_when_it_runs_again(path: Path) -> None:
-    network = TfliteNetwork(path, ENTERING, LEAVING)
-    first, second = images(2, *ENTERING)
+    network = TfliteNetwork(path, INPUT, OUTPUTS)
+    first, second = images(2, *INPUT)
     (given,) = network.run(first)
     kept = given.copy()
     network.run(second)
     assert_array_equal(given, kept)
+
+
+def test_a_call_that_fails_leaves_the_network_usable(path: Path) -> None:
+    network = TfliteNetwork(path, INPUT, OUTPUTS, copies=1)
+    (image,) = images(1, *INPUT)
+    (expected,) = network.run(image)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="type"):
+            network.run(image.astype(np.int8))  # type: ignore[arg-type]
+    assert_array_equal(network.run(image)[0], expected)
 
 
 def test_where_sizes_are_open_any_size_after_any_other_gives_the_same() -> None:
@@ -67,12 +77,12 @@ def test_where_sizes_are_open_any_size_after_any_other_gives_the_same() -> None:
 
 def test_a_missing_or_broken_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(NetworkError, match="cannot read"):
-        TfliteNetwork(tmp_path / "missing.tflite", ENTERING, LEAVING)
+        TfliteNetwork(tmp_path / "missing.tflite", INPUT, OUTPUTS)
     broken = tmp_path / "broken.tflite"
     for content in (b"", b"not a network" * 100):
         broken.write_bytes(content)
         with pytest.raises(NetworkError, match=r"broken\.tflite is not a network LiteRT can run"):
-            TfliteNetwork(broken, ENTERING, LEAVING)
+            TfliteNetwork(broken, INPUT, OUTPUTS)
 
 
 def test_half_a_network_is_told(path: Path, tmp_path: Path) -> None:
@@ -80,11 +90,11 @@ def test_half_a_network_is_told(path: Path, tmp_path: Path) -> None:
     content = path.read_bytes()
     half.write_bytes(content[: len(content) // 2])
     with pytest.raises(NetworkError, match="LiteRT"):
-        TfliteNetwork(half, ENTERING, LEAVING)
+        TfliteNetwork(half, INPUT, OUTPUTS)
 
 
 def test_another_network_is_told(path: Path) -> None:
     with pytest.raises(NetworkError, match=r"outputs \[\(256, 192, 2\)\], got .*256, 192, 1"):
-        TfliteNetwork(path, ENTERING, [(ROWS, COLUMNS, 2)])
+        TfliteNetwork(path, INPUT, [(ROWS, COLUMNS, 2)])
     with pytest.raises(NetworkError, match="one input"):
         TfliteNetwork(path, (None, None, 3), HEADS)

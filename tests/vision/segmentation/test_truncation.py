@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.vision.people import COCO_NAMES, Box, ObservedKeypoints, Silhouette
+from app.vision.rotation import rotate_box, rotate_keypoints, rotate_shape
 from app.vision.segmentation.truncation import (
     end_beyond_border,
     hidden_by_others,
     touches_border,
     with_truncation,
 )
-from app.vision.turning import turned_box, turned_keypoints, turned_shape
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:
@@ -79,17 +79,20 @@ def test_a_head_or_feet_that_are_not_seen_lie_beyond_the_edge() -> None:
         assert not end_beyond_border(inside, keypoints_but(*gone), (300, 300))
 
 
-@pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
 @pytest.mark.parametrize("gone", [HEAD, FEET], ids=["head", "feet"])
 def test_the_ends_of_somebody_who_lies_are_at_other_edges(
-    turns: int, gone: tuple[str, ...]
+    quarter_turns: int, gone: tuple[str, ...]
 ) -> None:
     shape, keypoints = (300, 400), keypoints_but(*gone)
     for box in (Box(50, 3, 40, 100), Box(50, 198, 40, 100), Box(2, 100, 40, 100)):
-        lying = turned_box(box, shape, -turns), turned_keypoints(keypoints, shape, -turns)
-        assert end_beyond_border(*lying, turned_shape(shape, turns), turns) == end_beyond_border(
-            box, keypoints, shape
+        lying = (
+            rotate_box(box, shape, -quarter_turns),
+            rotate_keypoints(keypoints, shape, -quarter_turns),
         )
+        assert end_beyond_border(
+            *lying, rotate_shape(shape, quarter_turns), quarter_turns
+        ) == end_beyond_border(box, keypoints, shape)
 
 
 def test_the_nearer_person_hides_the_farther() -> None:
