@@ -41,7 +41,7 @@ evaluate: $(BUILD)/.stamp
 	$(BUILD)/bin/python -m scripts.evaluate --shared $(SHARED) $(ARGS)
 
 bench: $(DEV)/.stamp
-	$(DEV)/bin/python -m scripts.benchmark --shared $(SHARED) $(ARGS)
+	$(DEV)/bin/python -m scripts.load.benchmark --shared $(SHARED) $(ARGS)
 
 openapi: $(DEV)/.stamp
 	$(DEV)/bin/python -m scripts.export_openapi

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from index.artefact import save_index
 from index.build.builder import Plan, build
 from index.build.garments import GarmentError
 from index.build.motion import MotionError
@@ -38,7 +39,7 @@ def main() -> int:
         index = build(
             arguments.mocap, arguments.garments, plan, name=name, progress=True, say=print
         )
-        version = index.save(arguments.out)
+        version = save_index(index, arguments.out)
     except (MotionError, GarmentError, ValueError, OSError) as error:
         print(f"build_index: {error}", file=sys.stderr)
         return 1

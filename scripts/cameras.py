@@ -21,8 +21,9 @@ import cv2
 import numpy as np
 
 from app.cameras import HEADER
-from scripts.open_loop import OpenLoop, Tally
-from scripts.raw_client import Call, RawClient
+from scripts.load.client import Call, Client
+from scripts.load.loops import OpenLoop, Tally
+from scripts.load.server import ServerProcess
 from scripts.results import (
     ROOT,
     machine,
@@ -31,7 +32,6 @@ from scripts.results import (
     revision,
     write_section,
 )
-from scripts.server_process import ServerProcess
 
 PAGE = ROOT / "docs" / "results" / "cameras.md"
 VIDEO = ROOT.parent / "shared" / "real" / "vtest" / "vtest.avi"
@@ -119,7 +119,7 @@ def calls_of(camera: int, cameras: int, frames: Sequence[bytes]) -> list[Call]:
 
 def rejections(url: str) -> Counter[str]:
     """Requests the server has refused so far, by reason."""
-    _, metrics = RawClient(url).send(Call("GET", "/metrics"))
+    _, metrics = Client(url).send(Call("GET", "/metrics"))
     found = re.findall(rb'^pose_rejected_total{reason="(\w+)"} (\S+)', metrics, re.MULTILINE)
     return Counter({reason.decode(): int(float(count)) for reason, count in found})
 

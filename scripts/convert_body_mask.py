@@ -1,8 +1,8 @@
-"""MediaPipe's pose network, left with its mask and made narrower, as the service ships it.
+"""Reduce MediaPipe's pose network to its mask and to narrower windows, as the service ships it.
 
-Whole, it looks at a square and finds a person's joints as well. The service wants silhouettes, of
-people who are higher than wide: what leads to joints alone is left out, and a window of 256x192
-shows less of the neighbours in three quarters of the time.
+The whole network takes a square and finds a person's joints as well. The service needs silhouettes
+of people, who are higher than wide: layers that only lead to joints are dropped, and a window of
+256x192 shows less of the neighbours in three quarters of the time.
 
     pip download --no-deps --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21
     python -m scripts.convert_body_mask mediapipe-0.10.21-*.whl
@@ -32,7 +32,7 @@ _FILE_IDENTIFIER = b"TFL3"
 
 
 def mask_network(model: bytes, columns: int = 192, mask: str = MASK) -> bytes:
-    """Leave of a fully convolutional network what its mask needs, for windows of other widths.
+    """Reduce a fully convolutional network to what its mask needs, for windows of another width.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def mask_network(model: bytes, columns: int = 192, mask: str = MASK) -> bytes:
 
 
 def _keep(network: Any, output: int) -> None:
-    """Leave only what leads to one of the tensors, in place."""
+    """Keep only the operators that one of the tensors depends on, in place."""
     graph = network.subgraphs[0]
     graph.outputs = [output]
     needed = {output}

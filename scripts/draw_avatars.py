@@ -21,8 +21,8 @@ from index.build.motion import read_manifest
 from index.build.poses import Poses, read_poses
 from index.build.render import render, skin
 from index.skeleton import NATIVE, camera_rotation, project
+from scripts.results import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 VIEWS_DEG = ((15.0, 5.0), (75.0, 20.0), (160.0, 45.0))
 """Azimuth and elevation of the cameras."""
 DISTANCE_M = 6.0
@@ -73,7 +73,7 @@ def silhouette(avatar: Avatar, vertices: NDArray[np.float32], view: int) -> NDAr
 def column(avatar: Avatar, poses: Poses, row: int) -> NDArray[np.uint8]:
     """Draw one avatar: its name, the shaded views and a silhouette, above one another."""
     retargeting = retarget(poses.clips[poses.clip[row]], avatar)
-    transforms = pose_transforms(avatar, retargeting, poses.rotations(row))
+    transforms = pose_transforms(avatar, retargeting, poses.rotations(np.array([row])))
     vertices = skin(
         avatar.vertices, avatar.influences, avatar.weights, transforms[0].astype(np.float32)
     )

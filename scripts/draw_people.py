@@ -32,13 +32,13 @@ from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.upright import UprightPerson
 from app.vision.people import Box
-from app.vision.turning import turned_box, turned_shape
-from index.leans import Leaning
+from app.vision.rotation import rotate_box
+from index.rotations import RotatedQuery
 from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
 from scripts.experiments.real_data import encode_png, read_pennfudan, read_pose2sim, read_vtest
+from scripts.results import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 CELL_PX = 320
 """Height at which a person's pictures are drawn."""
 
@@ -118,21 +118,16 @@ def _drawn(mask: NDArray[np.bool_], window: Box, scale: float) -> NDArray[np.uin
 def _nearest(
     estimator: Estimator, person: Person, frame_shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
-    """Silhouette of the first hypothesis's entry, leaning as it does, placed on the person's."""
-    first, found = person.hypotheses[0].hypothesis, person.observed
-    assert found.silhouette is not None
-    upright = UprightPerson.of(found.silhouette, found.turns, frame_shape, None)
-    entry = estimator.index.silhouette(first.entry)
-    entry = np.ascontiguousarray(entry[:, ::-1]) if first.mirrored else entry
-    # What the quarter turns lean, the turned frame leans already.
-    lean = first.lean_deg - {0: 0, 1: 90, 2: 180, 3: -90}[found.turns]
-    back = Leaning.of(upright.normalised, lean).back
-    corner = upright.placement.to_image(np.zeros(2))
-    corner = corner + np.array([upright.silhouette.left, upright.silhouette.top])
-    matrix = back / upright.placement.scale + np.column_stack([np.zeros((2, 2)), corner])
-    rows, columns = turned_shape(frame_shape, found.turns)
-    covered = cv2.warpAffine(entry.astype(np.float32), matrix, (columns, rows))
-    return np.asarray(np.rot90(covered, -found.turns) >= 0.5)
+    """Silhouette of the first hypothesis's entry, rotated as it is, placed on the person's."""
+    hypothesis, silhouette = person.hypotheses[0].hypothesis, person.observed.silhouette
+    assert silhouette is not None
+    upright = UprightPerson.of(silhouette, None)
+    entry = estimator.index.silhouette(hypothesis.entry)
+    entry = np.ascontiguousarray(entry[:, ::-1]) if hypothesis.mirrored else entry
+    query = RotatedQuery.of(upright.normalised, hypothesis.rotation_deg + upright.roll_deg)
+    matrix = upright.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+    rows, columns = frame_shape[:2]
+    return np.asarray(cv2.warpAffine(entry.astype(np.float32), matrix, (columns, rows)) >= 0.5)
 
 
 def evenly(people: Sequence[Pictures], count: int) -> list[Pictures]:
@@ -141,33 +136,33 @@ def evenly(people: Sequence[Pictures], count: int) -> list[Pictures]:
     return [people[step] for step in steps.tolist()]
 
 
-def vtest_people(estimator: Estimator, folder: Path, turns: int = 0) -> list[Pictures]:
-    """Everybody whom the service finds in evenly chosen frames of the street video.
+def vtest_people(estimator: Estimator, folder: Path, quarter_turns: int = 0) -> list[Pictures]:
+    """All people found in evenly chosen frames of the street video.
 
-    Turned by quarters, they are people who lie.
+    In frames rotated by quarter turns, they lie.
     """
     found = []
     for number, frame in read_vtest(folder / "vtest", VTEST_FRAMES):
-        turned = np.ascontiguousarray(np.rot90(frame, turns))
-        name = f"vtest {number}" + (", turned" if turns else "")
+        turned = np.ascontiguousarray(np.rot90(frame, quarter_turns))
+        name = f"vtest {number}" + (", turned" if quarter_turns else "")
         scene = _people(estimator, turned)
-        found += [pictures(estimator, turned, one, name) for one in scene.people]
-    return [one for one in found if one is not None]
+        found += [pictures(estimator, turned, person, name) for person in scene.people]
+    return [person for person in found if person is not None]
 
 
 def video_people(
-    estimator: Estimator, folder: Path, step: int = 10, turns: int = 0
+    estimator: Estimator, folder: Path, step: int = 10, quarter_turns: int = 0
 ) -> list[Pictures]:
     """The balancing person of both cameras, in the reference's box; lying where turned."""
     found = []
     for camera in CAMERAS:
-        for one in read_pose2sim(folder / "pose2sim", camera, step):
-            turned = np.ascontiguousarray(np.rot90(one.frame, turns))
-            box = turned_box(one.box, one.frame.shape, turns)
+        for video in read_pose2sim(folder / "pose2sim", camera, step):
+            turned = np.ascontiguousarray(np.rot90(video.frame, quarter_turns))
+            box = rotate_box(video.box, video.frame.shape, quarter_turns)
             scene = _people(estimator, turned, [box])
-            name = one.name + (", turned" if turns else "")
+            name = video.name + (", turned" if quarter_turns else "")
             found += [pictures(estimator, turned, person, name) for person in scene.people]
-    return [one for one in found if one is not None]
+    return [person for person in found if person is not None]
 
 
 def street_people(estimator: Estimator, folder: Path) -> list[Pictures]:
@@ -175,10 +170,10 @@ def street_people(estimator: Estimator, folder: Path) -> list[Pictures]:
     found = []
     for photograph in read_pennfudan(folder / "pennfudan"):
         scene = _people(estimator, photograph.frame, photograph.boxes)
-        for number, one in enumerate(scene.people, start=1):
+        for number, person in enumerate(scene.people, start=1):
             name = f"{Path(photograph.name).stem[-5:]}-{number}"
-            found.append(pictures(estimator, photograph.frame, one, name))
-    return [one for one in found if one is not None]
+            found.append(pictures(estimator, photograph.frame, person, name))
+    return [person for person in found if person is not None]
 
 
 def _people(
@@ -242,10 +237,13 @@ def main() -> None:
         draw_sheet(evenly(street_people(estimator, folder), 24), options.sheet)
         return
     street, video = vtest_people(estimator, folder), video_people(estimator, folder)
-    tall = [one for one in street if one.height_px >= SHOWN_FROM_PX]
+    tall = [person for person in street if person.height_px >= SHOWN_FROM_PX]
     (options.docs / "results").mkdir(parents=True, exist_ok=True)
     draw_strip(evenly(tall, 4) + evenly(video, 4)[1:3], options.docs / "people.png")
-    lying = vtest_people(estimator, folder, turns=1), video_people(estimator, folder, 25, turns=3)
+    lying = (
+        vtest_people(estimator, folder, quarter_turns=1),
+        video_people(estimator, folder, 25, quarter_turns=3),
+    )
     sheet = evenly(street, VTEST_PEOPLE) + evenly(video, VIDEO_PEOPLE)
     sheet += evenly(lying[0], LYING_PEOPLE) + evenly(lying[1], LYING_PEOPLE)
     draw_sheet(sheet, options.docs / "results" / "real-people.png")

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from app.main import create_app
 from app.settings import Settings
-
-ROOT = Path(__file__).resolve().parent.parent
+from scripts.results import ROOT
 
 
 def render() -> str:

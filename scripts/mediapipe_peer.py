@@ -11,9 +11,9 @@
 (12, 2) in pixels and ``NAME/points_3d`` (12, 3) in metres about the hips (x right, y down,
 z away).
 
-``image.npy`` holds one BGR image. After ``ready`` every line of standard input has it looked at
-again, and answered with ``1`` where somebody was found and ``0`` where not: so it can be timed in
-turns with something else. It imports nothing of this project.
+``image.npy`` holds one BGR image. After ``ready``, for every line of standard input it is processed
+again and answered with ``1`` if a person was found and ``0`` if not, which lets a benchmark time it
+in turns with other work. This file imports nothing of the project.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROWS = (11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28)
 
 
 def make_pose() -> Any:
-    """Set MediaPipe Pose up; the first image would else be answered late."""
+    """Set up MediaPipe Pose and run it once, since the first image takes longer."""
     pose = importlib.import_module("mediapipe").solutions.pose.Pose(
         static_image_mode=True, model_complexity=1, enable_segmentation=True
     )
@@ -65,7 +65,7 @@ def answer_all(source: str, target: str) -> None:
 
 
 def answer_again(source: str) -> None:
-    """Look at one image as often as a line comes in."""
+    """Process one image once for each line of standard input."""
     pose = make_pose()
     image = np.ascontiguousarray(np.load(source, allow_pickle=False)[..., ::-1])
     print("ready", flush=True)

@@ -1,4 +1,4 @@
-"""Photograph the debug page with a real result, on a desktop and on a phone.
+"""Screenshots of the debug page with a real result, on a desktop and on a phone.
 
     python -m scripts.screenshot_page [--shared ../shared] [--frame 540] [--output docs]
 
@@ -18,7 +18,7 @@ import cv2
 from playwright.sync_api import Browser, sync_playwright
 
 from index.store import DEFAULT_PATH
-from scripts.server_process import ServerProcess
+from scripts.load.server import ServerProcess
 
 SCREENS = {"desktop": (1280, 900), "phone": (390, 844)}
 FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
@@ -36,7 +36,7 @@ def save_frame(video: Path, number: int, path: Path) -> None:
 
 
 def photograph(browser: Browser, url: str, frame: Path, screen: tuple[int, int], out: Path) -> None:
-    """Give the page a frame, wait until it has drawn the result, and save what it looks like."""
+    """Give the page a frame, wait for the result and save a screenshot."""
     width, height = screen
     phone = width < 600
     context = browser.new_context(
@@ -61,7 +61,7 @@ def photograph(browser: Browser, url: str, frame: Path, screen: tuple[int, int],
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description="Photograph the debug page.")
+    parser = argparse.ArgumentParser(description="Save screenshots of the debug page.")
     parser.add_argument("--shared", type=Path, default=Path("../shared"))
     parser.add_argument("--frame", type=int, default=540)
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)

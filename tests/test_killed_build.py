@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from index.store import PoseIndex
+from index.artefact import load_index, save_index
 from tests.conftest import ROOT, build_tiny_index
 
 pytestmark = pytest.mark.slow
@@ -43,7 +43,7 @@ def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
     if not MOCAP.exists():
         pytest.skip(f"needs the motion data in {MOCAP}")
     out = tmp_path / "index"
-    version = build_tiny_index().save(out)
+    version = save_index(build_tiny_index(), out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
 
     def staged() -> list[Path]:
@@ -58,9 +58,9 @@ def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
     ):
         kill_once(start_build(out), due)
         assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-        assert PoseIndex.load(out).version == version
+        assert load_index(out).version == version
 
     assert staged()
     assert start_build(out).wait(timeout=SLOWEST_S) == 0
-    assert PoseIndex.load(out).version != version
+    assert load_index(out).version != version
     assert [path.name for path in tmp_path.iterdir()] == ["index"]

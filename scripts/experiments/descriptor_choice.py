@@ -18,6 +18,7 @@ from tqdm import tqdm
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from index.build.avatars import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
 from index.build.builder import (
+    Asked,
     Plan,
     assemble,
     choose_poses,
@@ -33,6 +34,7 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
 from scripts.experiments.paper_pictures import plot_choice
 from scripts.experiments.report import table, write
+from scripts.experiments.strict import hold_out
 
 COMMAND = "python -m scripts.evaluate descriptor"
 
@@ -40,7 +42,7 @@ PLAN = Plan(entries=24_000)
 FOLDS = (0, 1)
 """Positions of the clips held out, as :func:`split_by_clip` counts them."""
 
-QUERIES = 800
+ASKED = Asked(upright=600, near_ground=300, laid_down=150)
 """In each fold; every second one is degraded as silhouettes cut out of photographs are."""
 
 QUERY_SEED = 5
@@ -108,9 +110,9 @@ def sweep() -> Choices:
 
 def make_folds(motion: Path, garments: Path) -> list[Fold]:
     """Known silhouettes and those asked for, fold by fold."""
-    kept, _ = split_by_clip(read_manifest(motion))
+    kept, _ = hold_out(read_manifest(motion))
     avatars = make_avatars(INDEX_AVATARS, garments)
-    poses = choose_poses(read_poses(motion, kept)[0], avatars[0], PLAN.poses)
+    poses = choose_poses(read_poses(motion, kept)[0], avatars[0], PLAN.poses, PLAN.seed)
     simulation = simulate(
         poses, avatars, bodies=PLAN.bodies, views=PLAN.views, seed=PLAN.seed, progress=True
     )
@@ -119,7 +121,7 @@ def make_folds(motion: Path, garments: Path) -> list[Fold]:
     for position in FOLDS:
         rest, held = split_by_clip(kept, position=position)
         known = without_clips(simulation, {segment.clip for segment in rest})
-        simulated = simulate_queries(motion, held, strangers, QUERIES, QUERY_SEED)
+        simulated = simulate_queries(motion, held, strangers, ASKED, QUERY_SEED)
         folds.append((known, Queries.of(simulated).half_degraded(QUERY_SEED)))
     return folds
 
@@ -143,7 +145,7 @@ def learn(scatter: Scatter, recipe: Recipe) -> Descriptor:
 
 def summary(trials: Sequence[Trial], shipped: Sequence[Trial]) -> dict[str, float]:
     """Recognition and 3D error over all folds; the difference to the shipped recipe is paired."""
-    right, other = (np.concatenate([trial.right for trial in some]) for some in (trials, shipped))
+    right, other = (np.concatenate([trial.right for trial in group]) for group in (trials, shipped))
     error_m = np.concatenate([trial.error_m for trial in trials])
     degraded = np.concatenate([np.arange(len(trial.right)) % 2 == 1 for trial in trials])
     gain = right[:, 0].astype(float) - other[:, 0]

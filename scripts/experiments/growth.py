@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from index.build.avatars import HELD_OUT_AVATARS, INDEX_AVATARS, make_avatars
-from index.build.builder import Plan, assemble, choose_poses, simulate_queries, split_by_clip
+from index.build.builder import Plan, assemble, choose_poses, simulate_queries
 from index.build.calibrate import Queries, run_trial
 from index.build.learn import learn_descriptor
 from index.build.motion import read_manifest
@@ -19,13 +19,13 @@ from index.build.poses import read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
 from scripts.experiments.report import table, write
-from scripts.experiments.strict import QUERIES, QUERY_SEED, summary
+from scripts.experiments.strict import ASKED, QUERY_SEED, hold_out, summary
 from scripts.experiments.strict_pictures import plot_growth
 
 COMMAND = "python -m scripts.evaluate growth"
 SIZES = (3_000, 12_000, 48_000, 120_000, 400_000)
 EVERY = 4
-"""So many of the strict experiment's queries make one here."""
+"""Every fourth query of the strict experiment is asked here."""
 
 Figures = dict[str, float]
 
@@ -45,20 +45,20 @@ def grow(shared: Path) -> list[Figures]:
     Clips and bodies asked for are those of the strict experiment.
     """
     motion, garments = shared / "mocap", shared / "garments"
-    kept, held = split_by_clip(read_manifest(motion))
+    kept, held = hold_out(read_manifest(motion))
     avatars = make_avatars(INDEX_AVATARS, garments)
     frames, _ = read_poses(motion, kept)
 
     def simulated(entries: int) -> Simulation:
         plan = replace(Plan(), entries=entries).fitted(len(frames))
-        poses = choose_poses(frames, avatars[0], plan.poses)
+        poses = choose_poses(frames, avatars[0], plan.poses, plan.seed)
         return simulate(
             poses, avatars, bodies=plan.bodies, views=plan.views, seed=plan.seed, progress=True
         )
 
     shipped = simulated(Plan.entries)
     strangers = make_avatars(HELD_OUT_AVATARS, garments)
-    queries = Queries.of(simulate_queries(motion, held, strangers, QUERIES, QUERY_SEED))
+    queries = Queries.of(simulate_queries(motion, held, strangers, ASKED, QUERY_SEED))
     asked = queries.take(np.arange(0, len(queries), EVERY))
     descriptor = learn_descriptor(shipped, Plan.seed)
     figures = []

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.simulate import Simulation
-from scripts.experiments import rivals
+from scripts.experiments import baselines
 from scripts.experiments.answers import SEED, Choice
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.paper_pictures import plot_descriptors
@@ -67,10 +67,10 @@ def run(data: PaperData, choice: Choice, out: Path, command: str) -> None:
     silhouettes = {
         std: disturb_all(data.unseen.silhouettes(slice(None)), std, SEED) for std in STDS_PX
     }
-    contenders = descriptors(data.known, known, concentration, choice)
+    compared = descriptors(data.known, known, concentration, choice)
     figures = [
         measure(name, describe, data, known, silhouettes)
-        for name, describe in tqdm(contenders.items(), desc="descriptors", unit="descriptor")
+        for name, describe in tqdm(compared.items(), desc="descriptors", unit="descriptor")
     ]
     out.mkdir(parents=True, exist_ok=True)
     plot_descriptors(
@@ -83,7 +83,7 @@ def run(data: PaperData, choice: Choice, out: Path, command: str) -> None:
         "below 5 px, without noise and with 2 px of noise on the outline; and the time to "
         "describe one silhouette. Data as in [paper-noise.md](paper-noise.md).",
         descriptor_table(figures),
-        better(figures),
+        sentences_on_better(figures),
         "![recognition and time](paper-descriptors.png)",
         f"Times are medians over {TIMED} silhouettes, one at a time, one thread, on {machine()}, "
         f"at a load of {os.getloadavg()[0]:.1f}.",
@@ -98,7 +98,7 @@ def run(data: PaperData, choice: Choice, out: Path, command: str) -> None:
         f"{', '.join(f'{t:g}' for t in trials)} on known frames held out. t = 0 is Tchebichef, "
         "t without end is Krawtchouk.\n"
         f"- *Shape context*: histogram of {WORDS} typical shape contexts "
-        f"({rivals.OUTLINE_POINTS} outline points, {rivals.ANGLES} x {rivals.RADII} bins), own "
+        f"({baselines.OUTLINE_POINTS} points, {baselines.ANGLES} x {baselines.RADII} bins), own "
         "code after Belongie et al. (2002) and Agarwal and Triggs (2006); the typical ones by "
         "k-means on the known silhouettes.\n"
         "- *HOG*: 8x8 cells, 2x2 blocks, 9 orientations (OpenCV).\n"
@@ -117,15 +117,15 @@ def descriptors(
     simulation: Simulation, known: NDArray[np.uint8], concentration: float, choice: Choice
 ) -> dict[str, Describe]:
     """All descriptors by name; what is learned is learned on the known silhouettes."""
-    spread = rivals.hu_moments(known).std(axis=0)
-    codebook = rivals.learn_codebook(known[::CODEBOOK_EVERY], WORDS, SEED)
+    spread = baselines.hu_moments(known).std(axis=0)
+    codebook = baselines.learn_codebook(known[::CODEBOOK_EVERY], WORDS, SEED)
     return {
-        "Hu": lambda s: rivals.hu_moments(s) / spread,
-        "Zernike": lambda s: rivals.zernike_moments(s, ZERNIKE_DEGREE),
-        "Hahn": lambda s: rivals.hahn_moments(s, concentration),
-        "Shape context": lambda s: rivals.context_histograms(s, codebook),
-        "HOG": rivals.hog,
-        "Pixels": rivals.pixels,
+        "Hu": lambda s: baselines.hu_moments(s) / spread,
+        "Zernike": lambda s: baselines.zernike_moments(s, ZERNIKE_DEGREE),
+        "Hahn": lambda s: baselines.hahn_moments(s, concentration),
+        "Shape context": lambda s: baselines.context_histograms(s, codebook),
+        "HOG": baselines.hog,
+        "Pixels": baselines.pixels,
         "Krawtchouk, diagonal": DiagonalDescriptor().describe,
         "Krawtchouk, discriminant": choice.learn(simulation).describe,
     }
@@ -145,8 +145,8 @@ def measure(
         numbers = nearest(vectors, in_blocks(describe, asked), max(COUNTS))
         errors = joint_errors(data.known, data.unseen, numbers)
         rates[f"{std:g}"] = {n: recognised(errors, n) for n in COUNTS}
-    some = known[:: len(known) // TIMED][:TIMED]
-    return Figures(name, vectors.shape[1], rates, microseconds(describe, some))
+    sample = known[:: len(known) // TIMED][:TIMED]
+    return Figures(name, vectors.shape[1], rates, microseconds(describe, sample))
 
 
 def in_blocks(describe: Describe, silhouettes: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -171,12 +171,12 @@ def choose_hahn(known: Simulation) -> tuple[float, dict[float, float]]:
     there, asked = rest.silhouettes(slice(None)), held.silhouettes(slice(None))
     rates = {}
     for t in HAHN_CONCENTRATIONS:
-        numbers = nearest(rivals.hahn_moments(there, t), rivals.hahn_moments(asked, t), 1)
+        numbers = nearest(baselines.hahn_moments(there, t), baselines.hahn_moments(asked, t), 1)
         rates[t] = recognised(joint_errors(rest, held, numbers), 1)
     return max(rates, key=lambda t: rates[t]), rates
 
 
-def better(figures: Sequence[Figures]) -> str:
+def sentences_on_better(figures: Sequence[Figures]) -> str:
     """Which descriptors recognise more than the last one, and what they cost."""
     own = figures[-1]
     sentences = []

@@ -76,7 +76,7 @@ def run(data: PaperData, out: Path, command: str) -> Choice:
         "mean joint reprojection error below 5 px in the 128x48 frame, over the standard "
         "deviation of Gaussian noise on the radius of each point of the silhouette's contour.",
         noise_table(rates),
-        verdict(rates),
+        comparison(rates),
         "Mean joint reprojection error of the first answer, in px:",
         table(
             ["noise (px)", *means],
@@ -176,7 +176,7 @@ def noise_table(rates: dict[str, dict[int, list[float]]]) -> str:
     return table(["N", "noise (px)", "published", *rates], rows)
 
 
-def verdict(rates: dict[str, dict[int, list[float]]]) -> str:
+def comparison(rates: dict[str, dict[int, list[float]]]) -> str:
     """In how many cells ours is above, equal and below."""
     published = [(rates[OURS][n][i], p) for n in PUBLISHED for i, p in enumerate(PUBLISHED[n])]
     paper = [(rates[OURS][n][i], rates[PAPER][n][i]) for n in COUNTS for i in range(len(STDS_PX))]

@@ -34,18 +34,18 @@ def run(data: PaperData, choice: Choice, out: Path, command: str) -> None:
     }
     curves: dict[str, dict[str, Curve]] = {DIAGONAL: {}, DISCRIMINANT: {}}
 
-    def enter(name: str, order: int, descriptor: Descriptor) -> None:
+    def measure(name: str, order: int, descriptor: Descriptor) -> None:
         for std, asked in silhouettes.items():
             errors = nearest_errors(data.known, descriptor, data.unseen, asked)
             curve = curves[name].setdefault(f"{std:g}", {})
             curve[order] = [recognised(errors, n) for n in (1, 7)]
 
     for order in tqdm(ORDERS, desc="diagonal moments", unit="order"):
-        enter(DIAGONAL, order, DiagonalDescriptor(order))
+        measure(DIAGONAL, order, DiagonalDescriptor(order))
     for order in tqdm(BLOCKS, desc="discriminant moments", unit="order"):
         part = scatter.below(order, order // 2)
         dimension = min(recipe.dimension, len(part.total))
-        enter(DISCRIMINANT, order, discriminate(part, dimension, recipe.regularisation))
+        measure(DISCRIMINANT, order, discriminate(part, dimension, recipe.regularisation))
     out.mkdir(parents=True, exist_ok=True)
     plot_order(curves, out / "paper-order.png")
     write(out, "paper-order", command, [

@@ -62,7 +62,7 @@ def film(
 ) -> Simulation:
     """Every pose on every avatar before every camera, in that order."""
     bodies, views = len(avatars), len(cameras)
-    rotations = camera_rotation(
+    to_camera = camera_rotation(
         cameras["azimuth_deg"], cameras["elevation_deg"], cameras["roll_deg"]
     ).astype(np.float32)
     retargeting = {
@@ -78,16 +78,17 @@ def film(
     for skeleton in tqdm(range(count), desc="filming", unit="body", disable=not progress):
         row, body = divmod(skeleton, bodies)
         avatar, clip = avatars[body], int(poses.clip[row])
-        transforms = pose_transforms(avatar, retargeting[clip, body], poses.rotations(row))
+        rotations = poses.rotations(np.array([row]))
+        transforms = pose_transforms(avatar, retargeting[clip, body], rotations)
         skeletons[skeleton] = posed_points(avatar, transforms)[0]
-        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row])
+        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row], 0.0)
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, transforms[0].astype(np.float32)
         )
         for view, camera in enumerate(cameras):
             entry = skeleton * views + view
             placed = render(
-                vertices, avatar.triangles, avatar.closed, rotations[view],
+                vertices, avatar.triangles, avatar.closed, to_camera[view],
                 float(camera["distance"]), silhouettes[entry],
             )  # fmt: skip
             entries[entry] = (skeleton, *camera.tolist(), *placed)

@@ -13,14 +13,20 @@ from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person, PlacedHypothesis, Scene
 from app.estimator import Estimator
+from app.posture import vote_posture
 from app.reranking import rank_by_keypoints
 from app.stopwatch import Stopwatch
 from app.upright import UprightPerson
 from app.vision.people import Box, Silhouette
 from index.keypoint_fit import fit_to_keypoints
-from index.leans import Leaning, leaning_candidates_of, likely_leans
-from index.matching import KEPT, SPARE_MODES_SEEN, Hypothesis
+from index.matching import KEPT_CANDIDATES, SPARE_MODES_WITH_KEYPOINTS, Hypothesis
 from index.modes import find_modes
+from index.rotations import (
+    RotatedQuery,
+    compare_rotated_entries,
+    likely_rotations,
+    seen_from,
+)
 from index.store import PoseIndex
 
 
@@ -33,7 +39,7 @@ def estimate_by_keypoints(
     """
     scene = Scene(frame, (ObservedPerson(box, "boxes", None, silhouette),))
     (found,) = estimator.with_keypoints(scene, lambda: None, Stopwatch()).people
-    upright = UprightPerson.of(silhouette, 0, frame.shape, found.keypoints)
+    upright = UprightPerson.of(silhouette, found.keypoints)
     matched = _match(estimator.index, upright, n)
     if matched is None:
         return None
@@ -45,23 +51,26 @@ def estimate_by_keypoints(
             ranked.hypotheses, ranked.distances, ranked.confidences, points, strict=True
         )
     ]
-    return Person(found, ranked.facing, tuple(placed))
+    posture = vote_posture(ranked.hypotheses, ranked.confidences)
+    return Person(found, ranked.facing, posture, tuple(placed))
 
 
 def _match(index: PoseIndex, upright: UprightPerson, n: int) -> list[Hypothesis] | None:
     keypoints = upright.keypoints()
     if keypoints is None:
         return None
-    nearest = index.keypoint_search.nearest(keypoints, KEPT)
-    leanings = [Leaning.of(upright.normalised, lean) for lean in likely_leans(nearest.roll_deg)]
-    candidates = leaning_candidates_of(index, leanings, nearest)
+    nearest = index.keypoint_search.nearest(keypoints.rotated(-upright.roll_deg), KEPT_CANDIDATES)
+    nearest = seen_from(index, nearest, upright.roll_deg)
+    rotations = likely_rotations(nearest.roll_deg)
+    queries = [RotatedQuery.of(upright.normalised, rotation) for rotation in rotations]
+    candidates = compare_rotated_entries(index, queries, nearest)
     candidates = replace(
         candidates,
         distances=np.ones(len(candidates)),
         offsets=np.zeros_like(candidates.offsets),
     )
     agreement = keypoints.compare(candidates.points_normalised)
-    modes = find_modes(candidates, n + SPARE_MODES_SEEN, agreement=agreement)
+    modes = find_modes(candidates, n + SPARE_MODES_WITH_KEYPOINTS, agreement=agreement)
     agreement = keypoints.compare(modes.points_normalised)
     points_3d, points_normalised = fit_to_keypoints(
         keypoints, modes.points_3d, modes.points_normalised
@@ -75,7 +84,7 @@ def _match(index: PoseIndex, upright: UprightPerson, n: int) -> list[Hypothesis]
             confidence=0.5,
             points_3d=points_3d[row],
             points_normalised=points_normalised[row],
-            lean_deg=float(candidates.lean_deg[centre]),
+            rotation_deg=float(candidates.rotation_deg[centre]),
             log_likelihood=float(agreement.log_likelihood[row]),
             side_odds=float(agreement.side_odds[row]),
         )

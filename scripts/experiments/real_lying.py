@@ -13,15 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from app.estimates import Person
 from app.estimator import Estimator
-from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.vision.boxes import iou_matrix
 from app.vision.people import Box
-from app.vision.turning import turned_box
+from app.vision.rotation import rotate_box
 from scripts.experiments.real_data import Photograph, as_array, encode_png
 from scripts.experiments.real_silhouettes import overlap
 from scripts.experiments.real_vtest import FOUND_FROM
+
+HYPOTHESES = 7
+UPRIGHT = ("standing", "walking")
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,20 @@ class Turned:
     back: int
 
 
+def estimate_boxes(
+    estimator: Estimator, frame: NDArray[np.uint8], boxes: list[Box]
+) -> tuple[Person, ...]:
+    """The people in the given boxes of a frame, with their poses."""
+    upload = Upload(encode_png(frame), boxes=boxes)
+    return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
+
+
 def turned(photograph: Photograph) -> Turned:
     """The odd photographs turned to the left, the others to the right."""
-    turns = 1 if photograph.odd else 3
-    frame = np.ascontiguousarray(np.rot90(photograph.frame, turns))
-    boxes = [turned_box(box, photograph.frame.shape, turns) for box in photograph.boxes]
-    return Turned(frame, np.rot90(photograph.labels, turns), boxes, 4 - turns)
+    quarter_turns = 1 if photograph.odd else 3
+    frame = np.ascontiguousarray(np.rot90(photograph.frame, quarter_turns))
+    boxes = [rotate_box(box, photograph.frame.shape, quarter_turns) for box in photograph.boxes]
+    return Turned(frame, np.rot90(photograph.labels, quarter_turns), boxes, 4 - quarter_turns)
 
 
 def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> dict[str, float]:
@@ -58,6 +69,8 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
     people = found = right_way = taken = boxed_right = 0
     overlaps: list[float] = []
     wrongly_turned = upright = 0
+    lies: list[bool] = []
+    stands: list[bool] = []
     for photograph in tqdm(photographs, desc="lying", unit="photograph"):
         lying = turned(photograph)
         detections = estimator.detector.detect(lying.frame)
@@ -70,22 +83,23 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
             if reachable.size and reachable.max() >= FOUND_FROM:
                 free[reachable.argmax()] = False
                 found += 1
-                right_way += detection.turns == lying.back
-        scene = estimator.find_people(
-            Upload(encode_png(lying.frame), boxes=lying.boxes), lambda: None, Stopwatch()
-        )
-        by_box = {person.box: person for person in scene.people}
+                right_way += detection.quarter_turns == lying.back
+        answers = estimate_boxes(estimator, lying.frame, lying.boxes)
+        lies.extend(person.posture.label == "lying" for person in answers if person.posture)
+        as_taken = estimate_boxes(estimator, photograph.frame, photograph.boxes)
+        stands.extend(person.posture.label in UPRIGHT for person in as_taken if person.posture)
+        by_box = {person.observed.box: person.observed for person in answers}
         for label, box in enumerate(lying.boxes, start=1):
             person = by_box.get(box)
             if person is None or person.silhouette is None:
                 overlaps.append(0.0)
                 continue
-            boxed_right += person.turns == lying.back
+            boxed_right += person.quarter_turns == lying.back
             truth = lying.labels == label
             overlaps.append(overlap(person.silhouette.mask(truth.shape), truth))
         for detection in estimator.detector.detect(photograph.frame):
             upright += 1
-            wrongly_turned += detection.turns != 0
+            wrongly_turned += detection.quarter_turns != 0
     return {
         "photographs": len(photographs),
         "people": people,
@@ -93,6 +107,8 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
         "precision": found / max(1, taken),
         "right_way_up": right_way / max(1, found),
         "by_box": boxed_right / people,
+        "posture_lying": float(np.mean(lies)),
+        "posture_upright": float(np.mean(stands)),
         "overlap_mean": float(np.mean(overlaps)),
         "overlap_median": float(np.median(overlaps)),
         "upright_taken_for_lying": wrongly_turned / max(1, upright),

@@ -1,6 +1,6 @@
-"""At which size a frame is best shown to MoveNet: accuracy against time, nothing fitted.
+"""Accuracy and time of MoveNet over the size at which it is shown a frame; nothing is fitted.
 
-Penn-Fudan's people are large, those of the street video small; each is shown whole at several
+Penn-Fudan's people are large, those of the street video small; frames are shown whole at several
 lengths of the longer side. People are ranked by the network's own score.
 """
 
@@ -43,9 +43,9 @@ def run(options: argparse.Namespace) -> None:
     network = MoveNet(network_path("movenet"), threads=1)
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
-    truths = [as_array(one.boxes) for one in photographs]
+    truths = [as_array(photograph.boxes) for photograph in photographs]
     street = {
-        side: [look(network, one.frame, side) for one in tqdm(photographs, desc=f"street {side}")]
+        side: [detect(network, p.frame, side) for p in tqdm(photographs, desc=f"street {side}")]
         for side in STREET_PX
     }
     lines = [
@@ -59,12 +59,12 @@ def run(options: argparse.Namespace) -> None:
     ]
     for sides in [*((side,) for side in STREET_PX), *COMBINED_PX]:
         found = [merged([street[side][i][0] for side in sides]) for i in range(len(photographs))]
-        spent = sum(float(np.median([one[1] for one in street[side]])) for side in sides)
-        one, table = figures(found, truths), matches(found, truths)
-        recall = recall_at(table, int(one["people"]), precision=0.9)
+        spent = sum(float(np.median([ms for _, ms in street[side]])) for side in sides)
+        score, table = figures(found, truths), matches(found, truths)
+        recall = recall_at(table, int(score["people"]), precision=0.9)
         lines.append(
-            f"| {' and '.join(map(str, sides))} | {one['average_precision']:.3f} | {recall:.3f} "
-            f"| {one['highest_recall']:.3f} | {spent:.0f} |"
+            f"| {' and '.join(map(str, sides))} | {score['average_precision']:.3f} | {recall:.3f} "
+            f"| {score['highest_recall']:.3f} | {spent:.0f} |"
         )
     marks = read_marks()
     frames = dict(read_vtest(folder / "vtest", len(marks)))
@@ -75,18 +75,18 @@ def run(options: argparse.Namespace) -> None:
         "|---|---|---|---|",
     ]
     for side in VIDEO_PX:
-        looks = [
-            look(network, frames[one.frame], side) for one in tqdm(marks, desc=f"video {side}")
+        detected = [
+            detect(network, frames[mark.frame], side) for mark in tqdm(marks, desc=f"video {side}")
         ]
-        found = [merged([scored]) for scored, _ in looks]
+        found = [merged([scored]) for scored, _ in detected]
         best, highest = video_recall(found, marks)
-        spent = float(np.median([ms for _, ms in looks]))
+        spent = float(np.median([ms for _, ms in detected]))
         lines.append(f"| {side} | {100 * best:.1f} % | {100 * highest:.1f} % | {spent:.0f} |")
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "scales.md").write_text("\n".join(lines) + "\n")
 
 
-def look(network: MoveNet, frame: NDArray[np.uint8], side: int) -> tuple[Scored, float]:
+def detect(network: MoveNet, frame: NDArray[np.uint8], side: int) -> tuple[Scored, float]:
     """People of a frame shown at a length of its longer side, and the processor time in ms."""
     height, width = frame.shape[:2]
     factor = side / max(height, width)
@@ -94,26 +94,26 @@ def look(network: MoveNet, frame: NDArray[np.uint8], side: int) -> tuple[Scored,
     picture = resize(frame, max(1, round(width * factor)), max(1, round(height * factor)))
     people = network.people(picture)
     spent = 1000 * (time.thread_time() - started)
-    boxes = as_array([one.box.scaled(1 / factor) for one in people])
-    return (boxes, np.array([one.score for one in people], np.float64)), spent
+    boxes = as_array([person.box.scaled(1 / factor) for person in people])
+    return (boxes, np.array([person.score for person in people], np.float64)), spent
 
 
 def merged(found: Sequence[Scored]) -> Scored:
-    """What was found at several sizes, each person once."""
-    boxes: Boxes = np.concatenate([one[0] for one in found])
-    scores = np.concatenate([one[1] for one in found])
+    """Merge the detections at several sizes, each person once."""
+    boxes: Boxes = np.concatenate([boxes for boxes, _ in found])
+    scores = np.concatenate([scores for _, scores in found])
     kept = suppress(boxes, scores, SAME_PERSON)
     return boxes[kept], scores[kept]
 
 
 def video_recall(found: Sequence[Scored], marks: Sequence[Marks]) -> tuple[float, float]:
     """Share of the walkers found at :data:`FALSE_PER_FRAME`, and at any score."""
-    people = sum(len(one.people) for one in marks)
+    people = sum(len(mark.people) for mark in marks)
     best = highest = 0.0
     for threshold in np.unique(np.concatenate([scores for _, scores in found])):
         counts = [
-            compare([Box(*box) for box in boxes[scores >= threshold].tolist()], one)
-            for (boxes, scores), one in zip(found, marks, strict=True)
+            compare([Box(*box) for box in boxes[scores >= threshold].tolist()], mark)
+            for (boxes, scores), mark in zip(found, marks, strict=True)
         ]
         recall = sum(hits for hits, _ in counts) / people
         highest = max(highest, recall)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from index.build.avatars import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
-from index.build.builder import assemble, choose_poses, simulate_queries, split_by_clip
+from index.build.builder import Asked, assemble, choose_poses, simulate_queries, split_by_clip
 from index.build.calibrate import Queries, run_trial
 from index.build.learn import learn_descriptor
 from index.build.motion import read_manifest
@@ -14,13 +14,13 @@ from index.build.poses import read_poses
 from index.build.simulate import simulate
 from index.confidence import Calibration
 from scripts.experiments.report import table, write
-from scripts.experiments.strict import summary
+from scripts.experiments.strict import hold_out, summary
 
 COMMAND = "python -m scripts.evaluate sizing"
 ENTRIES = 48_000
 SHARES = ((1, 12), (2, 6), (2, 12), (2, 24), (4, 12))
 """Bodies per pose and views per body; poses fill the rest."""
-QUERIES = 1000
+ASKED = Asked(upright=700, near_ground=300, laid_down=200)
 SEED = 7
 
 
@@ -39,15 +39,15 @@ def sizing(shared: Path, out: Path) -> None:
     The strict experiment's clips stay unseen: of the others, some are held out here.
     """
     motion, garments = shared / "mocap", shared / "garments"
-    kept, held = split_by_clip(split_by_clip(read_manifest(motion))[0])
+    kept, held = split_by_clip(hold_out(read_manifest(motion))[0])
     avatars = make_avatars(INDEX_AVATARS, garments)
     asked = Queries.of(
-        simulate_queries(motion, held, make_avatars(CALIBRATION_AVATARS, garments), QUERIES, SEED)
+        simulate_queries(motion, held, make_avatars(CALIBRATION_AVATARS, garments), ASKED, SEED)
     )
     poses, _ = read_poses(motion, kept)
     rows, figures = [], []
     for bodies, views in SHARES:
-        chosen = choose_poses(poses, avatars[0], ENTRIES // (bodies * views))
+        chosen = choose_poses(poses, avatars[0], ENTRIES // (bodies * views), SEED)
         simulation = simulate(chosen, avatars, bodies=bodies, views=views, seed=SEED, progress=True)
         descriptor = learn_descriptor(simulation, SEED)
         index = assemble(simulation, descriptor, Calibration.none(), {}, "sizing")

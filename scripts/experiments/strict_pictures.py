@@ -18,10 +18,13 @@ from app.drawing import draw_skeleton
 from index.build.calibrate import HYPOTHESES, Queries, Trial
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import match
+from index.posture import POSTURES
+from index.rotations import rotate_silhouette
 from index.skeleton import JOINTS, NATIVE
 from index.store import PoseIndex
 
 HARD = 10
+POSTURE_QUERIES, POSTURE_ANSWERS, POSTURE_COLUMNS = 24, 3, 3
 ZOOM = 2
 GAP = 34
 
@@ -73,29 +76,52 @@ def draw_hard_queries(index: PoseIndex, queries: Queries, trial: Trial, file: Pa
     """
     wrong = np.flatnonzero(~trial.right[:, 0])
     chosen = wrong[np.linspace(0, len(wrong) - 1, HARD).astype(int)]
-    truths = queries.joints_2d
-    rows = []
-    for query in chosen.tolist():
-        silhouette = queries.silhouettes[query]
-        cells = [_cell(silhouette, truths[query], "query", None)]
-        for hypothesis in match(index, silhouette, HYPOTHESES):
-            joints = hypothesis.points_normalised[:JOINTS]
-            error = float(np.linalg.norm(joints - truths[query], axis=-1).mean())
-            entry = index.silhouette(hypothesis.entry)
-            cells.append(
-                _cell(
-                    entry[:, ::-1] if hypothesis.mirrored else entry,
-                    joints,
-                    f"{hypothesis.confidence:.2f}  {error:.1f} px",
-                    error < RIGHT_BELOW_PX,
-                )
-            )
-        rows.append(np.hstack(cells))
+    rows = [np.hstack(_answers(index, queries, query, HYPOTHESES)) for query in chosen.tolist()]
     cv2.imwrite(str(file), np.vstack(rows))
 
 
+def draw_postures(
+    index: PoseIndex, queries: Queries, postures: NDArray[np.int64], file: Path
+) -> None:
+    """Draw queries evenly chosen over the postures ``(Q,)``, each beside its first answers."""
+    order = np.argsort(postures, kind="stable")
+    names, counts = np.unique(postures, return_counts=True)
+    share = np.linspace(0, len(names), POSTURE_QUERIES, endpoint=False)
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    chosen = order[[int(np.interp(place, np.arange(len(ends)), ends)) for place in share]]
+    sheets = [
+        np.hstack(_answers(index, queries, query, POSTURE_ANSWERS, POSTURES[postures[query]]))
+        for query in chosen.tolist()
+    ]
+    length = len(sheets) // POSTURE_COLUMNS
+    columns = [np.vstack(sheets[i : i + length]) for i in range(0, len(sheets), length)]
+    cv2.imwrite(str(file), np.hstack(columns))
+
+
+def _answers(
+    index: PoseIndex, queries: Queries, query: int, count: int, title: str = "query"
+) -> list[NDArray[np.uint8]]:
+    """Pictures of a query and of its first answers."""
+    silhouette, truth = queries.silhouettes[query], queries.joints_2d[query]
+    roll_deg = float(queries.roll_deg[query])
+    cells = [_cell(silhouette, truth, title, None)]
+    for hypothesis in match(index, silhouette, count, roll_deg=roll_deg).hypotheses[:count]:
+        joints = hypothesis.points_normalised[:JOINTS]
+        error = float(np.linalg.norm(joints - truth, axis=-1).mean())
+        entry = index.silhouette(hypothesis.entry)
+        entry = entry[:, ::-1] if hypothesis.mirrored else entry
+        entry, _ = rotate_silhouette(entry, hypothesis.rotation_deg + roll_deg)
+        text = f"{hypothesis.confidence:.2f}  {error:.1f} px"
+        cells.append(_cell(entry, joints, text, error < RIGHT_BELOW_PX, hypothesis.posture))
+    return cells
+
+
 def _cell(
-    silhouette: NDArray[np.uint8], joints: NDArray[np.floating], text: str, right: bool | None
+    silhouette: NDArray[np.uint8],
+    joints: NDArray[np.floating],
+    text: str,
+    right: bool | None,
+    title: str = "",
 ) -> NDArray[np.uint8]:
     height, width = (ZOOM * side for side in silhouette.shape)
     grey = np.where(silhouette, 190, 255).astype(np.uint8)
@@ -109,6 +135,8 @@ def _cell(
     if right is not None:
         frame = (60, 160, 60) if right else (200, 200, 200)
         cv2.rectangle(picture, (4, 4), (picture.shape[1] - 5, picture.shape[0] - 5), frame, 2)
-    place = (12, picture.shape[0] - 14)
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+    for line, row in ((title, 22), (text, picture.shape[0] - 14)):
+        cv2.putText(
+            picture, line, (12, row), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA
+        )
     return picture

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from app.vision.people import Box
-from scripts.benchmark import describe_index, find_peer, interleaved, read_street, sender
-from scripts.benchmark_cases import (
+from scripts.experiments.real_peer import LivePeer
+from scripts.experiments.real_vtest import Marks, read_marks
+from scripts.load.benchmark import describe_index, find_peer, interleaved, read_street, sender
+from scripts.load.benchmark_cases import (
     Street,
     mask_call,
     street_cases,
@@ -19,10 +21,8 @@ from scripts.benchmark_cases import (
     without_people,
     yardstick,
 )
-from scripts.benchmark_report import Measured, Row, report
-from scripts.experiments.real_peer import LivePeer
-from scripts.experiments.real_vtest import Marks, read_marks
-from scripts.raw_client import Call, RawClient
+from scripts.load.benchmark_report import Measured, Row, report
+from scripts.load.client import Call, Client
 
 BOX = Box(40, 20, 30, 90)
 
@@ -86,17 +86,17 @@ def test_the_yardstick_searches_a_picture_of_any_size() -> None:
 
 
 def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[bytes] = []
+    sent: list[str] = []
 
-    def exchange(_: RawClient, request: bytes) -> tuple[int, bytes]:
-        sent.append(request.split()[1])
+    def answer(_: Client, call: Call) -> tuple[int, bytes]:
+        sent.append(call.path)
         return (422, b"no such thing") if len(sent) > 3 else (200, b"{}")
 
-    monkeypatch.setattr(RawClient, "exchange", exchange)
-    send = sender(RawClient("http://127.0.0.1:1"), [Call("GET", "/a"), Call("GET", "/b")])
+    monkeypatch.setattr(Client, "send", answer)
+    send = sender(Client("http://127.0.0.1:1"), [Call("GET", "/a"), Call("GET", "/b")])
     for _ in range(3):
         send()
-    assert sent == [b"/a", b"/b", b"/a"]
+    assert sent == ["/a", "/b", "/a"]
     with pytest.raises(RuntimeError, match="got 422: no such thing"):
         send()
 

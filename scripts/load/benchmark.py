@@ -1,10 +1,10 @@
-"""Measure whole requests to a real server, beside yardsticks in the same minutes.
+"""Measure whole requests to a real server, and yardsticks in the same minutes.
 
-    python -m scripts.benchmark [--mediapipe PYTHON] [--rounds 30] [--write docs/results/bench.md]
+    python -m scripts.load.benchmark [--mediapipe PYTHON] [--rounds 30] [--write FILE]
 
-Every kind of request is sent a few times in a row, kind after kind, round after round, so that a
-slow minute of the machine hits all alike. OpenCV's search for people and MediaPipe Pose, in an
-environment of its own, take their turns in the same rounds.
+Every kind of request is sent a few times in a row, in turn and for many rounds, so that a slow
+minute of the machine affects all of them. OpenCV's people detector and MediaPipe Pose, in an
+environment of its own, take part in the same rounds.
 """
 
 from __future__ import annotations
@@ -24,23 +24,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.store import DEFAULT_PATH
-from scripts.benchmark_cases import (
+from scripts.experiments.real_peer import LivePeer, why_absent
+from scripts.load.benchmark_cases import (
     WALKERS,
-    Case,
     Street,
     mask_call,
     street_cases,
     walkers_case,
     yardstick,
 )
-from scripts.benchmark_report import Measured, Row, report
-from scripts.experiments.real_peer import LivePeer, why_absent
-from scripts.raw_client import Call, RawClient, request_bytes
+from scripts.load.benchmark_report import Measured, Row, report
+from scripts.load.client import Call, Client
+from scripts.load.server import ServerProcess
 from scripts.results import ROOT
-from scripts.server_process import ServerProcess
 
 REPEATS = 3
-"""Requests in a row: most are then sent to a server whose caches hold what they need."""
+"""Consecutive requests of a kind: most then find warm caches."""
 
 HOG = "yardstick: OpenCV's `detectMultiScale`, 640x480, one thread"
 MEDIAPIPE = "MediaPipe Pose 0.10.21 on the person of the box, cut out and decoded"
@@ -61,39 +60,24 @@ def interleaved(
     return times
 
 
-def answer(client: RawClient, request: bytes) -> bytes:
+def answer(client: Client, call: Call) -> bytes:
     """Return the body of an answer that must be 200."""
-    status, body = client.exchange(request)
+    status, body = client.send(call)
     if status != 200:
         raise RuntimeError(f"expected status 200, got {status}: {body.decode(errors='replace')}")
     return body
 
 
-def sender(client: RawClient, calls: Sequence[Call]) -> Task:
-    """Return what sends the next of some calls, round and round, and takes the whole answer."""
-    requests = itertools.cycle([request_bytes(call) for call in calls])
-    return lambda: answer(client, next(requests))
+def sender(client: Client, calls: Sequence[Call]) -> Task:
+    """Return a task that sends the next of the calls, in turn, and reads the whole answer."""
+    quarter_turns = itertools.cycle(calls)
+    return lambda: answer(client, next(quarter_turns))
 
 
-def people_found(client: RawClient, calls: Sequence[Call]) -> str:
+def people_found(client: Client, calls: Sequence[Call]) -> str:
     """Count the people of each answer."""
-    bodies = [answer(client, request_bytes(call)) for call in calls]
+    bodies = [answer(client, call) for call in calls]
     return ", ".join(str(len(json.loads(body)["persons"])) for body in bodies)
-
-
-def make_cases(client: RawClient, street: Street | None) -> list[Case]:
-    """All cases, or the one that needs no street."""
-    if street is None:
-        return [walkers_case()]
-    mask = answer(client, request_bytes(mask_call(street)))
-    return [walkers_case(), *street_cases(street, mask)]
-
-
-def make_yardstick(street: Street | None) -> Task:
-    """Return OpenCV's search; without the street, in the other picture."""
-    if street is None:
-        return yardstick(np.asarray(cv2.imread(str(WALKERS)), np.uint8))
-    return yardstick(street.busy[0])
 
 
 def describe_index(reply: bytes) -> str:
@@ -113,9 +97,13 @@ def benchmark(
 ) -> Measured:
     """Measure a server that was just started."""
     ready_s = server.wait_until_ready()
-    client = RawClient(server.url)
-    cases = make_cases(client, street)
-    tasks = {HOG: make_yardstick(street)}
+    client = Client(server.url)
+    cases = [walkers_case()]
+    picture = np.asarray(cv2.imread(str(WALKERS)), np.uint8)
+    if street:
+        cases += street_cases(street, answer(client, mask_call(street)))
+        picture = street.busy[0]
+    tasks: dict[str, Task] = {HOG: yardstick(picture)}
     tasks |= {case.what: sender(client, case.calls) for case in cases}
     if peer:
         tasks[MEDIAPIPE] = peer.ask
@@ -132,7 +120,7 @@ def benchmark(
     ]  # fmt: skip
     if peer:
         rows.append(Row(MEDIAPIPE, times[MEDIAPIPE], str(int(peer.ask()))))
-    index = answer(client, request_bytes(Call("GET", "/index")))
+    index = answer(client, Call("GET", "/index"))
     client.close()
     return Measured(
         Row(HOG, times[HOG]), rows, float(spent[7] / max(1, spent.sum())), describe_index(index),
@@ -156,29 +144,24 @@ def find_peer(python: Path | None, street: Street | None) -> tuple[LivePeer | No
     return (LivePeer(python, street.crop), []) if street else (None, [])
 
 
-def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Parse the command line."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--mediapipe", type=Path, metavar="PYTHON", help="that has it, 0.10.21")
     parser.add_argument("--rounds", type=int, default=30, help=f"of {REPEATS} requests a kind")
     parser.add_argument("--write", type=Path, help="also write the report to this file")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line."""
-    options = options_of(arguments)
+    options = parser.parse_args(arguments)
     street, left_out = read_street(options.shared / "real" / "vtest")
     peer, without_peer = find_peer(options.mediapipe, street)
     try:
-        # The server last: what else starts meanwhile would make it ready later.
+        # The server starts last, so that nothing else slows its start.
         with peer or nullcontext(), ServerProcess(options.index) as server:
             measured = benchmark(server, street, peer, options.rounds)
     except (OSError, RuntimeError) as error:  # A server that is never ready among them.
         raise SystemExit(f"benchmark: {error}") from None
-    command = shlex.join(["python", "-m", "scripts.benchmark", *(arguments or sys.argv[1:])])
+    command = shlex.join(["python", "-m", "scripts.load.benchmark", *(arguments or sys.argv[1:])])
     page = report(measured, command, left_out + without_peer)
     print(page)
     if options.write:

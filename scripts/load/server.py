@@ -9,11 +9,10 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import TracebackType
 
 import httpx
 
-ROOT = Path(__file__).resolve().parent.parent
+from scripts.results import ROOT
 
 
 class ServerProcess:
@@ -102,12 +101,7 @@ class ServerProcess:
         self._process.send_signal(signal.SIGTERM)
         return self._process.wait(timeout=30)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """End it."""
         if self.alive():
             self.stop()

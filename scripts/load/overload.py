@@ -1,6 +1,6 @@
-"""Offer a server ten times the load it can carry, and see how it bears it.
+"""Offer a server ten times the load it can carry.
 
-    python -m scripts.overload [--index index/data] [--seconds 20] [--write]
+    python -m scripts.load.overload [--index index/data] [--seconds 20] [--write]
 
 Capacity is measured first, with as many requests in flight as the service lets in. Then ten
 times that many requests are sent each second, whether answered or not, at random times, while
@@ -16,6 +16,7 @@ import re
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +24,14 @@ from pathlib import Path
 import numpy as np
 
 from app.settings import Settings
+from index.artefact import load_index
 from index.store import PoseIndex
-from scripts.open_loop import MAX_CONNECTIONS, ClosedLoop, OpenLoop, Tally
-from scripts.raw_client import Call, RawClient
+from scripts.experiments.report import table
+from scripts.load.client import Call, Client
+from scripts.load.loops import MAX_CONNECTIONS, ClosedLoop, OpenLoop, Tally
+from scripts.load.scenes import encode, street
+from scripts.load.server import ServerProcess
 from scripts.results import conclude, machine, measurement_parser, percentile, revision
-from scripts.server_process import ServerProcess
-from scripts.street import encode, street
 
 TIMES = 10
 PROBE_EVERY_S = 0.02
@@ -75,6 +78,11 @@ class Outcome:
         times = sorted(answer.ms for answer in self.tally.of(503))
         return times[: len(times) - self.given_up]
 
+    def failed(self) -> int:
+        """Number of requests answered otherwise, or not at all."""
+        sent = len(self.tally.late_ms) - self.tally.unsent
+        return sent - len(self.tally.of(200)) - len(self.tally.of(503))
+
     def failures(self, deadline_s: float) -> list[str]:
         """Say which criteria are missed."""
         out = []
@@ -113,7 +121,7 @@ def probe(url: str, seconds: float) -> list[float]:
     for at in np.arange(0.0, seconds, PROBE_EVERY_S):
         time.sleep(max(0.0, started + at - time.perf_counter()))
         asked = time.perf_counter()
-        status, _ = RawClient(url).send(Call("GET", "/healthz"))
+        status, _ = Client(url).send(Call("GET", "/healthz"))
         if status != 200:
             raise RuntimeError(f"/healthz answered {status}")
         times.append((time.perf_counter() - asked) * 1000)
@@ -122,7 +130,7 @@ def probe(url: str, seconds: float) -> list[float]:
 
 def frames_given_up(url: str) -> int:
     """How many frames the server has given up at their deadline so far."""
-    _, metrics = RawClient(url).send(Call("GET", "/metrics"))
+    _, metrics = Client(url).send(Call("GET", "/metrics"))
     found = re.search(rb'^pose_rejected_total{reason="deadline"} (\S+)', metrics, re.MULTILINE)
     return int(float(found.group(1))) if found else 0
 
@@ -158,45 +166,27 @@ def spread(values: list[float]) -> str:
 def report(outcomes: list[Outcome], seconds: float) -> tuple[str, list[str]]:
     """Return the section in Markdown and what has failed."""
     settings = Settings()
-    failed = [text for one in outcomes for text in one.failures(settings.request_timeout_s)]
+    deadline_s = settings.request_timeout_s
+    failed = [text for outcome in outcomes for text in outcome.failures(deadline_s)]
 
-    def row(what: str, cells: list[str]) -> str:
-        return f"| {what} | " + " | ".join(cells) + " |"
-
-    offered = [len(one.tally.late_ms) for one in outcomes]
-    rows = [
-        row("", [one.name for one in outcomes]),
-        row("---", ["---"] * len(outcomes)),
-        row("capacity, frames/s", [f"{one.capacity:.0f}" for one in outcomes]),
-        row(
-            "offered, requests/s",
-            [f"{len(one.tally.late_ms) / seconds:.0f}" for one in outcomes],
+    cells: dict[str, Callable[[Outcome], str]] = {
+        "capacity, frames/s": lambda o: f"{o.capacity:.0f}",
+        "offered, requests/s": lambda o: f"{len(o.tally.late_ms) / seconds:.0f}",
+        "answered 200 / 503 / otherwise or not at all": lambda o: (
+            f"{len(o.tally.of(200))} / {len(o.tally.of(503))} / {o.failed()}"
         ),
-        row(
-            "answered 200 / 503 / otherwise or not at all",
-            [
-                f"{len(one.tally.of(200))} / {len(one.tally.of(503))} / "
-                f"{count - one.tally.unsent - len(one.tally.of(200)) - len(one.tally.of(503))}"
-                for one, count in zip(outcomes, offered, strict=True)
-            ],
-        ),
-        row(
-            "frames/s carried meanwhile",
-            [f"{len(one.tally.of(200)) / one.tally.seconds:.0f}" for one in outcomes],
-        ),
-        row("`/healthz`, calm", [spread(one.calm_ms) for one in outcomes]),
-        row("**`/healthz`, overloaded**", [spread(one.probes_ms) for one in outcomes]),
-        row("**rejected at once**", [spread(one.rejected_ms()) for one in outcomes]),
-        row("**accepted**", [spread(one.accepted_ms()) for one in outcomes]),
-        row("accepted, but given up at the deadline", [str(one.given_up) for one in outcomes]),
-        row("sent after its time", [spread(one.tally.late_ms) for one in outcomes]),
-        row("not sent, too many unanswered", [str(one.tally.unsent) for one in outcomes]),
-        row(
-            "cores used by client / server",
-            [f"{one.client_share:.2f} / {one.server_share:.2f}" for one in outcomes],
-        ),
-    ]
-    body = f"""`python -m scripts.overload --seconds {seconds:g}`, revision {revision()}.
+        "frames/s carried meanwhile": lambda o: f"{len(o.tally.of(200)) / o.tally.seconds:.0f}",
+        "`/healthz`, calm": lambda o: spread(o.calm_ms),
+        "**`/healthz`, overloaded**": lambda o: spread(o.probes_ms),
+        "**rejected at once**": lambda o: spread(o.rejected_ms()),
+        "**accepted**": lambda o: spread(o.accepted_ms()),
+        "accepted, but given up at the deadline": lambda o: str(o.given_up),
+        "sent after its time": lambda o: spread(o.tally.late_ms),
+        "not sent, too many unanswered": lambda o: str(o.tally.unsent),
+        "cores used by client / server": lambda o: f"{o.client_share:.2f} / {o.server_share:.2f}",
+    }
+    rows = [[name, *map(cell, outcomes)] for name, cell in cells.items()]
+    body = f"""`python -m scripts.load.overload --seconds {seconds:g}`, revision {revision()}.
 {machine()}. Load average before: {os.getloadavg()[0]:.1f}.
 
 {TIMES} times capacity for {seconds:g} s at random times, from one client with at most
@@ -206,7 +196,7 @@ machine's cores**, so the server has less than it would have alone. Times are mi
 median / p99 / most, as the client sees them, its own delays included. Frames of 320x240.
 Deadline of an accepted frame: {settings.request_timeout_s:g} s (`POSE_REQUEST_TIMEOUT_S`).
 
-{chr(10).join(rows)}
+{table(["", *(outcome.name for outcome in outcomes)], rows)}
 
 Targets: p99 of `/healthz` and of rejections under 50 ms, every accepted frame within its
 deadline, nothing but 200 and 503 with `Retry-After`.
@@ -224,7 +214,7 @@ def main() -> int:
     outcomes = []
     with ServerProcess(options.index, log=Path("/tmp/overload-server.log")) as server:
         server.wait_until_ready()
-        for name, requests in calls(PoseIndex.load(options.index)).items():
+        for name, requests in calls(load_index(options.index)).items():
             outcomes.append(overload(server, name, requests, in_flight, options.seconds))
         body, failed = report(outcomes, options.seconds)
     conclude("Ten times the load it carries", body, write=options.write)

@@ -1,6 +1,6 @@
 """Measure what memory the service takes: with small frames, large ones, and more workers.
 
-python -m scripts.measure_memory [--workers 1 2 3] [--write]
+python -m scripts.load.memory [--workers 1 2 3] [--write]
 """
 
 from __future__ import annotations
@@ -8,13 +8,14 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
+from index.artefact import load_index
 from index.store import PoseIndex
-from scripts.open_loop import ClosedLoop
-from scripts.overload import calls
-from scripts.raw_client import Call
+from scripts.load.client import Call
+from scripts.load.loops import ClosedLoop
+from scripts.load.overload import calls
+from scripts.load.scenes import encode, street
+from scripts.load.server import ServerProcess
 from scripts.results import conclude, machine, measurement_parser, revision
-from scripts.server_process import ServerProcess
-from scripts.street import encode, street
 
 SECONDS_A_WORKER = 5.0
 # The largest that the service takes by default, in a camera's proportions.
@@ -63,11 +64,11 @@ def main() -> None:
     parser = measurement_parser("Measure what memory the service takes.")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 3])
     options = parser.parse_args()
-    index = PoseIndex.load(options.index)
+    index = load_index(options.index)
     small = [call for kind in calls(index).values() for call in kind]
     rows = peaks(options.index, small, large_frame(index))
     workers = [with_workers(options.index, count, small) for count in options.workers]
-    body = f"""`python -m scripts.measure_memory`, revision {revision()}. {machine()}.
+    body = f"""`python -m scripts.load.memory`, revision {revision()}. {machine()}.
 
 | one process, two threads | resident | at the most so far |
 |---|---|---|

@@ -1,6 +1,6 @@
 """Send a server many requests, good and bad, and watch its memory and its latency.
 
-    python -m scripts.soak [--index index/data] [--requests 20000] [--write]
+    python -m scripts.load.soak [--index index/data] [--requests 20000] [--write]
 
 Fails where a request is answered with a 5xx other than 503, where resident memory at the end
 is more than 5 % above that after warm-up, or where good requests have become slower.
@@ -12,17 +12,19 @@ import sys
 import threading
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from index.artefact import load_index
 from index.store import PoseIndex
-from scripts.raw_client import Call, RawClient
+from scripts.load.client import Call, Client
+from scripts.load.scenes import encode, street
+from scripts.load.server import ServerProcess
 from scripts.results import conclude, machine, measurement_parser, percentile, revision
-from scripts.server_process import ServerProcess
-from scripts.street import encode, street
 
 CLIENTS = 2
 MEMORY_GROWTH = 0.05
@@ -32,12 +34,11 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of request, how often it comes and whether it should succeed."""
+    """A kind of request, its share of all, and whether the client hangs up before the answer."""
 
     name: str
     weight: float
     calls: list[Call]
-    good: bool = True
     hang_up: bool = False
 
 
@@ -65,20 +66,19 @@ def kinds(index: PoseIndex) -> list[Kind]:
         Kind("silhouette", 0.03, post("/silhouette", pairs)),
         Kind("deepstack", 0.02, post("/v1/vision/detection", [{"image": f} for f in frames])),
         Kind("entry", 0.06, [Call("GET", f"/index/entries/{e}") for e in range(8)]),
-        Kind("undecodable", 0.04, post("/pose", [{"frame": data} for data in noise]), False),
+        Kind("undecodable", 0.04, post("/pose", [{"frame": data} for data in noise])),
         Kind(
             "truncated",
             0.03,
             post("/pose", [{"frame": f[: len(f) // 2], "boxes": b"[]"} for f in frames]),
-            False,
         ),
-        Kind("bomb", 0.01, post("/pose", [{"frame": huge}]), False),
-        Kind("other size", 0.03, post("/pose", [{"frame": frames[0], "mask": small}]), False),
-        Kind("bad boxes", 0.02, post("/pose", [{"frame": frames[0], "boxes": b"[[1, 2]]"}]), False),
-        Kind("bad n", 0.02, post("/pose?n=0", pairs), False),
-        Kind("no frame", 0.02, post("/pose", [{}]), False),
-        Kind("no such path", 0.01, [Call("GET", "/nothing")], False),
-        Kind("client hangs up", 0.02, post("/pose", boxed), False, True),
+        Kind("bomb", 0.01, post("/pose", [{"frame": huge}])),
+        Kind("other size", 0.03, post("/pose", [{"frame": frames[0], "mask": small}])),
+        Kind("bad boxes", 0.02, post("/pose", [{"frame": frames[0], "boxes": b"[[1, 2]]"}])),
+        Kind("bad n", 0.02, post("/pose?n=0", pairs)),
+        Kind("no frame", 0.02, post("/pose", [{"boxes": b"[]"}])),
+        Kind("no such path", 0.01, [Call("GET", "/nothing")]),
+        Kind("client hangs up", 0.02, post("/pose", boxed), hang_up=True),
     ]  # fmt: skip
 
 
@@ -100,14 +100,11 @@ class Soak:
 
     def run(self) -> None:
         """Send everything."""
-        threads = [threading.Thread(target=self._client, args=(c,)) for c in range(CLIENTS)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(CLIENTS) as threads:
+            list(threads.map(self._client, range(CLIENTS)))
 
-    def _weigh(self, position: int) -> None:
-        """Take the memory while nothing is in flight: one frame can hold tens of megabytes."""
+    def _measure_memory(self, position: int) -> None:
+        """Measure memory while nothing is in flight: one frame can hold tens of megabytes."""
         with ExitStack() as stack:
             for lock in self._in_flight:
                 stack.enter_context(lock)
@@ -117,7 +114,7 @@ class Soak:
     def _client(self, number: int) -> None:
         rng = np.random.default_rng(number)
         weights = np.array([kind.weight for kind in self._mixture])
-        client = RawClient(self._server.url)
+        client = Client(self._server.url)
         while True:
             with self._lock:
                 if self.sent >= self._requests:
@@ -125,7 +122,7 @@ class Soak:
                 self.sent += 1
                 position = self.sent
             if position % max(1, self._requests // 40) == 0:
-                self._weigh(position)
+                self._measure_memory(position)
             kind = self._mixture[rng.choice(len(weights), p=weights / weights.sum())]
             call = kind.calls[rng.integers(len(kind.calls))]
             started = time.perf_counter()
@@ -179,7 +176,7 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
         + " |"
         for kind in soak._mixture
     ]  # fmt: skip
-    body = f"""`python -m scripts.soak --requests {requests}`, revision {revision()}.
+    body = f"""`python -m scripts.load.soak --requests {requests}`, revision {revision()}.
 {machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s,
 {requests / seconds:.0f} requests/s.
 
@@ -206,7 +203,7 @@ def main() -> int:
     parser = measurement_parser("Soak a real server.")
     parser.add_argument("--requests", type=int, default=20_000)
     options = parser.parse_args()
-    mixture = kinds(PoseIndex.load(options.index))
+    mixture = kinds(load_index(options.index))
     with ServerProcess(options.index, log=Path("/tmp/soak-server.log")) as server:
         server.wait_until_ready()
         soak = Soak(server, mixture, options.requests)

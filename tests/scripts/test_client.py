@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import socketserver
 import threading
 from collections.abc import Iterator
+from http.client import IncompleteRead
 
 import pytest
 
-from scripts.raw_client import Call, RawClient, header, request_bytes
+from scripts.load.client import Call, Client
+from scripts.load.loops import ClosedLoop, OpenLoop
 
 
 class Server(socketserver.ThreadingTCPServer):
@@ -50,14 +53,14 @@ class Handler(socketserver.StreamRequestHandler):
 
 @pytest.fixture
 def server() -> Iterator[Server]:
-    with Server(("127.0.0.1", 0), Handler) as one:
-        threading.Thread(target=one.serve_forever, daemon=True).start()
-        yield one
-        one.shutdown()
+    with Server(("127.0.0.1", 0), Handler) as running:
+        threading.Thread(target=running.serve_forever, daemon=True).start()
+        yield running
+        running.shutdown()
 
 
-def client_of(server: Server) -> RawClient:
-    return RawClient(f"http://127.0.0.1:{server.server_address[1]}", timeout_s=5)
+def client_of(server: Server) -> Client:
+    return Client(f"http://127.0.0.1:{server.server_address[1]}", timeout_s=5)
 
 
 @pytest.mark.parametrize(("closes", "connections"), [(b"keep-alive", 1), (b"close", 3), (None, 3)])
@@ -67,23 +70,38 @@ def test_answers_come_whole_over_connections_kept_or_opened_anew(
     server.closes = closes
     client, call = client_of(server), Call("POST", "/pose", {"frame": bytes(range(256)) * 50})
     for _ in range(3):
-        assert client.send(call) == (201, call.body())
+        assert client.send(call) == (201, call.message[0])
         if closes is None:
             # Until the server has closed.
-            client._socket.recv(1, socket.MSG_PEEK)  # type: ignore[union-attr]
+            client._connection.sock.recv(1, socket.MSG_PEEK)  # type: ignore[union-attr]
     assert server.connections == connections
     client.close()
 
 
 def test_an_answer_that_breaks_off_is_an_error(server: Server) -> None:
-    server.breaks_off = True
-    with pytest.raises(ConnectionError, match="within its answer"):
+    server.breaks_off, server.closes = True, b"close"
+    with pytest.raises(IncompleteRead):
         client_of(server).send(Call("POST", "/pose", {"frame": b"x"}))
 
 
-def test_requests_say_how_long_they_are() -> None:
-    call = Call("POST", "/pose", {"frame": b"x" * 1000, "boxes": b"[]"})
-    head, _, body = request_bytes(call).partition(b"\r\n\r\n")
-    assert body == call.body()
-    assert header(head + b"\r\n", b"content-length") == str(len(body)).encode()
-    assert header(head + b"\r\n", b"retry-after") is None
+def test_images_are_sent_as_files_and_text_as_fields() -> None:
+    call = Call("POST", "/pose", {"frame": b"x" * 1000, "boxes": b"[]"}, {"X-Camera-ID": "yard"})
+    body, headers = call.message
+    assert b'name="frame"; filename="image"' in body
+    assert b'name="boxes"\r\n' in body
+    assert headers["X-Camera-ID"] == "yard"
+    assert headers["Content-Type"].startswith("multipart/form-data; boundary=")
+
+
+def test_loops_count_every_request(server: Server) -> None:
+    server.closes = b"keep-alive"
+    url, calls = (
+        f"http://127.0.0.1:{server.server_address[1]}",
+        [Call("POST", "/pose", {"frame": b"x"})],
+    )
+    tally = asyncio.run(OpenLoop(url, calls).run([0, 0.01, 0.02]))
+    assert [answer.status for answer in tally.answers] == [201] * 3
+    assert (tally.broken, tally.unsent, len(tally.late_ms)) == (0, 0, 3)
+    assert len(asyncio.run(ClosedLoop(url, calls).run(2, 0.1)).of(201)) >= 2
+    server.breaks_off, server.closes = True, b"close"
+    assert asyncio.run(OpenLoop(url, calls).run([0, 0])).broken == 2

@@ -1,8 +1,7 @@
-"""Other descriptors of silhouettes, to hold the Krawtchouk moments against.
+"""Baseline descriptors of silhouettes, to compare the Krawtchouk moments with.
 
-Through libraries where they exist: OpenCV for Hu's moments and HOG, mahotas for Zernike's. No
-library of Python computes Hahn moments or vectors of shape contexts; those are written here
-after their papers.
+OpenCV computes Hu's moments and HOG, mahotas Zernike's. No Python library computes Hahn moments or
+vectors of shape contexts; those are implemented here after their papers.
 
 References
 ----------
@@ -89,7 +88,7 @@ def weighted_hahn_polynomials(
     Raises
     ------
     ValueError
-        If float64 cannot hold so many orders.
+        If float64 is too short for the orders.
     """
     last = size - 1
     x = np.arange(size, dtype=np.float64)
@@ -156,7 +155,7 @@ def outline_points(silhouette: NDArray[np.uint8], count: int = OUTLINE_POINTS) -
 
 
 def shape_contexts(points: Vectors) -> Vectors:
-    """Where the other points lie, seen from each: log-polar histograms ``(P, 60)`` [5]_.
+    """Log-polar histograms ``(P, 60)`` of the positions of all other points about each [5]_.
 
     Invariant to shift and scale.
     """

@@ -23,7 +23,7 @@ class Row:
     people : str, optional
         How many were found in each picture.
     wanted_ms, wanted_ratio : float, optional
-        See :class:`scripts.benchmark_cases.Case`.
+        See :class:`scripts.load.benchmark_cases.Case`.
     """
 
     what: str

@@ -1,6 +1,6 @@
-"""Upload mutated images to a server and see that it neither falls, hangs nor swells.
+"""Upload mutated images to a server, which must neither crash, hang nor leak memory.
 
-python -m scripts.fuzz [--index index/data] [--uploads 100000] [--write]
+python -m scripts.load.fuzz [--index index/data] [--uploads 100000] [--write]
 """
 
 from __future__ import annotations
@@ -9,16 +9,18 @@ import sys
 import threading
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from index.artefact import load_index
 from index.store import PoseIndex
-from scripts.raw_client import Call, RawClient
+from scripts.load.client import Call, Client
+from scripts.load.scenes import encode, street
+from scripts.load.server import ServerProcess
 from scripts.results import conclude, machine, measurement_parser, percentile, revision
-from scripts.server_process import ServerProcess
-from scripts.street import encode, street
 
 CLIENTS = 2
 SHAPES = (
@@ -76,7 +78,7 @@ def _with_exif_orientation(jpeg: bytes) -> bytes:
 
 
 def mutate(data: bytes, rng: np.random.Generator) -> bytes:
-    """Damage an image here and there, its header more than its share."""
+    """Damage an image in random places, half of them in its header."""
     out = bytearray(data)
     for _ in range(rng.integers(1, 6)):
         if not out:
@@ -118,11 +120,8 @@ class Fuzz:
 
     def run(self) -> None:
         """Send everything, or stop when the server is gone."""
-        threads = [threading.Thread(target=self._client, args=(c,)) for c in range(CLIENTS)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(CLIENTS) as threads:
+            list(threads.map(self._client, range(CLIENTS)))
 
     def _call(self, rng: np.random.Generator) -> Call:
         if rng.random() < SHAPED:
@@ -150,7 +149,7 @@ class Fuzz:
 
     def _client(self, number: int) -> None:
         rng = np.random.default_rng(1000 + number)
-        client = RawClient(self._server.url, timeout_s=30)
+        client = Client(self._server.url, timeout_s=30)
         while self._server.alive():
             with self._lock:
                 if self._sent >= self._uploads:
@@ -185,7 +184,7 @@ def report(fuzz: Fuzz, server: ServerProcess, seconds: float) -> tuple[str, list
         failed.append(f"memory reached {peak:.0f} MB")
     answers = ", ".join(f"{n} x {status}" for status, n in sorted(fuzz.statuses.items()))
     uploads = sum(fuzz.statuses.values())
-    body = f"""`python -m scripts.fuzz --uploads {uploads}`, revision {revision()}.
+    body = f"""`python -m scripts.load.fuzz --uploads {uploads}`, revision {revision()}.
 {machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s.
 Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %). {100 * SHAPED:g} % are images of
 1x1 to 1,000,000x12 and 3535x3535 pixels, most of them sound, in every kind of upload.
@@ -208,7 +207,7 @@ def main() -> int:
     options = parser.parse_args()
     with ServerProcess(options.index, log=Path("/tmp/fuzz-server.log")) as server:
         server.wait_until_ready()
-        fuzz = Fuzz(server, PoseIndex.load(options.index), options.uploads)
+        fuzz = Fuzz(server, load_index(options.index), options.uploads)
         started = time.perf_counter()
         fuzz.run()
         seconds = time.perf_counter() - started

@@ -1,6 +1,6 @@
 """A stream of masks beside frames of many people: how long the masks wait.
 
-    python -m scripts.load_mixed [--people 50] [--rate 10] [--seconds 20] [--write]
+    python -m scripts.load.mixed [--people 50] [--rate 10] [--seconds 20] [--write]
 
 One client sends frames with a box for each of many people, the next as soon as the last one is
 answered; another sends masks at fixed times, each of one person and without a photograph.
@@ -16,12 +16,13 @@ from itertools import product
 import cv2
 import numpy as np
 
+from index.artefact import load_index
 from index.store import PoseIndex
-from scripts.open_loop import ClosedLoop, OpenLoop, Tally
-from scripts.raw_client import Call
+from scripts.load.client import Call
+from scripts.load.loops import ClosedLoop, OpenLoop, Tally
+from scripts.load.scenes import encode, street
+from scripts.load.server import ServerProcess
 from scripts.results import conclude, machine, measurement_parser, percentile, revision
-from scripts.server_process import ServerProcess
-from scripts.street import encode, street
 
 WIDTH, HEIGHT = 1280, 720
 MASK_P99_MS = 100.0
@@ -70,7 +71,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="masks a second")
     parser.add_argument("--seconds", type=float, default=20.0)
     options = parser.parse_args()
-    index = PoseIndex.load(options.index)
+    index = load_index(options.index)
     frame, stream = crowd(index, options.people), masks(index)
     with ServerProcess(options.index, POSE_REQUEST_TIMEOUT_S="60") as server:
         server.wait_until_ready()
@@ -85,7 +86,7 @@ def main() -> None:
         for name, tally in (("alone", alone), (f"beside {options.people} people", beside))
         if (times := [answer.ms for answer in tally.of(200)])
     ]
-    body = f"""`python -m scripts.load_mixed`, revision {revision()}. {machine()}.
+    body = f"""`python -m scripts.load.mixed`, revision {revision()}. {machine()}.
 
 | masks, {options.rate:g} a second | answered | refused | median, ms | p99, ms | most, ms |
 |---|---|---|---|---|---|

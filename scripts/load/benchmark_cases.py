@@ -1,4 +1,4 @@
-"""What ``make bench`` measures: requests about a street, and what stands beside them."""
+"""The requests that ``make bench`` measures, and their yardstick."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from app.vision.people import Box
 from scripts.experiments.real_data import read_vtest
 from scripts.experiments.real_peer import room_about
 from scripts.experiments.real_vtest import Marks, read_marks
-from scripts.raw_client import Call
-from scripts.street import encode
+from scripts.load.client import Call
+from scripts.load.scenes import encode
+from scripts.results import ROOT
 
-WALKERS = Path(__file__).resolve().parents[1] / "tests" / "data" / "walkers.jpg"
+WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 SMALL = (640, 480)
 """Width and height of the frame with nobody in it, and of the yardstick's."""
 
@@ -33,9 +34,9 @@ class Case:
     calls : tuple of Call
         Sent in turn.
     wanted_ms : float
-        The most that the median should be, on two quiet cores.
+        Target of the median on two quiet cores.
     wanted_ratio : float, optional
-        The same as a multiple of the yardstick's median; None where only the time was set.
+        The same as a multiple of the yardstick's median; None if only the time was set.
     """
 
     what: str
@@ -91,7 +92,7 @@ class Street:
         frames = dict(read_vtest(folder, len(marks)))
         chosen = with_four(marks)
         return cls(
-            tuple(frames[one.frame] for one in chosen),
+            tuple(frames[mark.frame] for mark in chosen),
             without_people(list(frames.values())),
             max(chosen[0].people, key=lambda box: box.height),
         )
@@ -99,7 +100,7 @@ class Street:
 
 def with_four(marks: Sequence[Marks]) -> list[Marks]:
     """Frames in which four walkers are marked; others may be cut, hidden or small."""
-    return [one for one in marks if len(one.people) == 4]
+    return [mark for mark in marks if len(mark.people) == 4]
 
 
 def without_people(frames: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
@@ -114,7 +115,7 @@ def resized(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def walkers_case() -> Case:
-    """The case that needs nothing beside the repository."""
+    """The case that needs nothing outside the repository."""
     call = Call("POST", "/pose", {"frame": WALKERS.read_bytes()})
     return Case("298x320, four walkers", (call,), 120)
 
@@ -128,7 +129,7 @@ def street_cases(street: Street, mask: bytes) -> list[Case]:
     """Cases about the street; ``mask`` is the encoded answer to :func:`mask_call`."""
     height, width = street.busy[0].shape[:2]
     size = f"{width}x{height}"
-    busy = tuple(Call("POST", "/pose", {"frame": encode(".jpg", one)}) for one in street.busy)
+    busy = tuple(Call("POST", "/pose", {"frame": encode(".jpg", frame)}) for frame in street.busy)
     empty = Call("POST", "/pose", {"frame": encode(".jpg", street.empty)})
     boxed = Call("POST", "/pose", {"frame": street.frame, "boxes": street.boxes})
     masked = {"frame": street.frame, "mask": mask}
@@ -149,7 +150,7 @@ def street_cases(street: Street, mask: bytes) -> list[Case]:
 def yardstick(picture: NDArray[np.uint8]) -> Callable[[], object]:
     """Return OpenCV's own search for people in a picture at :data:`SMALL`, on one thread.
 
-    It judges every window whatever that shows, so it takes as long in any picture.
+    It classifies every window, so it takes equally long in any picture.
     """
     cv2.setNumThreads(1)
     hog = cv2.HOGDescriptor()

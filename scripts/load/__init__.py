@@ -1,0 +1,1 @@
+"""Clients and measurements of a running server."""
