@@ -1,4 +1,4 @@
-"""The paper's descriptor and the discriminant one, behind one small interface.
+"""The paper's descriptor and the discriminant one, behind a common interface.
 
 References
 ----------
@@ -22,7 +22,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 class Descriptor(Protocol):
-    """What an index needs of a descriptor: to describe, and to be written down."""
+    """Interface of a descriptor: describes silhouettes and can be saved."""
 
     @property
     def name(self) -> str:
@@ -33,25 +33,25 @@ class Descriptor(Protocol):
         """Length of a described silhouette."""
 
     def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Silhouettes ``(B, 128, 48)`` of 0 and 1 to vectors ``(B, dimension)``."""
+        """Vectors ``(B, dimension)`` of silhouettes ``(B, 128, 48)`` of 0 and 1."""
 
     def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Vectors ``(B, dimension)`` of silhouettes to those of the silhouettes mirrored."""
+        """Vectors of the mirrored silhouettes, from those of the silhouettes ``(B, dimension)``."""
 
     def parameters(self) -> dict[str, object]:
-        """JSON values that, with :meth:`arrays`, rebuild it by :func:`restore`."""
+        """JSON values from which, with :meth:`arrays`, :func:`restore` rebuilds it."""
 
     def arrays(self) -> Arrays:
-        """Learned arrays; empty where nothing is learned."""
+        """Learned arrays, by name."""
 
 
 @dataclass(frozen=True)
 class DiagonalDescriptor:
     """The paper's 48 values [1]_: diagonal moments (n = m) in two regions of the body.
 
-    The 24 orders are 0 to 23. ``p1 = 0.5`` centres every polynomial horizontally;
-    ``p2 = 0.1`` gathers the first 24 values about the upper body and ``p2 = 0.95`` the
-    last 24 about the lower body.
+    The 24 orders are 0 to 23. ``p1 = 0.5`` centres the polynomials horizontally;
+    ``p2 = 0.1`` concentrates the first 24 values on the upper body and ``p2 = 0.95`` the
+    last 24 on the lower body.
     """
 
     orders: int = 24
@@ -68,7 +68,7 @@ class DiagonalDescriptor:
         return self.orders * len(self.p2)
 
     def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Silhouettes ``(B, 128, 48)`` to vectors ``(B, dimension)``."""
+        """Vectors ``(B, dimension)`` of silhouettes ``(B, 128, 48)``."""
         _check(silhouettes)
         horizontal = weighted_polynomials(self.orders, WIDTH, self.p1)
         vertical = [weighted_polynomials(self.orders, HEIGHT, p) for p in self.p2]
@@ -77,7 +77,7 @@ class DiagonalDescriptor:
         )
 
     def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Moments of odd horizontal order change their sign; needs ``p1 = 0.5``."""
+        """Flip the sign of moments of odd horizontal order; requires ``p1 = 0.5``."""
         return vectors * np.tile(_signs(self.orders), len(self.p2))
 
     def parameters(self) -> dict[str, object]:
@@ -85,7 +85,7 @@ class DiagonalDescriptor:
         return {"name": self.name, "orders": self.orders, "p1": self.p1, "p2": list(self.p2)}
 
     def arrays(self) -> Arrays:
-        """Nothing is learned."""
+        """None: nothing is learned."""
         return {}
 
 
@@ -97,14 +97,14 @@ class DiscriminantDescriptor:
     ----------
     projection : (D, F) float32 array
         ``F = len(p2) * vertical_orders * horizontal_orders`` moments to ``D`` values. Each row
-        uses moments of even horizontal orders only, or of odd ones only, so that mirroring a
-        silhouette changes nothing but signs.
+        uses either even or odd horizontal orders, so that mirroring a silhouette only flips
+        signs.
     vertical_orders, horizontal_orders : int
         Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
     p1 : float
         Horizontal centre of the polynomials.
     p2 : tuple of float
-        Vertical centres, one block of moments each.
+        Vertical centres; each has its own block of moments.
     """
 
     projection: NDArray[np.float32]
@@ -140,14 +140,14 @@ class DiscriminantDescriptor:
         return len(self.projection)
 
     def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Silhouettes ``(B, 128, 48)`` to vectors ``(B, dimension)``."""
+        """Vectors ``(B, dimension)`` of silhouettes ``(B, 128, 48)``."""
         features = moment_block(
             silhouettes, self.vertical_orders, self.horizontal_orders, self.p1, self.p2
         )
         return features @ self.projection.T
 
     def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Values made of moments of odd horizontal order change their sign."""
+        """Flip the sign of values computed from moments of odd horizontal order."""
         return vectors * self.parity
 
     def parameters(self) -> dict[str, object]:
@@ -172,7 +172,7 @@ def moment_block(
     p1: float,
     p2: tuple[float, ...],
 ) -> NDArray[np.float32]:
-    """All moments below two orders, region after region, as ``(B, F)`` float32."""
+    """Moments ``Q[n, m]`` below two orders, for each vertical centre: ``(B, F)`` float32."""
     _check(silhouettes)
     horizontal = weighted_polynomials(horizontal_orders, WIDTH, p1)
     vertical = np.concatenate([weighted_polynomials(vertical_orders, HEIGHT, p) for p in p2])
@@ -223,7 +223,7 @@ def _check_p1(p1: float) -> None:
 
 
 def _signs(orders: int) -> NDArray[np.float32]:
-    """Sign that mirroring gives the moment of each order about ``p = 0.5``: +, -, +, ..."""
+    """Factor by which mirroring changes the moment of each order, at ``p = 0.5``: 1, -1, 1, ..."""
     return np.where(np.arange(orders) % 2, -1, 1).astype(np.float32)
 
 

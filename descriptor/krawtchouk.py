@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORTHONORMAL_WITHIN = 1e-6
-"""Largest error of an inner product; an order of magnitude below what float32 moments show."""
+"""Largest error of an inner product, a tenth of the rounding of float32 moments."""
 
 
 @lru_cache(maxsize=64)
@@ -26,9 +26,9 @@ def weighted_polynomials(orders: int, size: int, p: float) -> NDArray[np.float64
 
     ``K[n, x] = K_n(x; p, N) sqrt(w(x; p, N) / rho(n; p, N))`` with ``N = size - 1`` [1]_,
     by the three-term recurrence [2]_ of the orthonormal functions, which stays accurate
-    in float64 where the recurrence of the unweighted polynomials overflows. Towards the last
-    orders it loses digits all the same, the sooner the nearer ``p`` is to 0 or 1 (of 128
-    samples: after 117 orders at p = 0.5, after 43 at p = 0.95); more are refused::
+    in float64 where the recurrence of the unweighted polynomials overflows. It too loses digits
+    towards the last orders, the earlier the nearer ``p`` is to 0 or 1 (with 128 samples: after 117
+    orders at p = 0.5, after 43 at p = 0.95); higher orders are refused::
 
         b[n+1] K[n+1] = (a[n] - x) K[n] - b[n] K[n-1]
         a[n] = p (N - n) + (1 - p) n
@@ -37,11 +37,11 @@ def weighted_polynomials(orders: int, size: int, p: float) -> NDArray[np.float64
     Parameters
     ----------
     orders : int
-        How many; 1 to ``size``.
+        Number of orders; 1 to ``size``.
     size : int
-        Number of samples of the axis.
+        Number of samples along the axis.
     p : float
-        In (0, 1); the functions of low order gather around ``x = p N``.
+        In (0, 1); functions of low order are concentrated around ``x = p N``.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def weighted_polynomials(orders: int, size: int, p: float) -> NDArray[np.float64
     Raises
     ------
     ValueError
-        If ``orders`` or ``p`` is out of range, or float64 cannot hold so many orders.
+        If ``orders`` or ``p`` is out of range, or float64 is not accurate enough for the orders.
     """
     if not 1 <= orders <= size:
         raise ValueError(f"expected 1 to {size} orders for {size} samples, got {orders}")
@@ -114,7 +114,7 @@ def diagonal_moments(
     vertical: NDArray[np.floating],
     horizontal: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """Moments of equal order ``Q[n, n]``, without computing the others.
+    """The diagonal moments ``Q[n, n]`` only.
 
     Parameters
     ----------

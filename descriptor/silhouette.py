@@ -17,7 +17,7 @@ _LARGEST_PX = 1024
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a normalised silhouette lies in its image: one scale and one shift.
+    """Transform from an image to the normalised frame: a scale and a shift.
 
     ``normalised = scale * image + offset``, in pixels on both sides, each with its
     origin at the centre of the top-left pixel.
@@ -39,16 +39,16 @@ class Placement:
             raise ValueError(f"expected a positive scale and finite offsets, got {self}")
 
     def to_normalised(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Image pixels to normalised pixels; ``points`` is ``(..., 2)``, x before y."""
+        """Image pixels to normalised pixels, both ``(..., 2)`` with x before y."""
         return np.asarray(points, np.float64) * self.scale + (self.offset_x, self.offset_y)
 
     def to_image(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Normalised pixels to image pixels; ``points`` is ``(..., 2)``, x before y."""
+        """Normalised pixels to image pixels, both ``(..., 2)`` with x before y."""
         return (np.asarray(points, np.float64) - (self.offset_x, self.offset_y)) / self.scale
 
 
 def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
-    """Scale a silhouette, aspect ratio kept, to fill and centre in 128x48.
+    """Scale a silhouette to fill a frame of 128x48, centred, keeping its aspect ratio.
 
     The tight bounding box of the mask touches the frame at top and bottom, or at left
     and right where it is wider than 48/128 of its height.
@@ -89,7 +89,7 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
     vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
     horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
     grey = vertical @ crop @ horizontal.T
-    # A mask so thin that no pixel is half covered is kept where it covers most: never empty.
+    # A lower threshold keeps a mask too thin to cover half of any pixel: never empty.
     return (grey >= min(0.5, grey.max())).astype(np.uint8), placement
 
 
@@ -112,16 +112,32 @@ def _averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
     return np.asarray(means, np.float32)
 
 
-def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.float32]:
-    """Tent filter as a matrix ``(size, source_size)``: bilinear up, area-averaging down.
+def is_wide(mask: NDArray[np.generic]) -> bool:
+    """Whether the bounding box of a mask is wider than high."""
+    filled = mask != 0
+    return bool(
+        np.ptp(np.flatnonzero(filled.any(axis=0))) > np.ptp(np.flatnonzero(filled.any(axis=1)))
+    )
 
-    Source samples outside the crop count as background, so the rows at the border of
-    the silhouette may sum to less than 1.
+
+def principal_axis_deg(mask: NDArray[np.generic]) -> float:
+    """Angle of a mask's long axis from the vertical, clockwise, from -90 to 90 degrees."""
+    y, x = np.nonzero(mask)
+    across, along = np.cov(x, y, bias=True)[[0, 0], [0, 1]], y.var()
+    from_horizontal = np.rad2deg(np.arctan2(2 * across[1], across[0] - along)) / 2
+    return float(from_horizontal % 180.0 - 90.0)
+
+
+def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.float32]:
+    """Tent filter as a matrix ``(size, source_size)``: bilinear up, averaging down.
+
+    Samples outside the crop count as background, so rows at the border of the silhouette may
+    sum to less than 1.
     """
     centres = (np.arange(size) - (size - 1) / 2) / scale + (source_size - 1) / 2
     support = max(1.0, 1.0 / scale)
     weights = _tents(centres, np.arange(source_size), support)
-    # The sum a row would have in an unbounded source, so that the border fades to 0.
+    # Normalised by the sum in an unbounded source, so that the border fades to 0.
     lattice = np.arange(-int(np.ceil(support)) - 1, int(np.ceil(support)) + 2)
     total = _tents(centres - np.floor(centres), lattice, support).sum(axis=1, keepdims=True)
     return np.asarray(weights / total)
@@ -130,8 +146,8 @@ def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.
 def _tents(
     centres: NDArray[np.floating], samples: NDArray[np.integer], support: float
 ) -> NDArray[np.float32]:
-    """From 1 at each centre to 0 so far from it: a matrix ``(centres, samples)``."""
-    # In single precision and in place, which takes a fifth of the time for a tall silhouette.
+    """Tents of height 1 that fall to 0 at ``support``: a matrix ``(centres, samples)``."""
+    # In single precision and in place: five times faster for a tall silhouette.
     tents = centres[:, None].astype(np.float32) - samples.astype(np.float32)
     np.abs(tents, out=tents)
     tents /= -support
@@ -140,7 +156,7 @@ def _tents(
 
 
 def pack(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Silhouettes ``(B, 128, 48)`` of 0 and 1 to bits ``(B, 768)``, row by row."""
+    """Pack silhouettes ``(B, 128, 48)`` of 0 and 1 into bits ``(B, 768)``, row by row."""
     return np.packbits(silhouettes.reshape(len(silhouettes), HEIGHT * WIDTH), axis=1)
 
 

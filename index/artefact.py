@@ -1,116 +1,183 @@
-"""Files of an index artefact: arrays read once, decompressed and verified on the way."""
+"""The index artefact, a folder: written whole or not at all, verified when it is read."""
 
 from __future__ import annotations
 
 import hashlib
-import io
+import json
 import lzma
-from collections.abc import Callable
+import os
+import shutil
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from threading import Lock
-from typing import TypeVar
+from typing import Any, cast
 
+import faiss
 import numpy as np
-from numpy.typing import NDArray
 
-T = TypeVar("T", bound=np.generic)
+from descriptor.descriptor import restore
+from index.folders import clear_left_overs, lock, replace_folder
+from index.silhouettes import Silhouettes
+from index.skeleton import NATIVE
+from index.store import PoseIndex
+from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
-_CHUNK = 1 << 20
+FORMAT_VERSION = 3
 
-_PARSING = Lock()
-"""NumPy reads a header with :func:`ast.literal_eval`, which in Python 3.11 fails now and then where
-two threads are at it: https://github.com/python/cpython/issues/106905."""
-
-
-class ArtefactError(ValueError):
-    """An index artefact that cannot be used; the message says in one sentence why."""
-
-
-def npy_bytes(array: NDArray[np.generic]) -> bytes:
-    """Write an array as the content of an ``.npy`` file."""
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()
+_INCOMPRESSIBLE = "silhouettes.npy"
+"""Stored as it is; every other file is compressed."""
 
 
-class _HashingReader(io.RawIOBase):
-    """A file read once, from start to end, decompressed if need be, and hashed on the way."""
+def save_index(index: PoseIndex, path: Path) -> str:
+    """Write an index as a folder, whole or not at all, and return its version."""
+    files = _files(index)
+    manifest = {
+        "format_version": FORMAT_VERSION,
+        "name": index.name,
+        "entries": len(index),
+        "joints": list(NATIVE.names),
+        "descriptor": {**index.descriptor.parameters(), "dimension": index.descriptor.dimension},
+        "clips": list(index.clips),
+        "subjects": list(index.subjects),
+        "actions": list(index.actions),
+        "parameters": index.parameters,
+        "files": {
+            name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
+        },
+    }
+    version = _version(manifest)
+    manifest["version"] = version
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    clear_left_overs(path)
+    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    held = lock(staging)
+    try:
+        for name, content in files.items():
+            (staging / _stored_name(name)).write_bytes(
+                content if name == _INCOMPRESSIBLE else lzma.compress(content, preset=6)
+            )
+        (staging / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
+        staging.chmod(0o755)
+        replace_folder(staging, path)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+        if held is not None:
+            os.close(held)
+    return version
 
-    def __init__(self, file: Path) -> None:
-        # Closed with the reader.
-        self._stream = lzma.open(file) if file.suffix == ".xz" else file.open("rb")  # noqa: SIM115
-        self._hash = hashlib.sha256()
 
-    def read(self, size: int = -1) -> bytes:
-        content = self._stream.read(size)
-        self._hash.update(content)
-        return content
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
-
-    def finish(self) -> str:
-        """Read what is left and return the hash of everything."""
-        while self.read(_CHUNK):
-            pass
-        return self._hash.hexdigest()
-
-
-def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
-    """Read an array, decompressed if the file ends in ``.xz``, and verify it.
+def load_index(path: Path) -> PoseIndex:
+    """Read and verify an index.
 
     Raises
     ------
     ArtefactError
-        If the file is missing, truncated, altered or no array.
+        If it is missing, truncated, altered, or not an artefact of this format.
     """
-    return _read_file(file, sha256, _parse_array)
-
-
-def _parse_array(stream: io.RawIOBase) -> NDArray[np.generic]:
-    with _PARSING:
-        version = np.lib.format.read_magic(stream)
-        if version != (1, 0):
-            raise ValueError(f"expected version 1.0 of the NPY format, got {version}")
-        shape, fortran_order, dtype = np.lib.format.read_array_header_1_0(stream)
-    if fortran_order or dtype.hasobject:
-        raise ValueError(f"expected plain values in C order, got {dtype}, {fortran_order=}")
-    array = np.empty(shape, dtype)
-    content = array.reshape(-1).view(np.uint8).data
-    done = 0
-    while done < len(content):
-        chunk = stream.read(min(_CHUNK, len(content) - done))
-        if not chunk:
-            raise ValueError(f"expected {len(content)} bytes of values, got {done}")
-        content[done : done + len(chunk)] = chunk
-        done += len(chunk)
-    return array
-
-
-def read_bytes(file: Path, sha256: str) -> NDArray[np.uint8]:
-    """Read any file as bytes ``(N,)``, decompressed if it ends in ``.xz``, and verify it."""
-    return _read_file(file, sha256, lambda stream: np.frombuffer(stream.read(), np.uint8))
-
-
-def _read_file(
-    file: Path, sha256: str, parse: Callable[[_HashingReader], NDArray[T]]
-) -> NDArray[T]:
-    altered = f"the index file {file} was altered: its SHA-256 does not fit"
+    path = Path(path)
+    manifest = _read_manifest(path)
     try:
-        with _HashingReader(file) as stream:
-            try:
-                content = parse(stream)
-            except ValueError as error:
-                # What does not parse and does not hash was altered; what only does not parse
-                # was written so.
-                raise ArtefactError(
-                    altered if stream.finish() != sha256 else f"{file} is no array: {error}"
-                ) from error
-            if stream.finish() != sha256:
-                raise ArtefactError(altered)
-            return content
-    except OSError as error:
-        raise ArtefactError(f"the index file {file} cannot be read: {error.strerror}") from error
-    except (EOFError, lzma.LZMAError) as error:
-        raise ArtefactError(f"the index file {file} is truncated or altered: {error}") from error
+        return _restore(manifest, _read_files(path, dict(manifest["files"])))
+    except ArtefactError:
+        raise
+    except KeyError as error:
+        raise ArtefactError(f"the index at {path} lacks {error}") from error
+    except (ValueError, RuntimeError, TypeError, AttributeError) as error:
+        raise ArtefactError(f"the index at {path} does not hold together: {error}") from error
+
+
+def _files(index: PoseIndex) -> dict[str, bytes]:
+    flat = faiss.IndexFlatL2(index.descriptor.dimension)
+    flat.add(index.vectors)
+    silhouettes = index.silhouette_store
+    learned = {f"descriptor-{k}.npy": npy_bytes(v) for k, v in index.descriptor.arrays().items()}
+    return {
+        "descriptors.faiss": faiss.serialize_index(flat).tobytes(),
+        "entries.npy": npy_bytes(index.entries),
+        "skeletons.npy": npy_bytes(index.skeletons),
+        "skeleton-labels.npy": npy_bytes(index.skeleton_labels),
+        _INCOMPRESSIBLE: npy_bytes(silhouettes.data),
+        "silhouette-lengths.npy": npy_bytes(np.diff(silhouettes.ends, prepend=0).astype("<u2")),
+        "silhouette-dictionary.npy": npy_bytes(silhouettes.dictionary),
+        **learned,
+    }
+
+
+def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
+    """Contents of the files of a manifest: arrays, by their names without ``.npy``, or bytes."""
+    # Decompressing and hashing release the interpreter's lock.
+    with ThreadPoolExecutor() as pool:
+        read = {
+            name.removesuffix(".npy"): pool.submit(
+                read_array if name.endswith(".npy") else read_bytes,
+                path / _stored_name(name),
+                expected,
+            )
+            for name, expected in sha256.items()
+        }
+        return {name: future.result() for name, future in read.items()}
+
+
+def _restore(manifest: dict[str, Any], files: dict[str, Any]) -> PoseIndex:
+    learned = {
+        name.removeprefix("descriptor-"): array
+        for name, array in files.items()
+        if name.startswith("descriptor-")
+    }
+    flat = faiss.deserialize_index(np.asarray(files["descriptors.faiss"], np.uint8))
+    if type(flat) is not faiss.IndexFlatL2:
+        raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
+    vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d)
+    return PoseIndex(
+        name=manifest["name"],
+        descriptor=restore(manifest["descriptor"], learned),
+        vectors=vectors.reshape(flat.ntotal, flat.d),
+        entries=files["entries"],
+        skeletons=files["skeletons"],
+        skeleton_labels=files["skeleton-labels"],
+        clips=tuple(manifest["clips"]),
+        subjects=tuple(manifest["subjects"]),
+        actions=tuple(manifest["actions"]),
+        silhouette_store=Silhouettes(
+            files["silhouettes"],
+            np.cumsum(files["silhouette-lengths"], dtype=np.int64),
+            files["silhouette-dictionary"],
+        ),
+        parameters=manifest["parameters"],
+        version=manifest["version"],
+    )
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    file = path / "manifest.json"
+    try:
+        manifest = json.loads(file.read_bytes())
+    except FileNotFoundError:
+        raise ArtefactError(f"there is no index at {path}: {file} is missing") from None
+    except (OSError, ValueError) as error:
+        raise ArtefactError(f"the manifest {file} is unreadable: {error}") from error
+    if not isinstance(manifest, dict) or "format_version" not in manifest:
+        raise ArtefactError(f"{file} is not the manifest of a pose index")
+    if manifest["format_version"] != FORMAT_VERSION:
+        raise ArtefactError(
+            f"the index at {path} has format {manifest['format_version']}, "
+            f"this service reads format {FORMAT_VERSION}"
+        )
+    if manifest.get("joints") != list(NATIVE.names):
+        raise ArtefactError(f"the index at {path} was built for another set of joints")
+    if manifest.get("version") != _version(manifest):
+        raise ArtefactError(f"the manifest {file} was altered: its content hash does not fit")
+    return cast("dict[str, Any]", manifest)
+
+
+def _stored_name(name: str) -> str:
+    """Name on disk of a file of the manifest."""
+    return name if name == _INCOMPRESSIBLE else f"{name}.xz"
+
+
+def _version(manifest: dict[str, Any]) -> str:
+    """Hash of the manifest, which itself holds the hash of every file."""
+    content = {key: value for key, value in manifest.items() if key != "version"}
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The nearest entries to a silhouette, and to its mirror image."""
+"""The entries nearest to a silhouette, among all entries and their mirror images."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from index.store import PoseIndex
 
 @dataclass(frozen=True)
 class Candidates:
-    """Entries near a query, best first; an entry may come as its mirror image.
+    """Entries near a query, nearest first; each stands for itself or for its mirror image.
 
     Parameters
     ----------
     numbers : (K,) int64 array
-        Entries.
+        Rows of the index.
     mirrored : (K,) bool array
-        Whether the mirror image of the entry is meant, here and in all that follows.
+        Whether the candidate is the mirror image of the entry; all other fields then describe the
+        mirror image.
     distances : (K,) float64 array
-        Euclidean distances of the descriptors, ascending.
+        Euclidean distances between descriptors, ascending.
     offsets : (K, D) float32 array
-        From the query's descriptor to each one's.
-    lean_deg : (K,) float64 array
-        How far each is turned clockwise in the picture, which its points are already.
+        Descriptors of the candidates minus the descriptor of the query.
+    rotation_deg : (K,) float64 array
+        Clockwise rotation in the picture that has been applied to the points.
     points_3d : (K, 24, 3) float64 array
         Camera axes, metres, pelvis at the origin.
     points_normalised : (K, 24, 2) float64 array
@@ -39,7 +40,7 @@ class Candidates:
     mirrored: NDArray[np.bool_]
     distances: NDArray[np.float64]
     offsets: NDArray[np.float32]
-    lean_deg: NDArray[np.float64]
+    rotation_deg: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
 
@@ -47,29 +48,29 @@ class Candidates:
         return len(self.numbers)
 
     def take(self, rows: NDArray[np.integer] | slice) -> Candidates:
-        """Return some of them, in the order asked for."""
+        """Select candidates by row, in the order given."""
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @classmethod
-    def merged(cls, some: Sequence[Candidates]) -> Candidates:
-        """Put the candidates of several queries together, in ascending distance."""
-        if len(some) == 1:
-            return some[0]
+    def merged(cls, parts: Sequence[Candidates]) -> Candidates:
+        """Merge the candidates of several queries, in ascending distance."""
+        if len(parts) == 1:
+            return parts[0]
         names = [field.name for field in fields(cls)]
-        every = cls(*(np.concatenate([getattr(one, name) for one in some]) for name in names))
-        return every.take(np.argsort(every.distances, kind="stable"))
+        merged = cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return merged.take(np.argsort(merged.distances, kind="stable"))
 
     def unique(self) -> Candidates:
-        """Return each entry, mirrored or not and leaning so far, once."""
-        same = np.stack([self.numbers, self.mirrored, self.lean_deg], axis=1)
-        return self.take(np.sort(np.unique(same, axis=0, return_index=True)[1]))
+        """Drop repetitions of an entry with the same mirroring and rotation."""
+        keys = np.stack([self.numbers, self.mirrored, self.rotation_deg], axis=1)
+        return self.take(np.sort(np.unique(keys, axis=0, return_index=True)[1]))
 
 
 def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> Candidates:
     """Find the ``k`` nearest among all entries and all their mirror images.
 
-    Asking for the mirrored silhouette as well doubles what an index knows: the mirror image
-    of a pose, seen by the mirror image of its camera, is as likely as the pose.
+    The mirror image of a pose, seen by the mirror image of its camera, is as likely as the pose.
+    Searching for the mirrored silhouette as well doubles the poses that an index covers.
 
     Parameters
     ----------
@@ -84,29 +85,35 @@ def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> 
 def find_candidates_of_each(
     index: PoseIndex, silhouettes: NDArray[np.uint8], k: int
 ) -> list[Candidates]:
-    """Ask for several silhouettes ``(B, 128, 48)`` at once, which is sooner done than one by one.
+    """Find the candidates of each silhouette of a batch ``(B, 128, 48)`` in one search.
 
     See :func:`find_candidates`.
     """
     queries = index.descriptor.describe(silhouettes)
-    both = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
-    distances, nearest, variants = index.search(both, k)
-    of_query = np.repeat(queries, nearest.shape[1], axis=0)
-    every = _candidates(index, nearest.ravel(), variants.ravel() == 1, of_query, distances.ravel())
-    ends = nearest.shape[1] * np.arange(len(queries) + 1)
-    return [every.take(slice(*pair)) for pair in pairwise(ends.tolist())]
+    variants = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
+    distances, numbers, nearest_variant = index.search(variants, k)
+    count = numbers.shape[1]
+    found = _candidates(
+        index,
+        numbers.ravel(),
+        nearest_variant.ravel() == 1,
+        np.repeat(queries, count, axis=0),
+        distances.ravel(),
+    )
+    ends = count * np.arange(len(queries) + 1)
+    return [found.take(slice(*pair)) for pair in pairwise(ends.tolist())]
 
 
-def candidates_of(
+def compare_entries(
     index: PoseIndex,
     silhouette: NDArray[np.uint8],
     numbers: NDArray[np.int64],
     mirrored: NDArray[np.bool_],
 ) -> Candidates:
-    """Compare a silhouette ``(128, 48)`` with entries ``(K,)`` that were found in another way."""
+    """Compare a silhouette ``(128, 48)`` with given entries ``(K,)``."""
     queries = np.repeat(index.descriptor.describe(silhouette[None]), len(numbers), axis=0)
-    unordered = _candidates(index, numbers, mirrored, queries)
-    return unordered.take(np.argsort(unordered.distances, kind="stable"))
+    candidates = _candidates(index, numbers, mirrored, queries)
+    return candidates.take(np.argsort(candidates.distances, kind="stable"))
 
 
 def _candidates(
@@ -116,7 +123,7 @@ def _candidates(
     queries: NDArray[np.float32],
     distances: NDArray[np.float32] | None = None,
 ) -> Candidates:
-    """Entries ``(K,)`` beside a query of each, ``(K, D)``; distances are computed if not given."""
+    """Entries ``(K,)``, each with its query ``(K, D)``; computes the distances if not given."""
     vectors = index.vectors[numbers]
     points_3d, points_normalised = index.points(numbers)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])

@@ -1,4 +1,4 @@
-"""From what a match shows to the probability that it is right."""
+"""The probability that a hypothesis is right, from features of the match."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ FEATURES = (
     "log_agreement_5px_far",
     "log_agreement_10px_far",
 )
-"""What a hypothesis shows of itself:
+"""Features of a hypothesis, computed by :func:`index.features.match_features`:
 
-the logarithm of its descriptor distance, and how much more it is than the best's; the
-logarithm of the share of candidates that agree on it, and how much less that is than the most
-agreed one's; the logarithm of the distance to the nearest entry of all; how far its outline lies
-from the query's; the logarithm of its rank; and the logarithms of the shares of the candidates
-whose joints lie within 5 or 10 px of its own, where only the nearest candidates count much, or
-those farther off as well.
+- logarithm of its descriptor distance, and its excess over the smallest of all hypotheses;
+- logarithm of its votes, the weighted share of candidates in its mode, and its deficit to the
+  largest of all hypotheses;
+- logarithm of the distance to the nearest candidate;
+- outline distance in pixels;
+- logarithm of its rank;
+- logarithms of the weighted shares of candidates whose mean joint distance from it is below 5 or
+  10 px, with weights that fall off fast (near) or slowly (far) with their descriptor distance.
 """
 
 RIGHT_BELOW_PX = 5.0
-"""A hypothesis is right when its mean joint reprojection error is below this, in 128x48."""
+"""A hypothesis is right if its mean joint error in the 128x48 frame is below this."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Calibration:
     Parameters
     ----------
     weights : tuple of float
-        One for each of :data:`FEATURES`.
+        Weight of each of :data:`FEATURES`.
     bias : float
     """
 
@@ -58,11 +60,11 @@ class Calibration:
 
     @classmethod
     def none(cls) -> Calibration:
-        """A calibration that knows nothing: one half for everything."""
+        """A calibration that gives every hypothesis a probability of 0.5."""
         return cls((0.0,) * len(FEATURES), 0.0)
 
     def probability(self, features: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Features ``(B, F)`` to probabilities ``(B,)``."""
+        """Probabilities ``(B,)`` of hypotheses with features ``(B, F)``."""
         logit = np.asarray(features, np.float64) @ np.array(self.weights) + self.bias
         probability: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-np.clip(logit, -30, 30)))
         return probability
@@ -73,7 +75,7 @@ class Calibration:
 
     @classmethod
     def restore(cls, parameters: Mapping[str, Any]) -> Calibration:
-        """Inverse of :meth:`parameters`; ``ValueError`` for another set of features."""
+        """Inverse of :meth:`parameters`; ``ValueError`` if the features differ."""
         if list(parameters.get("features", ())) != list(FEATURES):
             raise ValueError(
                 f"expected a calibration over {', '.join(FEATURES)}, "

@@ -1,4 +1,4 @@
-"""Folders that are whole or not there, whatever happens to whoever writes them."""
+"""Atomic replacement of folders."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import shutil
 import tempfile
 from pathlib import Path
 
-# From Linux' fcntl.h and fs.h.
+# From fcntl.h and fs.h of Linux.
 _AT_FDCWD = -100
 _EXCHANGE = 2
 
 
 def clear_left_overs(path: Path) -> None:
-    """Remove what builds of this artefact left that were killed; others keep theirs locked."""
+    """Remove staging folders of killed builds; running builds hold a lock on theirs."""
     for folder in path.parent.glob(f".{path.name}-*"):
         held = lock(folder)
         if held is not None:
@@ -24,7 +24,7 @@ def clear_left_overs(path: Path) -> None:
 
 
 def lock(folder: Path) -> int | None:
-    """Lock a folder until its process ends; None where another process has."""
+    """Lock a folder until the process ends; None if another process holds the lock."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -35,7 +35,7 @@ def lock(folder: Path) -> int | None:
 
 
 def replace_folder(source: Path, target: Path) -> None:
-    """Put ``source`` where ``target`` is; an old target is then where ``source`` was."""
+    """Move ``source`` to ``target``; an existing target may end up where ``source`` was."""
     if not target.exists():
         source.rename(target)
     elif not _exchange(source, target):
@@ -43,10 +43,10 @@ def replace_folder(source: Path, target: Path) -> None:
 
 
 def _exchange(source: Path, target: Path) -> bool:
-    """Exchange two folders in one step, so that no kill comes between; False where none can."""
+    """Exchange two folders atomically; False where the system cannot."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):  # Another C library than glibc, another system.
+    except (OSError, AttributeError):  # Not glibc, or not Linux.
         return False
     return bool(
         renameat2(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _EXCHANGE) == 0
@@ -54,7 +54,7 @@ def _exchange(source: Path, target: Path) -> bool:
 
 
 def _set_aside_and_rename(source: Path, target: Path) -> None:
-    """Replace a folder in two steps, and take the first back where the second fails."""
+    """Replace a folder in two steps; undo the first if the second fails."""
     aside = Path(tempfile.mkdtemp(prefix=f"{target.name}-old-", dir=target.parent))
     target.rename(aside / target.name)
     try:

@@ -1,9 +1,9 @@
-"""Skeletons fitted to the keypoints of a photograph, beyond the poses that an index holds.
+"""Fitting skeletons to the keypoints of a photograph.
 
-A pose found is as near as recorded poses come. Where a keypoint shows a wrist elsewhere, the bones
-are turned towards it: points move in the picture, keep their depth, and the bones get their lengths
-back. From coarse to fine, so that a limb that is far off finds its place, and what no keypoint
-shows stays as it was.
+An index gives the nearest of its recorded poses. The fit then rotates bones towards the keypoints:
+points move in the picture and keep their depth, and the bones are reset to their lengths. It goes
+from coarse to fine, so that limbs far from their keypoints are found as well. Points without a
+keypoint keep their position relative to their parents.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from index.modes import with_bones_of
 from index.skeleton import JOINTS, POINT_NAMES, exchange_sides
 
 STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 4))
-"""How far about a point a keypoint counts, in pixels, which share of the way the point is moved,
-and how often. Chosen on the street people of even-numbered photographs."""
+"""Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
+iteration, and iterations. Chosen on the street people of even-numbered photographs."""
 
 _HIPS = [POINT_NAMES.index("left_hip"), POINT_NAMES.index("right_hip")]
 
@@ -35,31 +35,31 @@ def fit_to_keypoints(
     points_3d : (M, 24, 3) float64 array
         Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``.
     points_normalised : (M, 24, 2) float64 array
-        The same in pixels of the normalised frame.
+        Pixels of the normalised frame.
 
     Returns
     -------
     points_3d, points_normalised
-        Of the same shapes; bones are as long as they were, and the face moves with the head.
+        Same shapes; bones keep their lengths, and the face moves with the head.
     """
     fitted, placed = points_3d, points_normalised
     px_per_metre = _scale(points_3d, points_normalised)[:, None, None]
-    for spread_px, share, times in STEPS:
+    for spread_px, share, iterations in STEPS:
         blurred = replace(keypoints, spread_px=spread_px)
-        for _ in range(times):
+        for _ in range(iterations):
             moves = share * _pulls(blurred, placed)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
             moved = with_bones_of(points_3d, moved)
-            # The pelvis, which no keypoint shows, goes where the hips go.
-            along = moves[:, _HIPS].mean(axis=1, keepdims=True)
-            placed = placed + (moved - fitted)[..., :2] * px_per_metre + along
+            # The pelvis has no keypoint and follows the hips.
+            pelvis_moves = moves[:, _HIPS].mean(axis=1, keepdims=True)
+            placed = placed + (moved - fitted)[..., :2] * px_per_metre + pelvis_moves
             fitted = moved
     return fitted, placed
 
 
 def _pulls(keypoints: Keypoints, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far each point ``(M, 24, 2)`` is from its keypoint, whichever sides are meant."""
+    """Offsets ``(M, 24, 2)`` to the keypoints, for the likelier assignment of left and right."""
     agreement = keypoints.compare(points_normalised)
     pulls = np.zeros_like(points_normalised)
     pulls[:, list(keypoints.rows)] = agreement.pulls
@@ -71,7 +71,7 @@ def _pulls(keypoints: Keypoints, points_normalised: NDArray[np.float64]) -> NDAr
 def _scale(
     points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Pixels a metre ``(M,)`` at which skeletons were projected, perspective aside."""
+    """Pixels per metre ``(M,)`` of a weak-perspective projection, by least squares."""
     metres = points_3d[:, :JOINTS, :2] - points_3d[:, :JOINTS, :2].mean(axis=1, keepdims=True)
     pixels = points_normalised[:, :JOINTS]
     pixels = pixels - pixels.mean(axis=1, keepdims=True)

@@ -1,11 +1,10 @@
-"""Entries whose projected skeletons lie nearest to keypoints, turned and scaled to fit best.
+"""Search for the entries whose skeletons fit keypoints best, up to a similarity transform.
 
-A silhouette hides what lies within it; keypoints tell, but not the outline. Each finds entries
-that the other misses.
+A silhouette does not show what lies inside its outline, keypoints do not show the outline: each
+finds entries that the other misses.
 
-With points as complex numbers, the similarity transform that lays one set on another in the sense
-of weighted least squares is a quotient of inner products [1]_, so that all entries are compared by
-one product of matrices.
+With points as complex numbers, the similarity transform that fits two sets of points by weighted
+least squares is a quotient of inner products [1]_, so that one matrix product compares all entries.
 
 References
 ----------
@@ -23,29 +22,29 @@ from index.keypoints import Keypoints
 from index.skeleton import LIMBS, POINT_NAMES, exchange_sides
 
 SEARCHED = tuple(POINT_NAMES.index(name) for name in LIMBS if not name.endswith("hip"))
-"""Points of the entries that keypoints are compared with, as rows of ``POINT_NAMES``: shoulders,
-elbows, wrists, knees and ankles. Hips and nose add nothing to them, but time and memory."""
+"""Rows of ``POINT_NAMES`` that are compared with keypoints: shoulders, elbows, wrists, knees and
+ankles. Hips and nose did not improve the result."""
 
 ROLL_PX = 4.0
-"""Few people lean as a whole: an entry turned by a right angle counts as so many pixels farther."""
+"""Penalty on rotation, since few people lean: added to the residual for a right angle."""
 
 _OTHER_SIDE = exchange_sides(np.arange(float(len(POINT_NAMES)))[:, None])[:, 0].astype(int)
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """Entries nearest to keypoints, best first.
+    """Entries nearest to keypoints, nearest first.
 
     Parameters
     ----------
     numbers : (K,) int64 array
     mirrored : (K,) bool array
-        Whether the mirror image of the entry is meant.
+        Whether the mirror image of the entry was found.
     roll_deg : (K,) float64 array
-        How far each must be turned, clockwise in the picture.
+        Clockwise rotation in the picture that fits the entry to the keypoints.
     residual_px : (K,) float64 array
-        Root mean square distance that remains, in pixels of the normalised frame, together with
-        what the turn counts.
+        Weighted root mean square distance after the fit, in pixels of the normalised frame, with
+        the penalty on rotation included.
     """
 
     numbers: NDArray[np.int64]
@@ -55,7 +54,7 @@ class Nearest:
 
 
 class KeypointSearch:
-    """Projected skeletons, searchable by keypoints; immutable.
+    """Exhaustive search over projected skeletons; immutable.
 
     Parameters
     ----------
@@ -69,7 +68,7 @@ class KeypointSearch:
             raise ValueError(
                 f"expected points of shape (E, {len(SEARCHED)}, 2), got {points.shape}"
             )
-        # Rows: x, y and the square of each point, all that sums over points are made of.
+        # Rows: x, y and squared norm of each point, from which all sums over points are computed.
         self._rows = np.ascontiguousarray(
             np.concatenate([points[..., 0], points[..., 1], (points**2).sum(axis=-1)], axis=1).T
         )
@@ -80,12 +79,12 @@ class KeypointSearch:
     def nearest(self, keypoints: Keypoints, k: int) -> Nearest:
         """Find the ``k`` nearest among all entries and their mirror images.
 
-        Keypoints of other points than :data:`SEARCHED` are left out.
+        Keypoints of points that are not in :data:`SEARCHED` are ignored.
         """
         used = [i for i, row in enumerate(keypoints.rows) if row in SEARCHED]
         weights = keypoints.scores[used] / keypoints.scores[used].sum()
         places = keypoints.positions[used] @ np.array([1, 1j])
-        # The mirror image of an entry fits the keypoints as the entry fits theirs.
+        # An entry's mirror image fits the keypoints as the entry fits the mirrored keypoints.
         reflected = [int(_OTHER_SIDE[keypoints.rows[i]]) for i in used]
         queries = (
             ([keypoints.rows[i] for i in used], places),
@@ -118,17 +117,17 @@ class KeypointSearch:
 def _factors(
     rows: list[int], weights: NDArray[np.float64], places: NDArray[np.complex128]
 ) -> NDArray[np.float64]:
-    """What columns of points are multiplied with, ``(30, 5)``.
+    """Matrix ``(30, 5)`` by which the rows of points are multiplied.
 
-    For the weighted means of x and y and of the squares, and for the real and the imaginary part of
-    the inner product with the query.
+    Its columns give the weighted means of x, of y and of the squared norm, and the real and the
+    imaginary part of the inner product with the query.
     """
     count = len(SEARCHED)
     factors = np.zeros((3 * count, 5))
-    at = np.array([SEARCHED.index(row) for row in rows])
+    columns = np.array([SEARCHED.index(row) for row in rows])
     inner = weights * np.conj(places - weights @ places)
-    factors[at, 0] = factors[count + at, 1] = factors[2 * count + at, 2] = weights
+    factors[columns, 0] = factors[count + columns, 1] = factors[2 * count + columns, 2] = weights
     # (x + iy) (a + ib) = (ax - by) + i (bx + ay)
-    factors[at, 3], factors[count + at, 3] = inner.real, -inner.imag
-    factors[at, 4], factors[count + at, 4] = inner.imag, inner.real
+    factors[columns, 3], factors[count + columns, 3] = inner.real, -inner.imag
+    factors[columns, 4], factors[count + columns, 4] = inner.imag, inner.real
     return factors

@@ -1,8 +1,8 @@
-"""What a photograph shows of a skeleton: keypoints, compared with the poses of an index."""
+"""Keypoints of a photograph, and their agreement with skeletons."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from index.skeleton import POINTS, exchange_sides
 
 SPREAD_PX = 8.0
-"""Poses are never quite alike: a point agrees with a keypoint so far about it."""
+"""Standard deviation of a point about its keypoint, in pixels of the normalised frame."""
 
 DOUBT = 0.05
-"""Share of the probability that a keypoint misleads: one of them must not rule a pose out."""
+"""Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
 
-_LEAST_MASS = 1e-6
+_MIN_MASS = 1e-6
 
 TEMPER = 0.5
-"""Keypoints go wrong together (left for right), so together they count less than one by one."""
+"""Exponent of the joint likelihood: errors of keypoints are correlated (left for right)."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,14 @@ class Agreement:
     Parameters
     ----------
     log_likelihood : (K,) float64 array
-        Of the keypoints given each skeleton, or its twin with left and right exchanged, whichever
+        Of the keypoints, given each skeleton or its twin with left and right exchanged, whichever
         is likelier; at most 0.
     side_odds : (K,) float64 array
-        Log odds of the skeleton against that twin. Keypoints are surer of where a joint is than of
-        whose left it is, so the two are told apart.
+        Log odds of the skeleton against that twin. They are kept apart because keypoints are more
+        reliable about where a joint is than about whether it is the left or the right one.
     pulls : (K, P, 2) float64 array
-        From each point of the likelier one to its keypoint, in pixels of the normalised frame, less
-        where the two are too far apart to be the same.
+        Offset from each point of the likelier of the two to its keypoint, in pixels of the
+        normalised frame, scaled down by the probability that the keypoint is an outlier.
     """
 
     log_likelihood: NDArray[np.float64]
@@ -43,28 +43,28 @@ class Agreement:
     pulls: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer]) -> Agreement:
-        """Return that of some skeletons, in the order asked for."""
+        """Select skeletons by row, in the order given."""
         return Agreement(self.log_likelihood[rows], self.side_odds[rows], self.pulls[rows])
 
     def weights(self) -> NDArray[np.float64]:
-        """How much each skeleton counts, ``(K,)``; 1 for the likeliest."""
+        """Weights ``(K,)`` of the skeletons; 1 for the likeliest."""
         return np.asarray(np.exp(TEMPER * (self.log_likelihood - self.log_likelihood.max())))
 
 
 @dataclass(frozen=True)
 class Keypoints:
-    """Where a photograph shows some points of a skeleton.
+    """Positions of points of a skeleton in a photograph.
 
     Parameters
     ----------
     rows : tuple of int
-        Which points, as rows of ``POINT_NAMES``.
+        Rows of ``POINT_NAMES``.
     positions : (P, 2) float64 array
         Pixels of the normalised frame.
     scores : (P,) float64 array
-        How sure each is, above 0 and at most 1.
+        Confidence of each, above 0 and at most 1.
     spread_px : float
-        A point agrees with a keypoint so far about it.
+        Standard deviation of a point about its keypoint.
     """
 
     rows: tuple[int, ...]
@@ -84,23 +84,28 @@ class Keypoints:
         if not ((self.scores > 0) & (self.scores <= 1)).all():
             raise ValueError(f"expected scores above 0 and at most 1, got {self.scores}")
 
+    def rotated(self, angle_deg: float) -> Keypoints:
+        """The same rotated clockwise about the origin."""
+        angle = np.deg2rad(angle_deg)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return replace(self, positions=self.positions @ np.array([[cosine, sine], [-sine, cosine]]))
+
     def compare(self, points_normalised: NDArray[np.floating]) -> Agreement:
-        """Compare skeletons ``(K, 24, 2)`` in pixels of the normalised frame with the keypoints."""
+        """Compare skeletons ``(K, 24, 2)``, pixels of the normalised frame, with the keypoints."""
         points = np.asarray(points_normalised, np.float64)
-        own, own_pulls = self._compared(points)
-        exchanged, exchanged_pulls = self._compared(exchange_sides(points))
+        own, own_pulls = self._compare_sides(points)
+        exchanged, exchanged_pulls = self._compare_sides(exchange_sides(points))
         pulls = np.where((own >= exchanged)[:, None, None], own_pulls, exchanged_pulls)
         return Agreement(np.maximum(own, exchanged), own - exchanged, pulls)
 
-    def _compared(
+    def _compare_sides(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log likelihoods ``(K,)`` of the keypoints given skeletons as they are, and pulls."""
-        apart = self.positions - points[:, list(self.rows)]
-        squares = (apart**2).sum(axis=-1)
+        """Log likelihoods ``(K,)`` and pulls ``(K, P, 2)``, without exchanging sides."""
+        offsets = self.positions - points[:, list(self.rows)]
+        squares = (offsets**2).sum(axis=-1)
         mass = self.scores * np.exp(-squares / (2 * self.spread_px**2))
-        # Single precision, in which modes are interpolated, is slow on what it can hardly tell
-        # from nothing.
-        mass[mass < _LEAST_MASS] = 0
+        # Modes are interpolated in single precision, which is slow on denormal numbers.
+        mass[mass < _MIN_MASS] = 0
         trust = mass / (mass + DOUBT)
-        return np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1), trust[..., None] * apart
+        return np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1), trust[..., None] * offsets

@@ -1,4 +1,4 @@
-"""Many silhouettes in little memory: each is compressed by itself and unpacked when asked for."""
+"""Silhouettes in memory, each compressed separately and decompressed on demand."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from descriptor.silhouette import HEIGHT, WIDTH, unpack
 PACKED_BYTES = HEIGHT * WIDTH // 8
 
 _DICTIONARY_SILHOUETTES = 42
-"""As many as the 32 KiB that deflate can look back on hold."""
+"""As many as fit into the 32 KiB window of deflate."""
 
 _LEVEL = 6
 _RAW_DEFLATE = -15
-"""No header and no checksum: the artefact has a checksum of its own."""
+"""No header and no checksum, since the artefact has its own."""
 
 
 @dataclass(frozen=True)
 class Silhouettes:
-    """Normalised silhouettes, deflated one by one against a dictionary of some of them.
+    """Normalised silhouettes, deflated separately with a shared dictionary.
 
-    A sixth of the packed size, and any one is back in some microseconds.
+    A sixth of the packed size; decompressing a silhouette takes microseconds.
 
     Parameters
     ----------
     data : (B,) uint8 array
-        The deflated silhouettes, one after another.
+        The deflated silhouettes, concatenated.
     ends : (E,) int64 array
-        Where each ends in ``data``; ascending, the last is B.
+        End of each in ``data``; ascending, the last is B.
     dictionary : (D,) uint8 array
     """
 
@@ -49,7 +49,7 @@ class Silhouettes:
                     f"got {array.dtype} of shape {array.shape}"
                 )
         if len(self.ends) == 0 or (np.diff(self.ends, prepend=0) <= 0).any():
-            raise ValueError("expected silhouettes that end one after another")
+            raise ValueError("expected ascending ends of silhouettes")
         if self.ends[-1] != len(self.data):
             raise ValueError(f"expected {self.ends[-1]} bytes of silhouettes, got {len(self.data)}")
 
@@ -59,8 +59,8 @@ class Silhouettes:
         if bits.ndim != 2 or bits.shape[1] != PACKED_BYTES or len(bits) == 0:
             raise ValueError(f"expected silhouettes of shape (E, {PACKED_BYTES}), got {bits.shape}")
         columns = _by_columns(bits)
-        some = np.linspace(0, len(bits) - 1, min(len(bits), _DICTIONARY_SILHOUETTES)).astype(int)
-        dictionary = columns[some].ravel()
+        sample = np.linspace(0, len(bits) - 1, min(len(bits), _DICTIONARY_SILHOUETTES)).astype(int)
+        dictionary = columns[sample].ravel()
         fresh = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE, 9, zdict=dictionary.tobytes())
         parts = []
         for row in columns:
@@ -76,12 +76,12 @@ class Silhouettes:
         return len(self.ends)
 
     def take(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
-        """Some silhouettes, ``(B, 128, 48)`` uint8 of 0 and 1.
+        """Decompress silhouettes: ``(B, 128, 48)`` uint8 of 0 and 1.
 
         Raises
         ------
         IndexError
-            Where there is no such silhouette.
+            If there is no such silhouette.
         """
         dictionary = self.dictionary.tobytes()
         rows = np.empty((len(numbers), PACKED_BYTES), np.uint8)
@@ -98,7 +98,7 @@ class Silhouettes:
 
 
 def _by_columns(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Order the bytes of packed silhouettes down the columns, along which outlines run."""
+    """Reorder bytes column by column: most outlines are vertical, which compresses better."""
     return np.ascontiguousarray(bits.reshape(len(bits), HEIGHT, WIDTH // 8).swapaxes(1, 2)).reshape(
         bits.shape
     )

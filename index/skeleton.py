@@ -1,6 +1,6 @@
-"""The skeleton: its points, the keypoint sets a caller may ask for, and its camera.
+"""The skeleton: its points, the keypoint sets offered to callers, and the camera.
 
-Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, turned
+Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, rotated
 about the vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
 """
 
@@ -25,12 +25,12 @@ LIMBS = (
     "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
     "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
 )  # fmt: skip
-"""The 12 limb joints that references of real people know."""
+"""The 12 limb joints that annotations of photographs have as well."""
 
 FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 
 POINT_NAMES = JOINT_NAMES + FACE_NAMES
-"""Everything an index stores of a skeleton: 19 joints, then 5 points of the face."""
+"""The points that an index stores of a skeleton: 19 joints, then 5 points of the face."""
 
 JOINTS = len(JOINT_NAMES)
 POINTS = len(POINT_NAMES)
@@ -38,7 +38,7 @@ POINTS = len(POINT_NAMES)
 
 @dataclass(frozen=True)
 class KeypointSet:
-    """A named selection of the stored points, in the order a caller wants them.
+    """A named selection of the stored points, in its own order.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ _OTHER_SIDE = np.array(
 
 
 def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Skeletons ``(..., 24, D)`` with left and right exchanged; every point stays in its place."""
+    """Exchange the names left and right of skeletons ``(..., 24, D)``; no point moves."""
     return points.take(_OTHER_SIDE, axis=-2)
 
 
@@ -160,11 +160,11 @@ def camera_rotation(
     Parameters
     ----------
     azimuth_deg : float or (V,) array
-        0: the camera looks the person in the face; 90: it sees the person's left side.
+        0: in front of the person; 90: at the person's left side.
     elevation_deg : float or (V,) array
-        Height angle of the camera above the person.
+        Elevation of the camera above the horizontal.
     roll_deg : float or (V,) array
-        Turn about the optical axis; positive turns the picture clockwise.
+        Rotation about the optical axis; positive rotates the picture clockwise.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
     points : (..., P, 3) array
         Camera axes, metres, origin at the pelvis.
     distance : float or (...) array
-        From the camera to the pelvis, metres; more than any point's ``-z``.
+        From the camera to the pelvis, metres; greater than ``-z`` of every point.
 
     Returns
     -------
@@ -206,7 +206,7 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
     points = np.asarray(points, np.float64)
     depth = np.asarray(distance, np.float64)[..., None]
     nearer = depth / (depth + points[..., 2])
-    # NumPy is several times as slow on rows of two.
+    # Along axes of length two NumPy is several times slower.
     plane = np.empty((*nearer.shape, 2))
     for axis in range(2):
         np.multiply(points[..., axis], nearer, out=plane[..., axis])

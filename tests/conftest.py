@@ -23,6 +23,7 @@ from app.main import create_app
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
+from index.artefact import load_index, save_index
 from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
@@ -128,14 +129,14 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
 def index_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the tiny index."""
     path = tmp_path_factory.mktemp("index") / "sticks"
-    build_tiny_index().save(path)
+    save_index(build_tiny_index(), path)
     return path
 
 
 @pytest.fixture(scope="session")
 def tiny_index(index_path: Path) -> PoseIndex:
     """The tiny index, loaded."""
-    return PoseIndex.load(index_path)
+    return load_index(index_path)
 
 
 @dataclass(frozen=True)

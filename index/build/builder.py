@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from index.build.avatars import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
@@ -18,10 +19,19 @@ from index.build.calibrate import (
     run_trial,
 )
 from index.build.learn import learn_descriptor
-from index.build.motion import Segment, read_manifest
-from index.build.poses import Dropped, Poses, farthest_points, joints_of, read_poses
+from index.build.motion import MANIFESTS, Segment, read_manifest
+from index.build.poses import (
+    Dropped,
+    Poses,
+    farthest_points,
+    joints_of,
+    lay_down,
+    merged,
+    read_poses,
+)
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
+from index.posture import LOW, POSTURES, classify
 from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 
@@ -35,6 +45,31 @@ ATTRIBUTION = (
 STEPS = np.float32(8)
 """Descriptor values are stored in steps of 1/8, far below what noise does to them: the file
 then compresses to a quarter."""
+
+
+LOW_SHARE, LAID_DOWN_SHARE = 0.11, 0.20
+"""Shares of the poses that are in low postures, though few frames show them, and that were laid on
+the ground."""
+
+LAID_DOWN_TRIED = 12
+"""Poses laid down for each that is taken."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How many silhouettes are asked for.
+
+    Parameters
+    ----------
+    upright, near_ground : int
+        Frames of the clips of the first and of the other manifests.
+    laid_down : int
+        Frames of both, laid down.
+    """
+
+    upright: int = 2000
+    near_ground: int = 1000
+    laid_down: int = 600
 
 
 @dataclass(frozen=True)
@@ -52,15 +87,15 @@ class Plan:
     seed : int
     descriptor : str
         ``discriminant`` (learned here) or ``paper``.
-    calibration_queries : int
+    calibration : Asked
     """
 
-    entries: int = 120_000
+    entries: int = 138_000
     bodies: int = 1
     views: int = 12
     seed: int = 20161
     descriptor: str = "discriminant"
-    calibration_queries: int = 3_000
+    calibration: Asked = Asked(2400, 1200, 700)
 
     def __post_init__(self) -> None:
         if self.descriptor not in ("discriminant", "paper"):
@@ -87,12 +122,12 @@ def split_by_clip(
 ) -> tuple[list[Segment], list[Segment]]:
     """Segments to learn from and segments to ask, no clip in both.
 
-    Of every action with at least three clips each ``every``-th is held out, from ``position``
-    on in the order of their names.
+    Of every action of a manifest with at least three clips each ``every``-th is held out, from
+    ``position`` on in the order of their names.
     """
     held: set[str] = set()
-    for action in sorted({segment.action for segment in segments}):
-        clips = sorted({segment.clip for segment in segments if segment.action == action})
+    for group in sorted({(segment.manifest, segment.action) for segment in segments}):
+        clips = sorted({s.clip for s in segments if (s.manifest, s.action) == group})
         if len(clips) >= 3:
             held.update(clips[position::every])
     return (
@@ -101,19 +136,58 @@ def split_by_clip(
     )
 
 
-def choose_poses(poses: Poses, reference: Avatar, count: int) -> Poses:
-    """Choose the poses that cover all others best."""
-    features = joints_of(poses, reference).reshape(len(poses), -1)
-    return poses.take(farthest_points(features, count))
+def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Poses:
+    """Choose the poses that cover all others best, in groups of which each has its share.
+
+    Parameters
+    ----------
+    poses : Poses
+    reference : Avatar
+        On whose body poses are compared.
+    count : int
+    seed : int
+        Decides which poses are laid down, and on which side.
+    """
+    joints = joints_of(poses, reference)
+    low = np.isin(classify(joints, (0.0, 1.0, 0.0)), [POSTURES.index(name) for name in LOW])
+    laid_count = round(LAID_DOWN_SHARE * count)
+    laid = lay_down(poses, reference, LAID_DOWN_TRIED * laid_count, seed)
+    chosen = [_cover(laid, joints_of(laid, reference), laid_count)]
+    upright = poses.take(np.flatnonzero(~low))
+    # Where few stand, low postures take their places.
+    low_count = max(round(LOW_SHARE * count), count - len(chosen[0]) - len(upright))
+    chosen.append(_cover(poses.take(np.flatnonzero(low)), joints[low], low_count))
+    chosen.append(_cover(upright, joints[~low], count - sum(map(len, chosen))))
+    # Each beginning of the list holds the groups in their shares.
+    place = np.concatenate([(np.arange(len(part)) + 0.5) / max(len(part), 1) for part in chosen])
+    return merged(chosen).take(np.argsort(place, kind="stable"))
+
+
+def _cover(poses: Poses, joints: NDArray[np.floating], count: int) -> Poses:
+    if count <= 0 or len(poses) == 0:
+        return poses.take(np.arange(0))
+    return poses.take(farthest_points(joints.reshape(len(poses), -1), count))
 
 
 def simulate_queries(
-    motion: Path, segments: Sequence[Segment], avatars: Sequence[Avatar], count: int, seed: int
+    motion: Path, segments: Sequence[Segment], avatars: Sequence[Avatar], asked: Asked, seed: int
 ) -> Simulation:
     """Silhouettes to ask an index: frames spread evenly over segments, each from one view."""
     poses, _ = read_poses(motion, segments)
-    rows = np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int)
-    return simulate(poses.take(rows), avatars, bodies=1, views=1, seed=seed)
+    ground = {segment.clip for segment in segments if segment.manifest != MANIFESTS[0]}
+    near_ground = np.isin([clip.name for clip in poses.clips], list(ground))[poses.clip]
+    laid = lay_down(poses, avatars[0], 4 * asked.laid_down, seed)
+    parts = [
+        spread(poses.take(np.flatnonzero(~near_ground)), asked.upright),
+        spread(poses.take(np.flatnonzero(near_ground)), asked.near_ground),
+        spread(laid, asked.laid_down),
+    ]
+    return simulate(merged(parts), avatars, bodies=1, views=1, seed=seed)
+
+
+def spread(poses: Poses, count: int) -> Poses:
+    """Poses spread evenly over all."""
+    return poses.take(np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int))
 
 
 def assemble(
@@ -179,9 +253,15 @@ def build(
     avatars = make_avatars(INDEX_AVATARS, garments)
     if garments is None:
         say("No garments folder: the bodies are unclothed.")
-    chosen = choose_poses(poses, avatars[0], plan.poses)
+    chosen = choose_poses(poses, avatars[0], plan.poses, plan.seed)
     simulation = simulate(
-        chosen, avatars, bodies=plan.bodies, views=plan.views, seed=plan.seed, progress=progress
+        chosen,
+        avatars,
+        bodies=plan.bodies,
+        views=plan.views,
+        seed=plan.seed,
+        only_new=True,
+        progress=progress,
     )
     descriptor: Descriptor = DiagonalDescriptor()
     if plan.descriptor == "discriminant":
@@ -227,7 +307,7 @@ def _calibrate(
     inner = without_clips(simulation, kept_clips)
     index = assemble(inner, descriptor, Calibration.none(), {}, "calibration")
     avatars = make_avatars(CALIBRATION_AVATARS, garments)
-    simulated = simulate_queries(motion, held, avatars, plan.calibration_queries, plan.seed + 1)
+    simulated = simulate_queries(motion, held, avatars, plan.calibration, plan.seed + 1)
     queries = Queries.of(simulated).half_degraded(plan.seed + 1)
     trial = run_trial(index, queries, progress=progress)
     calibration = fit_calibration(trial)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,16 @@ from index.build.learn import view_joints
 from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
-from index.matching import match_with_features
+from index.matching import match
+from index.posture import POSTURES
+from index.rotations import rotate_clockwise
 from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
 
 HYPOTHESES = 7
+
+OWN_ROLL_DEG = 30.0
+"""Cameras roll less by themselves, and more for silhouettes that are wider than high."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +35,15 @@ class Queries:
     joints_2d : (Q, 19, 2) float array
         Pixels of the normalised frame.
     joints_3d : (Q, 19, 3) float array
-        Camera axes, metres, pelvis at the origin.
+        Axes of an upright camera, metres, pelvis at the origin.
+    roll_deg : (Q,) float array
+        Of the camera where it was rolled for a wide silhouette, else 0.
     """
 
     silhouettes: NDArray[np.uint8]
     joints_2d: NDArray[np.floating]
     joints_3d: NDArray[np.floating]
+    roll_deg: NDArray[np.floating]
 
     def __post_init__(self) -> None:
         count = len(self.silhouettes)
@@ -51,13 +59,20 @@ class Queries:
 
     def take(self, rows: NDArray[np.integer]) -> Queries:
         """Some of them."""
-        return Queries(self.silhouettes[rows], self.joints_2d[rows], self.joints_3d[rows])
+        return Queries(
+            self.silhouettes[rows], self.joints_2d[rows], self.joints_3d[rows], self.roll_deg[rows]
+        )
 
     @classmethod
     def of(cls, simulation: Simulation) -> Queries:
         """The silhouettes of a simulation as they are."""
         joints_3d, joints_2d = view_joints(simulation)
-        return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d)
+        roll_deg = simulation.entries["roll_deg"].astype(np.float64)
+        # A roll of a few degrees is the camera's own.
+        roll_deg = np.where(np.abs(roll_deg) > OWN_ROLL_DEG, roll_deg, 0.0)
+        for row in np.flatnonzero(roll_deg):
+            joints_3d[row] = rotate_clockwise(joints_3d[row], -roll_deg[row])
+        return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d, roll_deg)
 
     def degraded(self, seed: int) -> Queries:
         """The same as if they had been cut out of photographs; see :mod:`index.build.noise`."""
@@ -94,6 +109,8 @@ class Trial:
         the hips cannot tell them.
     error_m : (Q, N) float64 array
         Mean joint error in camera axes, pelvis on pelvis, metres.
+    postures : (Q, N) int64 array
+        Positions in :data:`index.posture.POSTURES`; -1 where there is no hypothesis.
     """
 
     features: NDArray[np.float64]
@@ -101,6 +118,11 @@ class Trial:
     joint_errors_px: NDArray[np.float64]
     twin_error_px: NDArray[np.float64]
     error_m: NDArray[np.float64]
+    postures: NDArray[np.int64]
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Trial:
+        """The answers to some queries."""
+        return Trial(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
     def error_px(self) -> NDArray[np.float64]:
@@ -131,20 +153,22 @@ def run_trial(
     confidence = np.zeros((len(queries), n))
     joint_errors_px = np.full((len(queries), n, JOINTS), np.inf)
     twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
+    postures = np.full((len(queries), n), -1)
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=not progress):
-        hypotheses, shown = match_with_features(index, queries.silhouettes[row], n)
-        hypotheses, shown = hypotheses[:n], shown[:n]
-        features[row, : len(hypotheses)] = shown
+        found = match(index, queries.silhouettes[row], n, roll_deg=float(queries.roll_deg[row]))
+        hypotheses = found.hypotheses[:n]
+        features[row, : len(hypotheses)] = found.features[:n]
         for rank, hypothesis in enumerate(hypotheses):
             twin = exchange_sides(hypothesis.points_normalised)
             apart_2d = hypothesis.points_normalised[:JOINTS] - queries.joints_2d[row]
             apart_twin = twin[:JOINTS] - queries.joints_2d[row]
             apart_3d = hypothesis.points_3d[:JOINTS] - queries.joints_3d[row]
             confidence[row, rank] = hypothesis.confidence
+            postures[row, rank] = POSTURES.index(hypothesis.posture)
             joint_errors_px[row, rank] = np.linalg.norm(apart_2d, axis=-1)
             twin_error_px[row, rank] = np.linalg.norm(apart_twin, axis=-1).mean()
             error_m[row, rank] = np.linalg.norm(apart_3d, axis=-1).mean()
-    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m)
+    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, postures)
 
 
 def fit_calibration(trial: Trial) -> Calibration:

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 ELEVATIONS_DEG = (-5.0, 60.0)
 """From a little below the pelvis to a steep surveillance view."""
 
+GROUND_ELEVATIONS_DEG = (5.0, 70.0)
+"""For bodies that lie or crawl."""
+
 DISTANCES_M = (3.0, 20.0)
 """From a room to a car park."""
 
@@ -19,7 +22,11 @@ VIEW_DTYPE = np.dtype(
 )
 
 
-def sample_views(count: int, generator: np.random.Generator) -> NDArray[np.void]:
+def sample_views(
+    count: int,
+    generator: np.random.Generator,
+    elevations_deg: tuple[float, float] = ELEVATIONS_DEG,
+) -> NDArray[np.void]:
     """Cameras spread over the hemisphere, each a little off its place.
 
     Azimuths are stratified, so that ``count`` views of one pose surround it. Elevations crowd
@@ -33,7 +40,7 @@ def sample_views(count: int, generator: np.random.Generator) -> NDArray[np.void]
     views = np.zeros(count, VIEW_DTYPE)
     strata = (np.arange(count) + generator.random(count)) / count
     views["azimuth_deg"] = (360.0 * (strata + generator.random())) % 360.0
-    low, high = ELEVATIONS_DEG
+    low, high = elevations_deg
     # Stratified as well, in an order of its own; the power crowds them towards eye level.
     heights = generator.permutation((np.arange(count) + generator.random(count)) / count)
     views["elevation_deg"] = low + (high - low) * heights**1.8

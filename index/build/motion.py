@@ -24,6 +24,18 @@ JUMP_ABOVE_DEG = 45.0
 
 JUMP_RATIO = 4.0
 
+METRES_PER_UNIT = 0.05644
+"""CMU's unit of length."""
+
+SPEED_WINDOW = 7
+"""Frames before and after over which speed is measured: half a second at 30 fps."""
+
+MANIFESTS = ("manifest.csv", "manifest-ground.csv")
+"""The second one, of people near the ground, may be missing."""
+
+RENAMED = {"get-up": "get-up-or-fall"}
+"""A single frame does not tell its direction: getting up played backwards is a fall."""
+
 SHORT_RUN = 8
 """Frames between two jumps that are as broken as the jumps: a bone flipped and flipped back."""
 
@@ -37,13 +49,14 @@ class MotionError(ValueError):
 
 @dataclass(frozen=True)
 class Segment:
-    """A labelled piece of a clip, as ``manifest.csv`` cuts it; ``end`` is exclusive."""
+    """A labelled piece of a clip, as a manifest cuts it; ``end`` is exclusive."""
 
     clip: str
     subject: str
     action: str
     start: int
     end: int
+    manifest: str = MANIFESTS[0]
 
 
 @dataclass(frozen=True)
@@ -64,6 +77,8 @@ class Clip:
         own, or its end site.
     rotations : (F, B, 3, 3) float64 array
         World rotation of each bone against the zero pose.
+    speeds : (F,) float64 array
+        Horizontal speed of the pelvis, metres per second.
     broken : (F,) bool array
         Frames that hold a T-pose or a jump.
     t_poses, jumps : int
@@ -76,20 +91,27 @@ class Clip:
     offsets: NDArray[np.float64]
     tips: NDArray[np.float64]
     rotations: NDArray[np.float64]
+    speeds: NDArray[np.float64]
     broken: NDArray[np.bool_]
     t_poses: int
     jumps: int
 
 
 def read_manifest(folder: Path) -> list[Segment]:
-    """Read the segments that ``manifest.csv`` in a motion folder lists.
+    """Read the segments that the manifests of a motion folder list.
 
     Raises
     ------
     MotionError
-        If the folder or the manifest is missing, empty, or a line of it is malformed.
+        If the folder or its first manifest is missing, or a manifest is empty or a line of it
+        malformed.
     """
-    file = Path(folder) / "manifest.csv"
+    first, *others = (Path(folder) / name for name in MANIFESTS)
+    files = [first, *(file for file in others if file.exists())]
+    return [segment for file in files for segment in _read_segments(file)]
+
+
+def _read_segments(file: Path) -> list[Segment]:
     try:
         with file.open(newline="", encoding="utf-8") as lines:
             table = csv.DictReader(lines)
@@ -104,9 +126,10 @@ def read_manifest(folder: Path) -> list[Segment]:
             segment = Segment(
                 row["clip"],
                 row["subject"],
-                row["action"],
+                RENAMED.get(row["action"], row["action"]),
                 int(row["start_frame"]),
                 int(row["end_frame"]),
+                file.name,
             )
             if not (segment.clip and segment.action and 0 <= segment.start < segment.end):
                 raise ValueError("empty clip or action, or start_frame not before end_frame")
@@ -158,10 +181,21 @@ def read_clip(file: Path) -> Clip:
         offsets=np.array([node.offset for node in nodes], np.float64),
         tips=np.array([_tip(node) for node in nodes], np.float64),
         rotations=rotations,
+        speeds=_speeds(bvh.root_pos, bvh.frame_time),
         broken=t_pose | jump,
         t_poses=int(t_pose.sum()),
         jumps=int(jump.sum()),
     )
+
+
+def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.float64]:
+    """Horizontal speed ``(F,)`` of a path ``(F, 3)`` in file units, y up."""
+    frames = np.arange(len(positions))
+    start = np.maximum(frames - SPEED_WINDOW, 0)
+    end = np.minimum(frames + SPEED_WINDOW, len(positions) - 1)
+    path = METRES_PER_UNIT * np.asarray(positions)[:, (0, 2)]
+    lengths = np.linalg.norm(path[end] - path[start], axis=1)
+    return np.asarray(lengths / (np.maximum(end - start, 1) * frame_time_s))
 
 
 def _tip(node: pybvh.bvhnode.BvhNode) -> NDArray[np.float64]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from index.build.body import Avatar, pose_transforms, posed_points, retarget, turned_to_front
+from index.build.heads import with_level_heads
+from index.build.lying import SIDES, TRUNK_BELOW_M, laid_down, side_of
 from index.build.motion import Clip, MotionError, Segment, read_clip
-from index.skeleton import JOINTS
+from index.posture import POSTURES, classify
+from index.skeleton import JOINT_NAMES, JOINTS
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,9 @@ class Poses:
     actions : tuple of str
     action : (P,) int array
         Position in ``actions``.
+    lying_deg : (P,) float array
+        Turn about the body's long axis of poses laid down, see
+        :func:`index.build.lying.laid_down`; NaN for those that stay as they were recorded.
     """
 
     clips: tuple[Clip, ...]
@@ -35,18 +41,33 @@ class Poses:
     frame: NDArray[np.int64]
     actions: tuple[str, ...]
     action: NDArray[np.int64]
+    lying_deg: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def take(self, rows: NDArray[np.integer]) -> Poses:
         """Return the poses of some rows."""
-        return Poses(self.clips, self.clip[rows], self.frame[rows], self.actions, self.action[rows])
+        return replace(
+            self,
+            clip=self.clip[rows],
+            frame=self.frame[rows],
+            action=self.action[rows],
+            lying_deg=self.lying_deg[rows],
+        )
 
-    def rotations(self, row: int) -> NDArray[np.float64]:
-        """World rotations ``(1, B, 3, 3)`` of the clip's bones in one pose."""
-        clip = self.clips[self.clip[row]]
-        return turned_to_front(clip.rotations[self.frame[row]][None])
+    def rotations(self, rows: NDArray[np.integer]) -> NDArray[np.float64]:
+        """World rotations ``(R, B, 3, 3)`` of the bones in poses that are of one clip."""
+        clip = self.clips[self.clip[rows[0]]]
+        recorded = turned_to_front(clip.rotations[self.frame[rows]])
+        return laid_down(recorded, self.lying_deg[rows])
+
+    def speeds(self) -> NDArray[np.float64]:
+        """Horizontal speed of the pelvis ``(P,)``, metres per second; 0 where laid down."""
+        speeds = np.array(
+            [self.clips[c].speeds[f] for c, f in zip(self.clip, self.frame, strict=True)]
+        )
+        return np.where(np.isnan(self.lying_deg), speeds, 0.0)
 
 
 @dataclass(frozen=True)
@@ -68,7 +89,11 @@ def read_poses(motion: Path, segments: Sequence[Segment]) -> tuple[Poses, Droppe
     if not segments:
         raise MotionError("expected at least one segment of motion, got none")
     names = sorted({segment.clip for segment in segments})
-    clips = tuple(read_clip(Path(motion) / "bvh" / f"{name}.bvh") for name in names)
+    subjects = {segment.clip: segment.subject for segment in segments}
+    clips = with_level_heads(
+        [read_clip(Path(motion) / "bvh" / f"{name}.bvh") for name in names],
+        [subjects[name] for name in names],
+    )
     actions = tuple(sorted({segment.action for segment in segments}))
     wanted = {
         name: np.full(len(clip.rotations), -1) for name, clip in zip(names, clips, strict=True)
@@ -90,7 +115,8 @@ def read_poses(motion: Path, segments: Sequence[Segment]) -> tuple[Poses, Droppe
     clip_rows, frames, action_rows = (
         np.array(column, np.int64) for column in zip(*rows, strict=True)
     )
-    poses = Poses(clips, clip_rows, frames, actions, action_rows)
+    recorded = np.full(len(frames), np.nan)
+    poses = Poses(clips, clip_rows, frames, actions, action_rows, recorded)
     return poses, Dropped(sum(clip.t_poses for clip in clips), sum(clip.jumps for clip in clips))
 
 
@@ -101,10 +127,59 @@ def joints_of(poses: Poses, avatar: Avatar) -> NDArray[np.float32]:
         rows = np.flatnonzero(poses.clip == number)
         if len(rows) == 0:
             continue
-        turned = turned_to_front(clip.rotations[poses.frame[rows]])
-        transforms = pose_transforms(avatar, retarget(clip, avatar), turned)
+        transforms = pose_transforms(avatar, retarget(clip, avatar), poses.rotations(rows))
         joints[rows] = posed_points(avatar, transforms)[:, :JOINTS]
     return joints
+
+
+def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
+    """Lay some poses on the ground, each turned about the body's long axis by chance.
+
+    Only poses come out whose trunk then lies on the ground rather than on the limbs.
+
+    Parameters
+    ----------
+    poses : Poses
+    avatar : Avatar
+        Whose body is laid down.
+    count : int
+        How many poses are tried.
+    seed : int
+
+    Returns
+    -------
+    Poses
+        Their actions are called ``lie-on-...``.
+    """
+    generator = np.random.default_rng(seed)
+    tried = poses.take(np.sort(generator.permutation(len(poses))[:count]))
+    lying_deg = generator.uniform(0.0, 360.0, len(tried))
+    actions = tuple(f"lie-on-{side}" for side in SIDES)
+    laid = replace(
+        tried,
+        actions=(*tried.actions, *actions),
+        action=np.array(
+            [len(tried.actions) + SIDES.index(side_of(a)) for a in lying_deg], np.int64
+        ),
+        lying_deg=lying_deg,
+    )
+    joints = joints_of(laid, avatar)
+    heights = joints[..., 1] - joints[..., 1].min(axis=1, keepdims=True)
+    trunk = heights[:, [JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("chest")]].max(axis=1)
+    lies = classify(joints, (0.0, 1.0, 0.0)) == POSTURES.index("lying")
+    return laid.take(np.flatnonzero(lies & (trunk < TRUNK_BELOW_M)))
+
+
+def merged(parts: Sequence[Poses]) -> Poses:
+    """Put poses of the same clips together; actions are those of the part with most."""
+    first = max(parts, key=lambda part: len(part.actions))
+    return replace(
+        first,
+        clip=np.concatenate([part.clip for part in parts]),
+        frame=np.concatenate([part.frame for part in parts]),
+        action=np.concatenate([part.action for part in parts]),
+        lying_deg=np.concatenate([part.lying_deg for part in parts]),
+    )
 
 
 def farthest_points(features: NDArray[np.floating], count: int) -> NDArray[np.int64]:

@@ -12,16 +12,24 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor
-from descriptor.silhouette import HEIGHT, WIDTH, pack, unpack
+from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg, unpack
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
-from index.build.camera import sample_views
+from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
 from index.build.poses import Poses
 from index.build.render import render, skin
-from index.skeleton import POINTS, camera_rotation
+from index.posture import POSTURES, classify
+from index.skeleton import JOINT_NAMES, POINTS, camera_rotation
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 
 BLOCK = 4096
 """Silhouettes unpacked and described at a time."""
+
+FORESHORTENED_OF = 2
+"""Cameras sampled for each that looks at a pose laid down: who lies across the picture looks as
+somebody who stands."""
+
+_NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
+_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -73,6 +81,7 @@ def simulate(
     bodies: int,
     views: int,
     seed: int,
+    only_new: bool = False,
     progress: bool = False,
 ) -> Simulation:
     """Render every pose on some bodies from some views.
@@ -88,6 +97,8 @@ def simulate(
         Views per pose and body.
     seed : int
         The same seed, poses and avatars give the same bytes, on any number of cores.
+    only_new : bool
+        Whether poses laid down are left out where standing ones look the same: seen across.
     progress : bool
         Whether to draw a progress bar.
 
@@ -112,28 +123,34 @@ def simulate(
     entries = np.zeros(count * views, ENTRY_DTYPE)
     skeletons = np.empty((count, POINTS, 3), np.float16)
     labels = np.zeros(count, SKELETON_DTYPE)
+    speeds = poses.speeds()
 
     def one(skeleton: int) -> None:
         row, body = skeleton // bodies, int(cast[skeleton])
         avatar, clip = avatars[body], int(poses.clip[row])
-        transforms = pose_transforms(avatar, retargeting[clip, body], poses.rotations(row))
-        skeletons[skeleton] = posed_points(avatar, transforms)[0]
-        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row])
+        rotations = poses.rotations(np.array([row]))
+        transforms = pose_transforms(avatar, retargeting[clip, body], rotations)
+        points = posed_points(avatar, transforms)
+        near_ground = classify(points, _UP)[0] in _NEAR_GROUND
+        skeletons[skeleton] = points[0]
+        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row], speeds[row])
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, transforms[0].astype(np.float32)
         )
-        cameras = sample_views(views, np.random.default_rng(seeds[skeleton]))
-        rotations = camera_rotation(
-            cameras["azimuth_deg"], cameras["elevation_deg"], cameras["roll_deg"]
-        ).astype(np.float32)
+        laid_down = not np.isnan(poses.lying_deg[row])
+        cameras = sample_views(
+            (FORESHORTENED_OF if laid_down and only_new else 1) * views,
+            np.random.default_rng(seeds[skeleton]),
+            GROUND_ELEVATIONS_DEG if near_ground else ELEVATIONS_DEG,
+        )
+        if laid_down and only_new:
+            cameras = most_foreshortened(cameras, points[0], views)
         silhouettes = np.empty((views, HEIGHT, WIDTH), np.uint8)
         first = skeleton * views
         for view, camera in enumerate(cameras):
-            placed = render(
-                vertices, avatar.triangles, avatar.closed, rotations[view],
-                float(camera["distance"]), silhouettes[view],
+            entries[first + view] = (
+                skeleton, *_draw(avatar, vertices, points[0], camera, silhouettes[view])
             )  # fmt: skip
-            entries[first + view] = (skeleton, *camera.tolist(), *placed)
         bits[first : first + views] = pack(silhouettes)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -144,3 +161,41 @@ def simulate(
         bits, entries, skeletons, labels,
         tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
     )  # fmt: skip
+
+
+def most_foreshortened(
+    cameras: NDArray[np.void], points: NDArray[np.float64], count: int
+) -> NDArray[np.void]:
+    """The ``count`` cameras that look most along the trunk of a body ``(24, 3)``."""
+    trunk = points[JOINT_NAMES.index("neck")] - points[JOINT_NAMES.index("pelvis")]
+    rotations = camera_rotation(cameras["azimuth_deg"], cameras["elevation_deg"])
+    along = np.abs(rotations[:, 2] @ trunk)
+    return cameras[np.sort(np.argsort(-along, kind="stable")[:count])]
+
+
+def _draw(
+    avatar: Avatar,
+    vertices: NDArray[np.float32],
+    points: NDArray[np.float64],
+    camera: np.void,
+    silhouette: NDArray[np.uint8],
+) -> tuple[float, ...]:
+    """Draw one view; return its camera, rolled where the body is wide, and the placement."""
+    azimuth_deg, elevation_deg, roll_deg, distance = camera.tolist()
+
+    def placed() -> tuple[float, ...]:
+        rotation = camera_rotation(azimuth_deg, elevation_deg, roll_deg).astype(np.float32)
+        return tuple(
+            render(vertices, avatar.triangles, avatar.closed, rotation, distance, silhouette)
+        )
+
+    placement = placed()
+    if is_wide(silhouette):
+        axis_deg = principal_axis_deg(silhouette)
+        body = points[[JOINT_NAMES.index("head"), JOINT_NAMES.index("pelvis")]]
+        rolls = [roll_deg - axis_deg, roll_deg - axis_deg + 180.0]
+        upright = camera_rotation(azimuth_deg, elevation_deg, np.array(rolls))
+        head_down, pelvis_down = (body @ upright.swapaxes(1, 2))[..., 1].T
+        roll_deg = (rolls[int((head_down - pelvis_down).argmin())] + 180.0) % 360.0 - 180.0
+        placement = placed()
+    return azimuth_deg, elevation_deg, roll_deg, distance, *placement

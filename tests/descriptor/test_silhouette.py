@@ -7,12 +7,21 @@ import tracemalloc
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from descriptor.silhouette import HEIGHT, WIDTH, Placement, normalise, pack, unpack
+from descriptor.silhouette import (
+    HEIGHT,
+    WIDTH,
+    Placement,
+    is_wide,
+    normalise,
+    pack,
+    principal_axis_deg,
+    unpack,
+)
 
 Mask = NDArray[np.uint8]
 
@@ -232,3 +241,69 @@ def test_pack_round_trip(seed: int, count: int) -> None:
     bits = pack(silhouettes)
     assert bits.shape == (count, HEIGHT * WIDTH // 8)
     assert_array_equal(unpack(bits), silhouettes)
+
+
+def ellipse(angle_deg: float, long: int = 60, short: int = 20) -> Mask:
+    """An ellipse that stands, rotated clockwise."""
+    mask = np.zeros((160, 160), np.uint8)
+    # OpenCV measures from the horizontal, clockwise.
+    cv2.ellipse(mask, (80, 80), (long, short), angle_deg + 90, 0, 360, 1, -1)
+    return mask
+
+
+def apart_deg(one: float, other: float) -> float:
+    """Between axes, which have no direction."""
+    return abs((one - other + 90) % 180 - 90)
+
+
+def has_axis(mask: Mask) -> bool:
+    """Whether a mask is longer one way than the other, beyond rounding."""
+    short, long = np.linalg.eigvalsh(np.cov(np.nonzero(mask), bias=True))
+    return bool(long - short > 1e-6)
+
+
+@settings(deadline=None)
+@given(angle=st.integers(-90, 90), short=st.integers(5, 40))
+def test_principal_axis_of_an_ellipse_is_its_long_axis(angle: int, short: int) -> None:
+    found = principal_axis_deg(ellipse(angle, short=short))
+    assert -90 <= found <= 90
+    assert apart_deg(found, angle) < 1.0
+
+
+@given(mask=masks())
+def test_principal_axis_is_mirrored_with_the_mask(mask: Mask) -> None:
+    assume(has_axis(mask))
+    ours, theirs = principal_axis_deg(mask), principal_axis_deg(mask[:, ::-1])
+    assert apart_deg(ours, -theirs) == pytest.approx(0, abs=1e-6)
+
+
+@given(mask=masks(), top=st.integers(0, 9), left=st.integers(0, 9))
+def test_principal_axis_ignores_translation_and_scale(mask: Mask, top: int, left: int) -> None:
+    assume(has_axis(mask))
+    moved = np.pad(mask, ((top, 3), (left, 5)))
+    assert apart_deg(principal_axis_deg(moved), principal_axis_deg(mask)) < 1e-6
+    person = smooth_person(100)
+    large = np.kron(person, np.ones((2, 2), np.uint8))
+    assert principal_axis_deg(large) == pytest.approx(principal_axis_deg(person), abs=0.05)
+
+
+@pytest.mark.parametrize("times", [0, 1, 2, 3])
+def test_principal_axis_turns_with_the_mask(times: int) -> None:
+    person = smooth_person(120)
+    person[40:50, 70:110] = 1
+    upright = principal_axis_deg(person)
+    assert 1 < abs(upright) < 30
+    assert apart_deg(principal_axis_deg(np.rot90(person, times)), upright - 90 * times) < 1e-6
+
+
+def test_principal_axis_of_a_single_pixel_is_an_angle() -> None:
+    assert -90 <= principal_axis_deg(np.ones((1, 1))) <= 90
+
+
+@given(mask=masks())
+def test_wide_is_wider_than_high(mask: Mask) -> None:
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    width, height = (int(np.ptp(places)) + 1 for places in (columns, rows))
+    assert is_wide(mask) == (width > height)
+    assert is_wide(np.pad(255 * mask, 4)) == is_wide(mask[::-1, ::-1]) == is_wide(mask)
+    assert is_wide(mask.T) == (height > width)

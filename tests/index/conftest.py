@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.body import INFLUENCES, Avatar
 from index.build.motion import Segment
-from index.build.poses import Poses, read_poses
+from index.build.poses import Poses, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
@@ -64,8 +64,11 @@ Angles = dict[str, tuple[float, float, float]]
 """Degrees about z, y and x by bone; bones left out stay in the zero pose."""
 
 
-def bvh_text(frames: Sequence[Angles]) -> str:
-    """A BVH file of the skeleton, rotation order ZYX, 30 frames a second."""
+def bvh_text(frames: Sequence[Angles], step: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> str:
+    """A BVH file of the skeleton, rotation order ZYX, 30 frames a second.
+
+    The pelvis moves by ``step`` a frame, in file units.
+    """
 
     def joint(name: str, depth: int) -> list[str]:
         offset = next(o for n, _, o in SKELETON if n == name)
@@ -86,9 +89,14 @@ def bvh_text(frames: Sequence[Angles]) -> str:
     order = [line.split()[1] for line in joint("Hips", 0) if line.split()[0] in ("ROOT", "JOINT")]
     rows = [
         " ".join(
-            ["0 0 0", *(f"{v:.5f}" for name in order for v in frame.get(name, (0.0, 0.0, 0.0)))]
+            f"{v:.5f}"
+            for values in (
+                tuple(number * s for s in step),
+                *(frame.get(name, (0.0, 0.0, 0.0)) for name in order),
+            )
+            for v in values
         )
-        for frame in frames
+        for number, frame in enumerate(frames)
     ]
     motion = ["MOTION", f"Frames: {len(frames)}", "Frame Time: 0.0333333", *rows]
     return "\n".join(["HIERARCHY", *joint("Hips", 0), *motion, ""])
@@ -118,12 +126,14 @@ def walk(frames: int, lift: float = 0.0) -> list[Angles]:
 
 
 @pytest.fixture(scope="session")
-def write_clip() -> Callable[[Path, Sequence[Angles]], Path]:
+def write_clip() -> Callable[..., Path]:
     """Writes a clip and makes its folder."""
 
-    def write(file: Path, frames: Sequence[Angles]) -> Path:
+    def write(
+        file: Path, frames: Sequence[Angles], step: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(bvh_text(frames))
+        file.write_text(bvh_text(frames, step))
         return file
 
     return write
@@ -264,6 +274,26 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
 def toy_index(simulation: Simulation) -> PoseIndex:
     """An index of 576 silhouettes of box bodies."""
     return index_of(simulation)
+
+
+@pytest.fixture(scope="session")
+def laid(poses: Poses, avatars: list[Avatar]) -> Poses:
+    """The poses that lie well enough, laid down."""
+    return lay_down(poses, avatars[0], len(poses), seed=0)
+
+
+@pytest.fixture(scope="session")
+def ground_simulation(poses: Poses, laid: Poses, avatars: list[Avatar]) -> Simulation:
+    """Every fourth pose as recorded, then those laid down; twelve views each."""
+    return simulate(
+        merged([poses.take(np.arange(0, len(poses), 4)), laid]), avatars, bodies=1, views=12, seed=8
+    )
+
+
+@pytest.fixture(scope="session")
+def ground_index(ground_simulation: Simulation) -> PoseIndex:
+    """An index of box bodies of which most lie: wide ones were rolled."""
+    return index_of(ground_simulation, "ground")
 
 
 @pytest.fixture(scope="session")

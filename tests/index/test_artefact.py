@@ -1,92 +1,298 @@
-"""Files of an artefact: what is read is what was written, whoever else reads."""
+"""The artefact: the same on disk as in memory, or refused in one sentence."""
 
 from __future__ import annotations
 
-import gc
+import dataclasses
 import hashlib
+import json
 import lzma
+import os
+import signal
+import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 
+import faiss
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from numpy.typing import NDArray
 
-from index.artefact import ArtefactError, npy_bytes, read_array
-from index.store import ENTRY_DTYPE
+from descriptor.descriptor import DiscriminantDescriptor
+from index import artefact, folders
+from index.artefact import load_index, save_index
+from index.store import PoseIndex
+from index.verified_files import ArtefactError, npy_bytes
 
-
-def written(folder: Path, array: NDArray[np.generic], *, compressed: bool) -> tuple[Path, str]:
-    content = npy_bytes(array)
-    file = folder / ("array.npy.xz" if compressed else "array.npy")
-    file.write_bytes(lzma.compress(content) if compressed else content)
-    return file, hashlib.sha256(content).hexdigest()
-
-
-@pytest.mark.parametrize("compressed", [True, False])
-@pytest.mark.parametrize(
-    "array",
-    [
-        np.arange(600_000, dtype=np.float32).reshape(2, 3, -1),
-        np.zeros(7, ENTRY_DTYPE),
-        np.empty((0, 5), np.uint8),
-        np.array(3.5),
-    ],
-    ids=["larger than a chunk", "records", "empty", "scalar"],
-)
-def test_round_trip(tmp_path: Path, array: NDArray[np.generic], compressed: bool) -> None:
-    read = read_array(*written(tmp_path, array, compressed=compressed))
-    assert read.dtype == array.dtype and read.shape == array.shape
-    assert_array_equal(read, array)
-
-
-@pytest.mark.parametrize(
-    ("array", "told"),
-    [
-        (np.arange(6.0).reshape(2, 3).T, "C order"),
-        (np.zeros(1, [("x" * 70_000, "<f4")]), "version 1.0"),
-    ],
-)
-def test_other_arrays_are_refused(
-    tmp_path: Path, array: NDArray[np.generic], told: str, recwarn: pytest.WarningsRecorder
-) -> None:
-    with pytest.raises(ArtefactError, match=told):
-        read_array(*written(tmp_path, array, compressed=False))
-
-
-def test_fewer_values_than_the_header_says(tmp_path: Path) -> None:
-    file, _ = written(tmp_path, np.arange(10, dtype=np.uint8), compressed=False)
-    content = file.read_bytes()[:-4]
-    file.write_bytes(content)
-    with pytest.raises(ArtefactError, match="expected 10 bytes of values, got 6"):
-        read_array(file, hashlib.sha256(content).hexdigest())
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def threads_take_turns_often() -> Iterator[None]:
-    """Have threads change in the middle of whatever allocates memory."""
-
-    def pause(*_: object) -> None:
-        time.sleep(1e-5)
-
-    interval, threshold = sys.getswitchinterval(), gc.get_threshold()
-    sys.setswitchinterval(1e-6)
-    gc.set_threshold(20)
-    gc.callbacks.append(pause)
-    yield
-    gc.callbacks.remove(pause)
-    gc.set_threshold(*threshold)
-    sys.setswitchinterval(interval)
+def saved(toy_index: PoseIndex, tmp_path: Path) -> Path:
+    folder = tmp_path / "artefact"
+    save_index(toy_index, folder)
+    return folder
 
 
-@pytest.mark.usefixtures("threads_take_turns_often")
-def test_many_threads_read_at_once(tmp_path: Path) -> None:
-    array = np.arange(32, dtype=np.uint8)
-    file, sha256 = written(tmp_path, array, compressed=False)
-    with ThreadPoolExecutor(8) as pool:
-        for read in pool.map(lambda _: read_array(file, sha256), range(100)):
-            assert_array_equal(read, array)
+def contents(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def seal(folder: Path, change: Callable[[dict[str, object]], object]) -> None:
+    """Change the manifest and give it the content hash that fits."""
+    file = folder / "manifest.json"
+    manifest = json.loads(file.read_text())
+    change(manifest)
+    manifest["version"] = artefact._version(manifest)
+    file.write_text(json.dumps(manifest))
+
+
+class TestRoundTrip:
+    def test_loads_what_was_saved(self, toy_index: PoseIndex, saved: Path) -> None:
+        back = load_index(saved)
+        assert back.version.startswith("sha256:")
+        for field in ("name", "clips", "subjects", "actions", "parameters", "descriptor"):
+            assert getattr(back, field) == getattr(toy_index, field)
+        for field in ("vectors", "entries", "skeletons", "skeleton_labels"):
+            assert_array_equal(getattr(back, field), getattr(toy_index, field))
+        everything = np.arange(len(toy_index))
+        assert_array_equal(back.silhouettes(everything), toy_index.silhouettes(everything))
+
+    def test_learned_descriptors_travel_with_the_index(
+        self, toy_index: PoseIndex, tmp_path: Path
+    ) -> None:
+        projection = np.random.default_rng(0).normal(size=(6, 28, 14)).astype(np.float32)
+        projection[:4, :, 1::2] = 0
+        projection[4:, :, 0::2] = 0
+        learned = DiscriminantDescriptor(projection.reshape(6, -1))
+        silhouettes = toy_index.silhouettes(np.arange(len(toy_index)))
+        index = dataclasses.replace(
+            toy_index, descriptor=learned, vectors=learned.describe(silhouettes)
+        )
+        save_index(index, tmp_path / "learned")
+        back = load_index(tmp_path / "learned")
+        assert_array_equal(back.descriptor.describe(silhouettes), index.vectors)
+        assert_array_equal(back.descriptor.mirror(index.vectors), learned.mirror(index.vectors))
+
+    def test_same_index_twice_gives_the_same_bytes(
+        self, toy_index: PoseIndex, saved: Path, tmp_path: Path
+    ) -> None:
+        version = save_index(toy_index, tmp_path / "again")
+        assert contents(tmp_path / "again") == contents(saved)
+        assert load_index(saved).version == version
+
+    def test_saving_a_loaded_index_gives_the_same_bytes(self, saved: Path, tmp_path: Path) -> None:
+        save_index(load_index(saved), tmp_path / "copy")
+        assert contents(tmp_path / "copy") == contents(saved)
+
+    @pytest.mark.parametrize("field", ["name", "parameters", "vectors", "skeletons", "actions"])
+    def test_any_change_of_content_changes_the_version(
+        self, toy_index: PoseIndex, tmp_path: Path, field: str
+    ) -> None:
+        changed = {
+            "name": "other",
+            "parameters": {**toy_index.parameters, "seed": 8},
+            "vectors": toy_index.vectors + np.float32(1e-3),
+            "skeletons": toy_index.skeletons + np.float16(0.01),
+            "actions": tuple(reversed(toy_index.actions)),
+        }[field]
+        other = dataclasses.replace(toy_index, **{field: changed})
+        assert save_index(other, tmp_path / "b") != save_index(toy_index, tmp_path / "a")
+
+    def test_replaces_an_older_artefact_whole(self, toy_index: PoseIndex, saved: Path) -> None:
+        (saved / "left-over").write_text("from another format")
+        save_index(dataclasses.replace(toy_index, name="newer"), saved)
+        assert load_index(saved).name == "newer"
+        assert not (saved / "left-over").exists()
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+
+class TestFailedSave:
+    def test_leaves_nothing_behind(
+        self, toy_index: PoseIndex, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(Path, "write_text", _full_disk)
+        with pytest.raises(OSError, match="No space left"):
+            save_index(toy_index, tmp_path / "artefact")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_keeps_the_old_artefact(
+        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = contents(saved)
+        monkeypatch.setattr(Path, "write_bytes", _full_disk)
+        with pytest.raises(OSError, match="No space left"):
+            save_index(dataclasses.replace(toy_index, name="newer"), saved)
+        assert contents(saved) == before
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_keeps_the_old_artefact_when_the_last_rename_fails(
+        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = contents(saved)
+        rename = Path.rename
+        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
+
+        def fail_for_the_new(self: Path, target: Path) -> Path:
+            if target == saved and self.parent == saved.parent:
+                raise OSError(5, "Input/output error")
+            return rename(self, target)
+
+        monkeypatch.setattr(Path, "rename", fail_for_the_new)
+        with pytest.raises(OSError, match="Input/output error"):
+            save_index(dataclasses.replace(toy_index, name="newer"), saved)
+        assert contents(saved) == before
+
+    def test_killed_while_writing_keeps_the_old_artefact(
+        self, toy_index: PoseIndex, saved: Path
+    ) -> None:
+        # The manifest is written last: the process dies with every other file in place.
+        script = f"""
+import dataclasses, os, pathlib, signal
+from index.artefact import load_index, save_index
+index = load_index({str(saved)!r})
+pathlib.Path.write_text = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
+"""
+        before = contents(saved)
+        ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False)
+        assert ended.returncode == -signal.SIGKILL
+        assert contents(saved) == before
+        save_index(dataclasses.replace(toy_index, name="newer"), saved)
+        assert load_index(saved).name == "newer"
+        # What the killed one left is gone too.
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_folders_that_cannot_be_exchanged_are_replaced_in_two_steps(
+        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
+        save_index(dataclasses.replace(toy_index, name="newer"), saved)
+        assert load_index(saved).name == "newer"
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_another_save_that_is_under_way_keeps_its_files(
+        self, toy_index: PoseIndex, saved: Path
+    ) -> None:
+        staging = saved.parent / f".{saved.name}-other"
+        staging.mkdir()
+        held = folders.lock(staging)
+        save_index(toy_index, saved)
+        assert staging.exists()
+        assert held is not None
+        os.close(held)
+        save_index(toy_index, saved)
+        assert not staging.exists()
+
+
+def _full_disk(*_: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+class TestRefusal:
+    """One sentence that names the file and the fault."""
+
+    def refused(self, folder: Path) -> str:
+        with pytest.raises(ArtefactError) as caught:
+            load_index(folder)
+        message = str(caught.value)
+        assert str(folder) in message
+        assert "\n" not in message
+        return message
+
+    def test_missing_folder(self, tmp_path: Path) -> None:
+        assert "there is no index at" in self.refused(tmp_path / "nowhere")
+
+    def test_folder_without_manifest(self, tmp_path: Path) -> None:
+        assert "manifest.json is missing" in self.refused(tmp_path)
+
+    def test_every_file_truncated(self, saved: Path) -> None:
+        for file in sorted(saved.glob("*.*")):
+            whole = file.read_bytes()
+            file.write_bytes(whole[: len(whole) // 2])
+            message = self.refused(saved)
+            assert file.name in message
+            assert "unreadable" in message or "truncated" in message
+            file.write_bytes(whole)
+        load_index(saved)
+
+    def test_every_file_altered_by_one_bit(self, saved: Path) -> None:
+        for file in sorted(saved.glob("*.*")):
+            if file.name == "manifest.json":
+                continue
+            whole = bytearray(file.read_bytes())
+            whole[-1] ^= 1
+            file.write_bytes(whole)
+            message = self.refused(saved)
+            assert file.name in message
+            assert "altered" in message
+            whole[-1] ^= 1
+            file.write_bytes(whole)
+        load_index(saved)
+
+    def test_every_file_missing(self, saved: Path) -> None:
+        for file in sorted(saved.glob("*.*")):
+            file.rename(saved.parent / file.name)
+            assert file.name in self.refused(saved)
+            (saved.parent / file.name).rename(file)
+
+    def test_altered_manifest(self, saved: Path) -> None:
+        file = saved / "manifest.json"
+        file.write_text(file.read_text().replace('"toy"', '"TOY"'))
+        assert "was altered: its content hash does not fit" in self.refused(saved)
+
+    @pytest.mark.parametrize("text", ["[]", '"pose"', "{}", '{"name": "mnist"}'])
+    def test_foreign_json(self, saved: Path, text: str) -> None:
+        (saved / "manifest.json").write_text(text)
+        assert "is not the manifest of a pose index" in self.refused(saved)
+
+    @pytest.mark.parametrize("content", [b"", b"{", b"\x80\x02}q\x00.", b"\xff\xfe"])
+    def test_manifest_that_is_no_json(self, saved: Path, content: bytes) -> None:
+        (saved / "manifest.json").write_bytes(content)
+        assert "is unreadable" in self.refused(saved)
+
+    @pytest.mark.parametrize("number", [0, artefact.FORMAT_VERSION + 1, "1"])
+    def test_another_format(self, saved: Path, number: object) -> None:
+        seal(saved, lambda manifest: manifest.update(format_version=number))
+        assert f"this service reads format {artefact.FORMAT_VERSION}" in self.refused(saved)
+
+    def test_other_joints(self, saved: Path) -> None:
+        seal(saved, lambda manifest: manifest.update(joints=["nose"]))
+        assert "another set of joints" in self.refused(saved)
+
+    def test_unknown_descriptor(self, saved: Path) -> None:
+        seal(saved, lambda manifest: manifest.update(descriptor={"name": "hu"}))
+        assert "descriptor" in self.refused(saved)
+
+    @pytest.mark.parametrize("key", ["files", "descriptor", "clips", "parameters"])
+    def test_sealed_manifest_that_lacks_something(self, saved: Path, key: str) -> None:
+        seal(saved, lambda manifest: manifest.pop(key))
+        assert key in self.refused(saved)
+
+    def test_sealed_files_that_do_not_fit_each_other(
+        self, toy_index: PoseIndex, saved: Path
+    ) -> None:
+        half = npy_bytes(toy_index.entries[: len(toy_index) // 2])
+        (saved / "entries.npy.xz").write_bytes(lzma.compress(half))
+        digest = hashlib.sha256(half).hexdigest()
+        seal(
+            saved,
+            lambda manifest: manifest["files"].update(  # type: ignore[attr-defined]
+                {"entries.npy": digest}
+            ),
+        )
+        assert "does not hold together" in self.refused(saved)
+
+    def test_another_kind_of_faiss_index(self, toy_index: PoseIndex, saved: Path) -> None:
+        other = faiss.IndexFlatIP(toy_index.descriptor.dimension)
+        other.add(toy_index.vectors)
+        content = faiss.serialize_index(other).tobytes()
+        (saved / "descriptors.faiss.xz").write_bytes(lzma.compress(content))
+        digest = hashlib.sha256(content).hexdigest()
+        seal(
+            saved,
+            lambda manifest: manifest["files"].update(  # type: ignore[attr-defined]
+                {"descriptors.faiss": digest}
+            ),
+        )
+        assert "expected a FAISS IndexFlatL2, got IndexFlatIP" in self.refused(saved)

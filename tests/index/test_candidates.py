@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from index.candidates import (
     Candidates,
-    candidates_of,
+    compare_entries,
     find_candidates,
     find_candidates_of_each,
 )
@@ -102,7 +102,9 @@ def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -
     silhouette = toy_index.silhouette(77)
     found = find_candidates(toy_index, silhouette, 25)
     shuffled = np.random.default_rng(0).permutation(25)
-    again = candidates_of(toy_index, silhouette, found.numbers[shuffled], found.mirrored[shuffled])
+    again = compare_entries(
+        toy_index, silhouette, found.numbers[shuffled], found.mirrored[shuffled]
+    )
     assert (np.diff(again.distances) >= 0).all()
     assert_allclose(again.distances, found.distances, atol=ATOL)
     # Where distances tie up to rounding, the order may differ.
@@ -114,12 +116,12 @@ def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -
 
 def test_what_came_in_two_ways_comes_once(toy_index: PoseIndex) -> None:
     found = find_candidates(toy_index, toy_index.silhouette(77), 30)
-    leaning = replace(found.take(slice(0, 5)), lean_deg=np.full(5, 15.0))
-    every = Candidates.merged([found, found.take(slice(10, 20)), leaning])
+    rotated = replace(found.take(slice(0, 5)), rotation_deg=np.full(5, 15.0))
+    every = Candidates.merged([found, found.take(slice(10, 20)), rotated])
     once = every.unique()
     assert len(every) == 45 and len(once) == 35
     keys = list(
-        zip(once.numbers.tolist(), once.mirrored.tolist(), once.lean_deg.tolist(), strict=True)
+        zip(once.numbers.tolist(), once.mirrored.tolist(), once.rotation_deg.tolist(), strict=True)
     )
     assert len(set(keys)) == 35
     assert (np.diff(once.distances) >= 0).all()

@@ -22,6 +22,19 @@ def turned(points: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]
     return points @ np.array([[cosine, sine], [-sine, cosine]])
 
 
+def upright_points(
+    index: PoseIndex, number: int | NDArray[np.int64], *, mirrored: bool = False
+) -> NDArray[np.float64]:
+    """Points ``(..., 24, 2)`` of entries as cameras that are not rolled see them."""
+    numbers = np.atleast_1d(number)
+    points = index.points(numbers)[1]
+    rolls = index.roll_deg(numbers, np.full(len(numbers), mirrored))
+    if mirrored:
+        points = mirror_normalised(points)
+    upright = np.stack([turned(*pair) for pair in zip(points, -rolls, strict=True)])
+    return upright.reshape(*np.shape(number), *points.shape[1:])
+
+
 def keypoints_of(points: NDArray[np.float64], seed: int = 0, *left_out: str) -> Keypoints:
     rows = [row for row in SEARCHED if POINT_NAMES[row] not in left_out]
     scores = np.random.default_rng(seed).uniform(0.2, 1, len(rows))
@@ -52,12 +65,13 @@ def solved(
 @pytest.mark.parametrize("number", [5, 130, 400])
 @pytest.mark.parametrize("left_out", [(), ("left_wrist", "nose", "right_ankle")])
 def test_equals_least_squares(toy_index: PoseIndex, number: int, left_out: tuple[str, ...]) -> None:
-    every = toy_index.points(np.arange(len(toy_index)))[1]
+    everything = np.arange(len(toy_index))
+    every, images = (upright_points(toy_index, everything, mirrored=m) for m in (False, True))
     rng = np.random.default_rng(number)
     seen = 1.7 * turned(every[number] + rng.normal(0, 3, (24, 2)), 25) + (9, -30)
     keypoints = keypoints_of(seen, number, *left_out)
     found = toy_index.keypoint_search.nearest(keypoints, 40)
-    straight, mirrored = (solved(keypoints, p) for p in (every, mirror_normalised(every)))
+    straight, mirrored = (solved(keypoints, p) for p in (every, images))
     residuals = np.concatenate([straight[0], mirrored[0]])
     assert_allclose(found.residual_px, np.sort(residuals)[:40], atol=ATOL)
     rolls = np.concatenate([straight[1], mirrored[1]])
@@ -72,7 +86,7 @@ def test_equals_least_squares(toy_index: PoseIndex, number: int, left_out: tuple
 def test_an_entry_that_is_turned_scaled_and_moved_is_found(
     toy_index: PoseIndex, number: int, mirrored: bool, roll: float
 ) -> None:
-    points = toy_index.entry(number, mirrored=mirrored).points_normalised
+    points = upright_points(toy_index, number, mirrored=mirrored)
     found = toy_index.keypoint_search.nearest(keypoints_of(0.6 * turned(points, roll) + 17), 5)
     counted = ROLL_PX * np.sqrt(1 - np.cos(np.deg2rad(roll)))
     if roll == 0:
@@ -81,6 +95,18 @@ def test_an_entry_that_is_turned_scaled_and_moved_is_found(
     assert near.any()
     assert found.residual_px[near] == pytest.approx([counted], abs=ATOL)
     assert found.roll_deg[near] == pytest.approx([roll], abs=0.1)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_entries_rolled_to_stand_are_searched_as_they_lie(
+    ground_index: PoseIndex, mirrored: bool
+) -> None:
+    rolled = np.flatnonzero(np.abs(ground_index.entries["roll_deg"]) > 30)[::40]
+    for number in rolled:
+        points = upright_points(ground_index, number, mirrored=mirrored)
+        found = ground_index.keypoint_search.nearest(keypoints_of(points), 1)
+        assert (found.numbers[0], found.mirrored[0]) == (number, mirrored)
+        assert found.roll_deg[0] == pytest.approx(0, abs=0.1)
 
 
 def test_people_upright_come_before_people_who_lean_as_far(toy_index: PoseIndex) -> None:

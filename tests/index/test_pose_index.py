@@ -59,6 +59,38 @@ class TestSearch:
         # FAISS squares in float32: values about 50 squared, so errors about 1e-3.
         assert_allclose(distances, np.sort(apart, axis=1)[:, :10], atol=5e-3)
 
+    @pytest.mark.parametrize("k", [1, 20, 700, 5000])
+    def test_of_variants_equals_brute_force(self, toy_index: PoseIndex, k: int) -> None:
+        noise = np.random.default_rng(1).normal(0, 0.3, (6, 48)).astype(np.float32)
+        queries = toy_index.vectors[:576:96] + noise
+        queries = np.stack([queries, toy_index.descriptor.mirror(queries), queries[::-1]], axis=1)
+        distances, numbers, variants = toy_index.search(queries, k)
+        apart = np.linalg.norm(
+            queries[:, :, None].astype(np.float64) - toy_index.vectors, axis=-1
+        ).reshape(len(queries), -1)
+        nearest = np.sort(apart, axis=1)[:, :k]
+        assert distances.shape == numbers.shape == variants.shape == nearest.shape
+        assert_allclose(distances, nearest, atol=5e-3)
+        found = variants * len(toy_index) + numbers
+        assert all(len(set(row)) == len(row) for row in found.tolist())
+        # The same entries in the same order, but for ties within the rounding of FAISS.
+        assert_allclose(np.take_along_axis(apart, found, axis=1), nearest, atol=5e-3)
+        settled = np.diff(np.sort(apart, axis=1), axis=1, prepend=-1, append=1e9) > 0.01
+        settled = (settled[:, :-1] & settled[:, 1:])[:, :k]
+        expected = np.argsort(apart, axis=1, kind="stable")[:, :k]
+        assert settled.any()
+        assert_array_equal(found[settled], expected[settled])
+
+    def test_equal_distances_come_in_the_order_of_variants_and_entries(
+        self, toy_index: PoseIndex
+    ) -> None:
+        vectors = np.tile(toy_index.vectors[:144], (4, 1))
+        index = dataclasses.replace(toy_index, vectors=vectors)
+        queries = np.repeat(vectors[None, 3:4], 2, axis=1)
+        _, numbers, variants = index.search(queries, 8)
+        assert numbers[0].tolist() == 2 * [3, 147, 291, 435]
+        assert variants[0].tolist() == 4 * [0] + 4 * [1]
+
     def test_distances_ascend(self, toy_index: PoseIndex) -> None:
         distances, _, _ = toy_index.search(toy_index.vectors[:5, None], 50)
         assert (np.diff(distances, axis=1) >= 0).all()

@@ -52,8 +52,8 @@ def test_compresses_packed_silhouettes_only(shape: tuple[int, ...]) -> None:
     [
         ("data", np.zeros(5, np.uint8), "bytes of silhouettes, got 5"),
         ("data", np.zeros((2, 2), np.uint8), "expected data of silhouettes as a row"),
-        ("ends", np.zeros(3, np.int64), "end one after another"),
-        ("ends", np.zeros(0, np.int64), "end one after another"),
+        ("ends", np.zeros(3, np.int64), "ascending ends"),
+        ("ends", np.zeros(0, np.int64), "ascending ends"),
         ("dictionary", np.zeros(3, np.int64), "expected dictionary of silhouettes as a row"),
     ],
 )

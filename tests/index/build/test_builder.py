@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
-from index.build.builder import Plan, split_by_clip
-from index.build.motion import Segment
+from index.artefact import load_index, save_index
+from index.build.body import Avatar
+from index.build.builder import (
+    LAID_DOWN_SHARE,
+    LOW_SHARE,
+    Asked,
+    Plan,
+    choose_poses,
+    simulate_queries,
+    split_by_clip,
+    spread,
+)
+from index.build.motion import MANIFESTS, Segment, read_manifest
+from index.build.poses import Poses, joints_of, read_poses
+from index.posture import LOW, POSTURES, classify
 from index.store import PoseIndex
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -61,6 +78,117 @@ class TestSplitByClip:
         kept, held = split_by_clip(mixed)
         assert not {s.clip for s in kept} & {s.clip for s in held}
 
+    def test_actions_of_each_manifest_are_held_out_by_themselves(self) -> None:
+        ground = [Segment(f"g{n}", "s", "walk", 0, 9, MANIFESTS[1]) for n in range(5)]
+        _, held = split_by_clip([*self.segments, *ground])
+        assert [s.clip for s in held if s.manifest == MANIFESTS[1]] == ["g2"]
+        _, without = split_by_clip(self.segments)
+        assert [s for s in held if s.manifest == MANIFESTS[0]] == without
+
+
+@pytest.fixture(scope="module")
+def ground_motion(
+    motion_folder: Path,
+    write_clip: Callable[..., Path],
+    walking: Callable[..., list[dict[str, tuple[float, float, float]]]],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """The motion folder with a second manifest, of somebody who sits."""
+    folder = tmp_path_factory.mktemp("ground") / "mocap"
+    shutil.copytree(motion_folder, folder)
+    legs = {"LeftLeg": (0.0, 0.0, 80.0), "RightLeg": (0.0, 0.0, 80.0)}
+    seated = [
+        {**frame, **legs, "LeftUpLeg": (-15.0, 0.0, thigh), "RightUpLeg": (15.0, 0.0, thigh)}
+        for frame, thigh in zip(walking(30), np.linspace(-85, -75, 30).tolist(), strict=True)
+    ]
+    write_clip(folder / "bvh" / "rest.bvh", seated)
+    (folder / MANIFESTS[1]).write_text(
+        "clip,subject,action,start_frame,end_frame,fps,description\nrest,s3,sit,0,30,30,\n"
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pool(ground_motion: Path) -> Poses:
+    """78 frames, of which 30 sit."""
+    return read_poses(ground_motion, read_manifest(ground_motion))[0]
+
+
+class TestChoosePoses:
+    def groups(self, poses: Poses, avatar: Avatar) -> list[str]:
+        postures = classify(joints_of(poses, avatar), (0.0, 1.0, 0.0))
+        return [
+            "laid" if not np.isnan(angle) else "low" if POSTURES[row] in LOW else "upright"
+            for angle, row in zip(poses.lying_deg, postures, strict=True)
+        ]
+
+    @pytest.mark.parametrize("count", [5, 20, 50])
+    def test_each_group_has_its_share(self, pool: Poses, avatars: list[Avatar], count: int) -> None:
+        groups = self.groups(choose_poses(pool, avatars[0], count, seed=0), avatars[0])
+        assert len(groups) == count
+        assert groups.count("laid") == round(LAID_DOWN_SHARE * count)
+        assert groups.count("low") == round(LOW_SHARE * count)
+
+    def test_so_has_each_beginning(self, pool: Poses, avatars: list[Avatar]) -> None:
+        groups = self.groups(choose_poses(pool, avatars[0], 50, seed=0), avatars[0])
+        for end in range(len(groups) + 1):
+            for group in ("laid", "low", "upright"):
+                share = groups.count(group) / len(groups)
+                assert abs(groups[:end].count(group) - share * end) <= 1
+
+    def test_no_pose_comes_twice(self, pool: Poses, avatars: list[Avatar]) -> None:
+        chosen = choose_poses(pool, avatars[0], 50, seed=0)
+        kept = np.isnan(chosen.lying_deg)
+        for rows in (kept, ~kept):
+            pairs = list(zip(chosen.clip[rows], chosen.frame[rows], strict=True))
+            assert len(set(pairs)) == len(pairs)
+
+    def test_where_nobody_is_low_more_are_upright(
+        self, poses: Poses, avatars: list[Avatar]
+    ) -> None:
+        groups = self.groups(choose_poses(poses, avatars[0], 20, seed=0), avatars[0])
+        assert (groups.count("laid"), groups.count("upright")) == (4, 16)
+
+    def test_where_everybody_is_low_more_are_low(self, pool: Poses, avatars: list[Avatar]) -> None:
+        seated = pool.take(np.flatnonzero(np.array(self.groups(pool, avatars[0])) == "low"))
+        assert len(seated) == 30
+        groups = self.groups(choose_poses(seated, avatars[0], 20, seed=0), avatars[0])
+        assert len(groups) == 20
+
+    def test_same_seed_same_poses(self, pool: Poses, avatars: list[Avatar]) -> None:
+        one, other = (choose_poses(pool, avatars[0], 20, seed=2) for _ in range(2))
+        for name in ("clip", "frame", "lying_deg"):
+            assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+class TestSimulateQueries:
+    def test_asks_for_frames_of_both_manifests_and_laid_down(
+        self, ground_motion: Path, avatars: list[Avatar]
+    ) -> None:
+        segments = read_manifest(ground_motion)
+        asked = Asked(upright=12, near_ground=5, laid_down=4)
+        queries = simulate_queries(ground_motion, segments, avatars, asked, seed=1)
+        labels = queries.skeleton_labels
+        actions = [queries.actions[action] for action in labels["action"]]
+        assert set(actions[:12]) == {"walk", "wave"}
+        assert actions[12:17] == ["sit"] * 5
+        assert all(action.startswith("lie-on-") for action in actions[17:])
+        # Each from one view.
+        assert_array_equal(queries.entries["skeleton"], np.arange(21))
+
+    def test_groups_may_be_missing(self, motion_folder: Path, avatars: list[Avatar]) -> None:
+        segments = read_manifest(motion_folder)
+        asked = Asked(upright=3, near_ground=5, laid_down=0)
+        assert len(simulate_queries(motion_folder, segments, avatars, asked, seed=1)) == 3
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 48, 60])
+def test_spread_takes_poses_evenly_and_none_twice(poses: Poses, count: int) -> None:
+    rows = spread(poses, count)
+    assert len(rows) == min(count, len(poses))
+    numbers = 100 * rows.clip + rows.frame
+    assert (np.diff(numbers) > 0).all()
+
 
 @pytest.fixture
 def small_mocap(shared: Path, tmp_path: Path) -> Path:
@@ -95,7 +223,7 @@ def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> 
         assert process.returncode == 0, complaint
         assert "in T-pose" in printed
         assert "entries in" in printed
-    one, two = (PoseIndex.load(tmp_path / name) for name in ("one", "two"))
+    one, two = (load_index(tmp_path / name) for name in ("one", "two"))
     assert one.version == two.version
     assert len(one) == 480
     assert set(one.actions) == {"basketball", "jump", "walk"}
@@ -107,14 +235,14 @@ def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> 
 def test_killed_build_leaves_the_old_artefact(
     small_mocap: Path, tmp_path: Path, toy_index: PoseIndex
 ) -> None:
-    version = toy_index.save(tmp_path / "artefact")
+    version = save_index(toy_index, tmp_path / "artefact")
     for seconds in (2.0, 8.0):
         process = build(small_mocap, tmp_path / "artefact")
         time.sleep(seconds)
         process.send_signal(signal.SIGKILL)
         process.communicate()
         assert process.returncode == -signal.SIGKILL
-        assert PoseIndex.load(tmp_path / "artefact").version == version
+        assert load_index(tmp_path / "artefact").version == version
 
 
 @pytest.mark.slow

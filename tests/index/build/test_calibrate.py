@@ -4,8 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.calibrate import expected_calibration_error
+from index.build.calibrate import (
+    OWN_ROLL_DEG,
+    Queries,
+    Trial,
+    expected_calibration_error,
+    run_trial,
+)
+from index.build.learn import view_joints
+from index.build.simulate import Simulation
+from index.posture import POSTURES
+from index.skeleton import JOINTS, camera_rotation
+from index.store import PoseIndex
 
 
 def test_calibration_error_is_zero_where_confidence_is_the_share_of_right_answers() -> None:
@@ -29,3 +41,84 @@ def test_calibration_error_weighs_bins_by_their_size() -> None:
 def test_calibration_error_takes_any_shape_and_the_ends_of_the_range() -> None:
     confidence = np.array([[0.0, 1.0], [1.0, 0.0]])
     assert expected_calibration_error(confidence, confidence > 0.5) == pytest.approx(0)
+
+
+@pytest.fixture(scope="module")
+def queries(ground_simulation: Simulation) -> Queries:
+    return Queries.of(ground_simulation)
+
+
+@pytest.fixture(scope="module")
+def trial(ground_index: PoseIndex, queries: Queries) -> Trial:
+    """Every ninth silhouette of the index, asked for."""
+    return run_trial(ground_index, queries.take(np.arange(0, len(queries), 9)), n=3)
+
+
+def test_queries_of_wide_bodies_have_the_roll_of_their_camera(
+    ground_simulation: Simulation, queries: Queries
+) -> None:
+    roll_deg = ground_simulation.entries["roll_deg"]
+    stood_up = np.abs(roll_deg) > OWN_ROLL_DEG
+    assert 0.2 < stood_up.mean() < 0.8
+    assert_array_equal(queries.roll_deg, np.where(stood_up, roll_deg, 0))
+    # A camera's own roll of a few degrees is nobody's to know.
+    assert (roll_deg[~stood_up] != 0).all()
+
+
+def test_truth_is_what_a_camera_sees_that_is_not_rolled(
+    ground_simulation: Simulation, queries: Queries
+) -> None:
+    entries = ground_simulation.entries
+    own_roll = np.where(queries.roll_deg == 0, entries["roll_deg"], 0)
+    cameras = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"], own_roll)
+    bodies = ground_simulation.skeletons[entries["skeleton"], :JOINTS].astype(np.float64)
+    assert_allclose(queries.joints_3d, bodies @ cameras.swapaxes(1, 2), atol=1e-5)
+
+
+def test_truth_in_the_picture_is_that_of_the_silhouettes(
+    ground_simulation: Simulation, queries: Queries
+) -> None:
+    assert_array_equal(queries.joints_2d, view_joints(ground_simulation)[1])
+    assert_array_equal(queries.silhouettes, ground_simulation.silhouettes(slice(None)))
+
+
+def test_taken_and_degraded_queries_keep_their_roll(queries: Queries) -> None:
+    rows = np.array([3, 200, 7])
+    some = queries.take(rows)
+    for one in (some, some.degraded(0), some.half_degraded(0)):
+        assert_array_equal(one.roll_deg, queries.roll_deg[rows])
+        assert_array_equal(one.joints_3d, queries.joints_3d[rows])
+    assert_array_equal(some.half_degraded(0).silhouettes[::2], some.silhouettes[::2])
+
+
+def test_known_silhouettes_are_answered_as_the_camera_saw_them(
+    queries: Queries, trial: Trial
+) -> None:
+    """Both in the picture that was rolled and in the axes of the camera that was not."""
+    roll_deg = queries.roll_deg[::9]
+    for rows in (roll_deg == 0, roll_deg != 0):
+        assert np.median(trial.error_px[rows, 0]) < 1
+        assert np.median(trial.error_m[rows, 0]) < 0.05
+        assert trial.right[rows, 0].mean() > 0.95
+
+
+def test_postures_of_answers(ground_simulation: Simulation, trial: Trial) -> None:
+    labels = ground_simulation.skeleton_labels[ground_simulation.entries["skeleton"][::9]]
+    lies = labels["action"] > 1
+    assert np.mean(trial.postures[lies, 0] == POSTURES.index("lying")) > 0.95
+    assert np.mean(trial.postures[~lies, 0] == POSTURES.index("standing")) > 0.95
+
+
+def test_missing_hypotheses_have_no_posture(ground_index: PoseIndex, queries: Queries) -> None:
+    few = run_trial(ground_index, queries.take(np.arange(1)), n=1200)
+    missing = ~np.isfinite(few.error_px)
+    assert missing.any() and not missing.all()
+    assert_array_equal(few.postures == -1, missing)
+
+
+def test_answers_to_some_queries(trial: Trial) -> None:
+    rows = np.array([4, 1])
+    some = trial.take(rows)
+    for name in ("features", "confidence", "joint_errors_px", "error_m", "postures"):
+        assert_array_equal(getattr(some, name), getattr(trial, name)[rows])
+    assert_array_equal(trial.take(trial.right[:, 0]).right[:, 0], True)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from index.build.motion import MotionError, read_clip, read_manifest
+from index.build.motion import (
+    MANIFESTS,
+    METRES_PER_UNIT,
+    MotionError,
+    read_clip,
+    read_manifest,
+)
 
 Angles = dict[str, tuple[float, float, float]]
-Write = Callable[[Path, Sequence[Angles]], Path]
+Write = Callable[..., Path]
 Walk = Callable[..., list[Angles]]
 
 HEADER = "clip,subject,action,start_frame,end_frame,fps,description\n"
@@ -63,6 +69,37 @@ class TestSoundClip:
     def test_nothing_is_dropped(self, clip: Path) -> None:
         read = read_clip(clip)
         assert (read.t_poses, read.jumps, int(read.broken.sum())) == (0, 0, 0)
+
+
+class TestSpeeds:
+    def test_of_somebody_who_walks_on_the_spot_are_zero(self, clip: Path) -> None:
+        assert_allclose(read_clip(clip).speeds, np.zeros(20))
+
+    @pytest.mark.parametrize("climb", [0.0, 2.0])
+    def test_are_metres_per_second_along_the_ground(
+        self, tmp_path: Path, write_clip: Write, walking: Walk, climb: float
+    ) -> None:
+        # 0.3 ahead and 0.4 aside are half a unit a frame, 30 frames a second.
+        file = write_clip(tmp_path / "away.bvh", walking(40), (0.4, climb, 0.3))
+        assert_allclose(read_clip(file).speeds, np.full(40, 15 * METRES_PER_UNIT), rtol=1e-3)
+
+    def test_follow_who_stops(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
+        file = write_clip(tmp_path / "stops.bvh", walking(60), (0.0, 0.0, 1.0))
+        head, motion = file.read_text().split("0.0333333\n")
+        rows = motion.splitlines()
+        place = " ".join(rows[30].split()[:3])
+        rows[31:] = [" ".join([place, *row.split()[3:]]) for row in rows[31:]]
+        file.write_text(head + "0.0333333\n" + "\n".join(rows) + "\n")
+        speeds = read_clip(file).speeds
+        assert_allclose(speeds[:20], speeds[0])
+        assert (np.diff(speeds[20:42]) <= 1e-9).all()
+        assert_allclose(speeds[42:], 0)
+
+    def test_of_a_single_frame_is_zero(
+        self, tmp_path: Path, write_clip: Write, walking: Walk
+    ) -> None:
+        file = write_clip(tmp_path / "still.bvh", walking(1), (1.0, 1.0, 1.0))
+        assert_allclose(read_clip(file).speeds, [0.0])
 
 
 class TestDroppedFrames:
@@ -184,6 +221,41 @@ class TestManifest:
         first, second = read_manifest(motion_folder)
         assert (first.clip, first.subject, first.action) == ("stroll", "s1", "walk")
         assert (second.start, second.end) == (2, 20)
+
+    def test_the_second_manifest_may_be_missing(self, motion_folder: Path) -> None:
+        assert {segment.manifest for segment in read_manifest(motion_folder)} == {MANIFESTS[0]}
+
+    def test_both_manifests_and_which_a_segment_is_from(self, tmp_path: Path) -> None:
+        self.write(tmp_path, "a,1,walk,0,9,30,\n")
+        (tmp_path / MANIFESTS[1]).write_text(HEADER + "b,2,sit,0,9,30,\na,1,sit,9,12,30,\n")
+        segments = read_manifest(tmp_path)
+        assert [(s.clip, s.action, s.manifest) for s in segments] == [
+            ("a", "walk", MANIFESTS[0]), ("b", "sit", MANIFESTS[1]), ("a", "sit", MANIFESTS[1]),
+        ]  # fmt: skip
+
+    def test_getting_up_is_called_falling_as_well(self, tmp_path: Path) -> None:
+        """A frame of it does not tell which of the two it shows."""
+        self.write(tmp_path, "a,1,get-up,0,9,30,\nb,1,get-up-stairs,0,9,30,\n")
+        assert [s.action for s in read_manifest(tmp_path)] == ["get-up-or-fall", "get-up-stairs"]
+
+    def test_the_second_manifest_alone_is_not_enough(self, tmp_path: Path) -> None:
+        (tmp_path / MANIFESTS[1]).write_text(HEADER + "b,2,sit,0,9,30,\n")
+        assert "cannot be read" in self.fails(tmp_path)
+
+    def test_a_bad_line_of_the_second_manifest_is_named(self, tmp_path: Path) -> None:
+        self.write(tmp_path, "a,1,walk,0,9,30,\n")
+        (tmp_path / MANIFESTS[1]).write_text(HEADER + "b,2,sit,9,9,30,\n")
+        with pytest.raises(MotionError, match=f"line 2 of .*{MANIFESTS[1]}"):
+            read_manifest(tmp_path)
+
+    def test_shared_manifests_fit_their_clips(self, shared: Path) -> None:
+        segments = read_manifest(shared / "mocap")
+        assert {s.manifest for s in segments} == set(MANIFESTS)
+        actions = {s.action for s in segments}
+        assert {"sit", "lie", "crawl", "fall", "get-up-or-fall"} <= actions
+        assert "get-up" not in actions
+        for segment in segments:
+            assert (shared / "mocap" / "bvh" / f"{segment.clip}.bvh").is_file()
 
     def test_missing_folder(self, tmp_path: Path) -> None:
         assert "cannot be read" in self.fails(tmp_path / "nowhere")

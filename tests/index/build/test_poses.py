@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.body import Avatar, pose_transforms, posed_points, retarget
+from index.build.body import (
+    Avatar,
+    pose_transforms,
+    posed_points,
+    retarget,
+    turned_to_front,
+)
+from index.build.lying import laid_down
 from index.build.motion import MotionError, Segment
-from index.build.poses import Poses, farthest_points, joints_of, read_poses
+from index.build.poses import Poses, farthest_points, joints_of, merged, read_poses
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:
@@ -43,8 +52,56 @@ def test_joints_of_equals_one_pose_at_a_time(poses: Poses, avatars: list[Avatar]
     joints = joints_of(poses, avatars[1])
     for row in (0, 1, 30, 47):
         retargeting = retarget(poses.clips[poses.clip[row]], avatars[1])
-        transforms = pose_transforms(avatars[1], retargeting, poses.rotations(row))
+        transforms = pose_transforms(avatars[1], retargeting, poses.rotations(np.array([row])))
         assert_allclose(joints[row], posed_points(avatars[1], transforms)[0, :19], atol=1e-6)
+
+
+def test_heads_of_whole_subjects_are_held_level(
+    tmp_path: Path, write_clip: Callable[..., Path], walking: Callable[..., list]
+) -> None:
+    hanging = [{**frame, "Head": (0.0, 0.0, 15.0)} for frame in walking(60)]
+    for name in ("one", "two"):
+        write_clip(tmp_path / "bvh" / f"{name}.bvh", hanging)
+    segments = [Segment(name, "s1", "walk", 0, 60) for name in ("one", "two")]
+    poses, _ = read_poses(tmp_path, segments)
+    forward = [clip.rotations[:, clip.bones.index("Head"), 1, 2] for clip in poses.clips]
+    assert np.median(forward) == pytest.approx(0, abs=1e-6)
+
+
+def test_rotations_are_turned_to_the_front_and_laid_down_where_asked(poses: Poses) -> None:
+    rows = np.flatnonzero(poses.clip == 1)[:4]
+    lying_deg = np.array([np.nan, 30.0, np.nan, 200.0])
+    some = replace(poses.take(rows), lying_deg=lying_deg)
+    recorded = turned_to_front(poses.clips[1].rotations[poses.frame[rows]])
+    rotations = some.rotations(np.arange(4))
+    assert_array_equal(rotations[[0, 2]], recorded[[0, 2]])
+    assert_allclose(rotations, laid_down(recorded, lying_deg), atol=1e-12)
+
+
+def test_speeds_are_those_of_the_clips_but_for_who_lies(poses: Poses) -> None:
+    clips = tuple(
+        replace(clip, speeds=number + np.arange(len(clip.rotations)) / 100)
+        for number, clip in enumerate(poses.clips)
+    )
+    lying_deg = np.where(np.arange(len(poses)) % 3 == 0, 90.0, np.nan)
+    speeds = replace(poses, clips=clips, lying_deg=lying_deg).speeds()
+    assert_allclose(speeds, np.where(np.isnan(lying_deg), poses.clip + poses.frame / 100, 0))
+
+
+def test_merged_holds_all_parts_in_order_and_names_their_actions(poses: Poses, laid: Poses) -> None:
+    for parts in ([laid, poses], [poses, laid], [poses.take(np.arange(0)), laid]):
+        together = merged(parts)
+        assert len(together) == sum(map(len, parts))
+        start = 0
+        for part in parts:
+            rows = np.arange(start, start + len(part))
+            same = together.take(rows)
+            for name in ("clip", "frame", "lying_deg"):
+                assert_array_equal(getattr(same, name), getattr(part, name))
+            assert [together.actions[a] for a in same.action] == [
+                part.actions[a] for a in part.action
+            ]
+            start += len(part)
 
 
 @settings(max_examples=30)

@@ -55,7 +55,7 @@ def sphere(radius: float, rings: int = 48) -> tuple[NDArray[np.float64], NDArray
 def person(poses: Poses, avatars: list[Avatar]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """A posed box body."""
     avatar, clip = avatars[1], poses.clips[poses.clip[20]]
-    transforms = pose_transforms(avatar, retarget(clip, avatar), poses.rotations(20))[0]
+    transforms = pose_transforms(avatar, retarget(clip, avatar), poses.rotations(np.array([20])))[0]
     vertices = skin(
         avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
     )

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
+from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build import simulate as module
 from index.build.body import Avatar
+from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, VIEW_DTYPE, sample_views
 from index.build.learn import view_joints
-from index.build.poses import Poses, joints_of
-from index.build.simulate import Simulation, simulate
+from index.build.poses import Poses, joints_of, merged
+from index.build.simulate import Simulation, most_foreshortened, simulate
+from index.rotations import rotate_clockwise
+from index.skeleton import JOINT_NAMES, camera_rotation
 from index.store import PoseIndex
 
 
@@ -45,6 +50,121 @@ def test_counts_and_labels(poses: Poses, avatars: list[Avatar]) -> None:
     # Every pose is worn by both bodies.
     assert_array_equal(np.sort(result.skeleton_labels["subject"].reshape(3, 2)), [[0, 1]] * 3)
     assert result.subjects == ("slim", "broad")
+
+
+def test_speeds_are_those_of_the_poses(poses: Poses, laid: Poses, avatars: list[Avatar]) -> None:
+    clips = tuple(replace(clip, speeds=np.arange(len(clip.rotations)) / 8) for clip in poses.clips)
+    some = replace(merged([poses, laid]), clips=clips).take(np.array([3, 40, 50, 60]))
+    result = simulate(some, avatars, bodies=2, views=1, seed=0)
+    assert_array_equal(result.skeleton_labels["speed"], np.repeat(some.speeds(), 2))
+    assert (some.speeds()[:2] > 0).all() and not some.speeds()[2:].any()
+
+
+def rolled(simulation: Simulation) -> np.ndarray:
+    """Rows of the entries that were rolled to stand; cameras roll by a few degrees themselves."""
+    return np.flatnonzero(np.abs(simulation.entries["roll_deg"]) > 15)
+
+
+class TestWideBodies:
+    def test_are_rolled_until_they_stand(self, ground_simulation: Simulation) -> None:
+        rows = rolled(ground_simulation)
+        assert 0.2 < len(rows) / len(ground_simulation) < 0.8
+        silhouettes = ground_simulation.silhouettes(slice(None))
+        assert not any(is_wide(silhouette) for silhouette in silhouettes)
+        axes = np.abs([principal_axis_deg(silhouette) for silhouette in silhouettes[rows]])
+        # They were measured in a smaller picture; what is nearly round has hardly an axis.
+        assert np.quantile(axes, 0.95) < 2
+        assert axes.max() < 10
+
+    def test_have_the_head_above_the_pelvis(self, ground_simulation: Simulation) -> None:
+        _, joints_2d = view_joints(ground_simulation)
+        rows = rolled(ground_simulation)
+        head, pelvis = (JOINT_NAMES.index(name) for name in ("head", "pelvis"))
+        joints_3d, _ = view_joints(ground_simulation)
+        assert (joints_3d[rows, head, 1] < joints_3d[rows, pelvis, 1]).all()
+        assert np.mean(joints_2d[rows, head, 1] < joints_2d[rows, pelvis, 1]) > 0.98
+
+    def test_have_their_joints_on_the_silhouette(self, ground_simulation: Simulation) -> None:
+        _, joints_2d = view_joints(ground_simulation)
+        x, y = np.moveaxis(np.rint(joints_2d).astype(int), -1, 0)
+        silhouettes = ground_simulation.silhouettes(slice(None))
+        inside = silhouettes[np.arange(len(silhouettes))[:, None], y.clip(0, 127), x.clip(0, 47)]
+        assert inside[rolled(ground_simulation)].mean() > 0.97
+        assert inside.mean() > 0.97
+
+    def test_fill_the_frame(self, ground_simulation: Simulation) -> None:
+        silhouettes = ground_simulation.silhouettes(rolled(ground_simulation))
+        high = silhouettes.any(axis=2)
+        broad = silhouettes.any(axis=1)
+        filled = (high[:, 0] & high[:, -1]) | (broad[:, 0] & broad[:, -1])
+        assert filled.mean() > 0.9
+        # Lying, they were at most 48 rows high.
+        assert np.median(high.sum(axis=1)) > 100
+
+    def test_are_those_the_roll_leads_back_to(self, ground_simulation: Simulation) -> None:
+        """Seen by a camera that is not rolled, they are wide again."""
+        joints_3d, _ = view_joints(ground_simulation)
+        rows = rolled(ground_simulation)
+        lying = [
+            rotate_clockwise(joints_3d[row], -float(ground_simulation.entries["roll_deg"][row]))
+            for row in rows
+        ]
+        extents = np.ptp(np.stack(lying)[..., :2], axis=1)
+        assert np.mean(extents[:, 0] > 0.8 * extents[:, 1]) > 0.95
+
+
+def test_cameras_look_down_on_who_lies(
+    ground_simulation: Simulation, laid: Poses, avatars: list[Avatar]
+) -> None:
+    lies = np.repeat(ground_simulation.skeleton_labels["action"] > 1, 12)
+    assert lies.sum() == 12 * len(laid)
+    elevations = ground_simulation.entries["elevation_deg"]
+    for rows, (low, high) in ((lies, GROUND_ELEVATIONS_DEG), (~lies, ELEVATIONS_DEG)):
+        assert ((elevations[rows] >= low) & (elevations[rows] <= high)).all()
+        assert elevations[rows].min() < low + 2
+
+
+def alignment(simulation: Simulation, row: int) -> float:
+    """Cosine between the optical axis of an entry and the trunk."""
+    joints_3d, _ = view_joints(simulation)
+    trunk = joints_3d[row, JOINT_NAMES.index("neck")] - joints_3d[row, 0]
+    return float(abs(trunk[2]) / np.linalg.norm(trunk))
+
+
+def test_most_foreshortened_are_those_that_look_along_the_trunk(avatars: list[Avatar]) -> None:
+    points = np.zeros((24, 3))
+    points[JOINT_NAMES.index("neck")] = (0.0, 0.0, -0.5)
+    cameras = np.zeros(8, VIEW_DTYPE)
+    cameras["azimuth_deg"] = np.arange(0, 360, 45)
+    chosen = most_foreshortened(cameras, points, 2)
+    assert chosen["azimuth_deg"].tolist() == [0, 180]
+    cameras = sample_views(30, np.random.default_rng(0), GROUND_ELEVATIONS_DEG)
+    chosen = most_foreshortened(cameras, points, 10)
+    # In the order given, and the rest looks less along it.
+    assert [camera in chosen for camera in cameras].count(True) == 10
+    assert_array_equal(chosen, cameras[np.isin(cameras, chosen)])
+
+    def along(views: np.ndarray) -> np.ndarray:
+        return np.abs(camera_rotation(views["azimuth_deg"], views["elevation_deg"])[:, 2, 2])
+
+    assert along(chosen).min() >= along(cameras[~np.isin(cameras, chosen)]).max()
+
+
+def test_only_new_leaves_out_views_across_who_lies(
+    poses: Poses, laid: Poses, avatars: list[Avatar]
+) -> None:
+    some = merged([poses.take(np.arange(4)), laid.take(np.arange(8))])
+    every, new = (
+        simulate(some, avatars, bodies=1, views=6, seed=2, only_new=only_new)
+        for only_new in (False, True)
+    )
+    assert len(every) == len(new)
+    assert_array_equal(every.skeletons, new.skeletons)
+    standing = every.entries["skeleton"] < 4
+    assert_array_equal(every.entries[standing], new.entries[standing])
+    rows = np.flatnonzero(~standing)
+    ours, theirs = (np.mean([alignment(s, row) for row in rows]) for s in (new, every))
+    assert ours > theirs + 0.1
 
 
 def test_skeletons_are_the_joints_of_their_pose(

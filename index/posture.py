@@ -1,0 +1,201 @@
+"""Which posture a skeleton is in, told by its geometry.
+
+Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
+in the order of the table in ``docs/index.md``; the first that holds decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from index.skeleton import JOINT_NAMES, JOINTS
+
+Posture = Literal[
+    "standing", "walking", "running", "sitting", "crouching",
+    "kneeling", "bending", "arms_raised", "crawling", "lying",
+]  # fmt: skip
+
+POSTURES: tuple[Posture, ...] = get_args(Posture)
+
+LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
+"""Postures in which the legs do not stand."""
+
+HORIZONTAL_DEG = 55.0
+"""Tilt of the trunk from which somebody lies or is on all fours."""
+
+LYING_BELOW = 0.5
+"""Height of pelvis and chest below which a horizontal trunk lies."""
+
+HANDS_DOWN_BELOW, CRAWLING_BELOW = 0.3, 0.85
+"""Height of the lower hand or elbow, and of the pelvis, of somebody on all fours."""
+
+LOWERED_BELOW = 0.8
+"""Height of the pelvis below which the legs no longer stand."""
+
+FLOOR_BELOW = 0.3
+"""Height of a pelvis that rests on the floor."""
+
+KNEE_DOWN_BELOW, SHANK_LEVEL_BELOW = 0.2, 0.2
+"""Height of a knee on the floor, and of that knee over its ankle."""
+
+UNSUPPORTED_FROM = 0.15
+"""Horizontal distance of the centre of mass from the feet beyond which something else carries."""
+
+THIGHS_LEVEL_DEG, UPRIGHT_DEG, SEAT_ABOVE = 25.0, 20.0, 0.5
+"""Thighs this level below a trunk this upright, the pelvis at the height of a seat, sit even where
+the feet could carry the body."""
+
+BENT_DEG, BENT_LOW_DEG = 45.0, 60.0
+"""Tilt of a trunk that is bent over standing legs, and over lowered ones."""
+
+WALKING_FROM, RUNNING_FROM = 0.5, 2.2
+"""Horizontal speed in metres per second."""
+
+MAX_ELEVATION_DEG = 70.0
+"""Cameras look down no more steeply."""
+
+# Shares of the body's mass, lumped at joints.
+_MASSES = {
+    "pelvis": 0.25, "chest": 0.25, "head": 0.08, "left_elbow": 0.05, "right_elbow": 0.05,
+    "left_hip": 0.05, "right_hip": 0.05, "left_knee": 0.07, "right_knee": 0.07,
+    "left_ankle": 0.04, "right_ankle": 0.04,
+}  # fmt: skip
+_FEET = ("left_ankle", "left_toe", "right_ankle", "right_toe")
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class _Skeletons:
+    """Skeletons ``(N, 19, 3)`` with the direction that is up for each, ``(N, 3)``."""
+
+    joints: NDArray[np.float64]
+    up: NDArray[np.float64]
+
+    def at(self, name: str) -> NDArray[np.float64]:
+        return self.joints[:, JOINT_NAMES.index(name)]
+
+    def along_up(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.einsum("n...i,ni->n...", vectors, self.up))
+
+    def bones(self, start: str, end: str) -> NDArray[np.float64]:
+        """Vectors ``(N, 2, 3)`` of the left and the right one."""
+        return np.stack([self.at(f"{s}_{start}") - self.at(f"{s}_{end}") for s in _SIDES], axis=1)
+
+
+def classify(
+    points_3d: NDArray[np.floating], up: ArrayLike, speed: ArrayLike = 0.0
+) -> NDArray[np.int64]:
+    """Tell the posture of skeletons.
+
+    Parameters
+    ----------
+    points_3d : (N, P, 3) float array
+        Metres, in any axes; the first 19 points are the joints.
+    up : (3,) or (N, 3) float array
+        Unit vectors away from the ground, in the same axes.
+    speed : float or (N,) array
+        Horizontal, metres per second: tells walking and running from standing.
+
+    Returns
+    -------
+    (N,) int64 array
+        Positions in :data:`POSTURES`.
+    """
+    joints = np.asarray(points_3d, np.float64)[:, :JOINTS]
+    bodies = _Skeletons(joints, np.broadcast_to(np.asarray(up, np.float64), (len(joints), 3)))
+    speed = np.broadcast_to(np.asarray(speed, np.float64), (len(joints),))
+    thighs, shanks = bodies.bones("hip", "knee"), bodies.bones("knee", "ankle")
+    thigh_lengths = np.linalg.norm(thighs, axis=-1)
+    leg = (thigh_lengths + np.linalg.norm(shanks, axis=-1)).mean(axis=1)
+    heights = bodies.along_up(joints)
+    heights = (heights - heights.min(axis=1, keepdims=True)) / leg[:, None]
+    height = {name: heights[:, row] for row, name in enumerate(JOINT_NAMES)}
+    pelvis = height["pelvis"]
+
+    trunk = bodies.at("neck") - bodies.at("pelvis")
+    tilt_deg = _degrees(bodies.along_up(trunk) / np.linalg.norm(trunk, axis=1), np.arccos)
+    hand = np.min([height[f"{s}_{j}"] for s in _SIDES for j in ("wrist", "elbow")], axis=0)
+    knees = np.stack([height[f"{s}_knee"] for s in _SIDES], axis=1)
+    lower = knees.argmin(axis=1)
+    rows = np.arange(len(joints))
+    shank_rise = np.abs(bodies.along_up(shanks)[rows, lower]) / leg
+    on_knee = (knees[rows, lower] < KNEE_DOWN_BELOW) & (shank_rise < SHANK_LEVEL_BELOW)
+    thigh_deg = np.abs(_degrees((bodies.along_up(thighs) / thigh_lengths).mean(axis=1), np.arcsin))
+    seated = (thigh_deg < THIGHS_LEVEL_DEG) & (tilt_deg < UPRIGHT_DEG) & (pelvis > SEAT_ABOVE)
+
+    horizontal = tilt_deg >= HORIZONTAL_DEG
+    lowered, on_floor = pelvis < LOWERED_BELOW, pelvis < FLOOR_BELOW
+    unsupported = _distance_from_feet(bodies) / leg > UNSUPPORTED_FROM
+    conditions: dict[Posture, NDArray[np.bool_]] = {
+        "lying": horizontal & (pelvis < LYING_BELOW) & (height["chest"] < LYING_BELOW),
+        "crawling": horizontal & (hand < HANDS_DOWN_BELOW) & (pelvis < CRAWLING_BELOW),
+        "kneeling": lowered & on_knee & ~on_floor,
+        "sitting": lowered & (on_floor | unsupported | seated),
+        "bending": (tilt_deg >= np.where(lowered, BENT_LOW_DEG, BENT_DEG)),
+        "crouching": lowered,
+        "arms_raised": (height["left_wrist"] > height["head"])
+        & (height["right_wrist"] > height["head"]),
+        "running": speed >= RUNNING_FROM,
+        "walking": speed >= WALKING_FROM,
+    }
+    return np.select(
+        list(conditions.values()),
+        [POSTURES.index(posture) for posture in conditions],
+        POSTURES.index("standing"),
+    )
+
+
+def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
+    """Away from the ground in the axes of a level camera: ``(..., 3)`` unit vectors.
+
+    Parameters
+    ----------
+    elevation_deg : float or (N,) array
+        Height angle of the camera above the person.
+    """
+    elevation = np.deg2rad(np.asarray(elevation_deg, np.float64))
+    return np.stack([np.zeros_like(elevation), -np.cos(elevation), -np.sin(elevation)], axis=-1)
+
+
+def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Elevation of the camera ``(N,)`` that makes trunks most nearly level.
+
+    Parameters
+    ----------
+    points_3d : (N, P, 3) float array
+        Axes of a camera that is not rolled.
+    """
+    pelvis, neck = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
+    trunk = np.asarray(points_3d[:, neck] - points_3d[:, pelvis], np.float64)
+    elevation_deg = np.rad2deg(np.arctan2(-trunk[:, 1], trunk[:, 2]))
+    # The trunk has no direction: its other end gives the opposite angle.
+    elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
+    elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
+    return np.clip(elevation_deg, 0.0, MAX_ELEVATION_DEG)
+
+
+def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[np.float64]:
+    return np.asarray(np.rad2deg(inverse(np.clip(sine_or_cosine, -1, 1))))
+
+
+def _distance_from_feet(bodies: _Skeletons) -> NDArray[np.float64]:
+    """Horizontal distance ``(N,)`` of the centre of mass from lines between points of the feet."""
+
+    def horizontal(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+        return vectors - bodies.along_up(vectors)[:, None] * bodies.up
+
+    total = sum(_MASSES.values())
+    centre = sum(share * bodies.at(name) for name, share in _MASSES.items()) / total
+    nearest = np.full(len(bodies.joints), np.inf)
+    feet = [horizontal(bodies.at(name) - centre) for name in _FEET]
+    for first, start in enumerate(feet):
+        for end in feet[first + 1 :]:
+            line = end - start
+            length = np.maximum((line**2).sum(axis=1), 1e-12)
+            share = np.clip(-(start * line).sum(axis=1) / length, 0, 1)
+            nearest = np.minimum(nearest, np.linalg.norm(start + share[:, None] * line, axis=1))
+    return nearest

@@ -1,0 +1,243 @@
+"""In-plane rotation of a query: people who lean or lie, cameras that are rolled.
+
+A silhouette wider than high would be small in the normalised frame. It is rotated until its
+principal axis is vertical, and so are the entries that are wider than high: their camera is rolled.
+The head may then be at either end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from descriptor.silhouette import normalise, principal_axis_deg
+from index.candidates import Candidates, compare_entries, find_candidates_of_each
+from index.keypoint_search import Nearest
+from index.store import PoseIndex
+
+NEARLY_SQUARE = 0.75
+"""Ratio of width and height from which a silhouette is searched for upright and rotated."""
+
+STEP_DEG = 15.0
+"""With keypoints, rotations are searched in multiples of this."""
+
+MAX_LIKELY = 4
+"""Number of rotations searched beyond the usual ones: those of most entries near the keypoints."""
+
+MIN_SHARE = 0.03
+"""Smallest share of the entries near the keypoints for which a rotation is searched."""
+
+CANVAS_PX = 256
+"""Longer side of a mask while it is rotated."""
+
+
+@dataclass(frozen=True)
+class RotatedQuery:
+    """A query silhouette, rotated upright on the assumption that the person is rotated.
+
+    Parameters
+    ----------
+    rotation_deg : float
+        Assumed rotation of the person, clockwise in the frame of the silhouette.
+    upright : (128, 48) uint8 array
+        The silhouette with that rotation undone, normalised.
+    to_query : (2, 3) float64 array
+        Affine transform from pixels of ``upright`` to pixels of the query.
+    """
+
+    rotation_deg: float
+    upright: NDArray[np.uint8]
+    to_query: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, silhouette: NDArray[np.uint8], rotation_deg: float) -> RotatedQuery:
+        """Undo a rotation of a silhouette ``(128, 48)``."""
+        if rotation_deg == 0:
+            return cls(0.0, silhouette, np.eye(2, 3))
+        return cls(rotation_deg, *rotate_silhouette(silhouette, -rotation_deg))
+
+
+def find_rotated_candidates(
+    index: PoseIndex, queries: Sequence[RotatedQuery], k: int
+) -> Candidates:
+    """Find the ``k`` nearest entries to each rotation of a silhouette.
+
+    Few cameras of an index are tilted sideways; rotating the query has the same effect.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    queries : sequence of RotatedQuery
+        Rotations of the same silhouette.
+    k : int
+        Candidates per rotation.
+
+    Returns
+    -------
+    Candidates
+        In ascending distance, with the skeletons rotated to fit the query.
+    """
+    found = find_candidates_of_each(index, np.stack([query.upright for query in queries]), k)
+    return Candidates.merged(
+        [_rotate_candidates(*pair) for pair in zip(found, queries, strict=True)]
+    )
+
+
+def compare_rotated_entries(
+    index: PoseIndex, queries: Sequence[RotatedQuery], nearest: Nearest
+) -> Candidates:
+    """Compare a silhouette with the entries nearest to its keypoints.
+
+    Each entry is compared with the rotation of the silhouette that is nearest to its own.
+
+    Returns
+    -------
+    Candidates
+        In ascending distance, with the skeletons rotated as in :func:`find_rotated_candidates`.
+    """
+    rotations_deg = np.array([query.rotation_deg for query in queries])
+    apart = np.abs(_wrapped(nearest.roll_deg[:, None] - rotations_deg))
+    assigned = apart.argmin(axis=1)
+    return Candidates.merged(
+        [
+            _rotate_candidates(
+                compare_entries(
+                    index,
+                    query.upright,
+                    nearest.numbers[assigned == position],
+                    nearest.mirrored[assigned == position],
+                ),
+                query,
+            )
+            for position, query in enumerate(queries)
+            if (assigned == position).any()
+        ]
+    )
+
+
+def usual_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
+    """Rotations that are searched whatever the keypoints.
+
+    Parameters
+    ----------
+    silhouette : (128, 48) uint8 array
+    roll_deg : float
+        Roll of its camera: not 0 where it was rotated to stand.
+    """
+    if roll_deg:
+        stood_up: tuple[float, ...] = (0.0, -180.0)
+        upright, _ = rotate_silhouette(silhouette, -roll_deg)
+        return (*stood_up, roll_deg) if _ratio(upright) < 1 / NEARLY_SQUARE else stood_up
+    if _ratio(silhouette) < NEARLY_SQUARE:
+        return (0.0,)
+    axis_deg = principal_axis_deg(silhouette)
+    return (0.0, axis_deg, float(_wrapped(axis_deg + 180.0)))
+
+
+def likely_rotations(roll_deg: NDArray[np.float64]) -> tuple[float, ...]:
+    """The rotations that most entries near the keypoints have.
+
+    Parameters
+    ----------
+    roll_deg : (K,) float64 array
+        As in :class:`index.keypoint_search.Nearest`.
+
+    Returns
+    -------
+    tuple of float
+        Multiples of :data:`STEP_DEG`, the most frequent first.
+    """
+    rounded = _wrapped(np.rint(roll_deg / STEP_DEG) * STEP_DEG)
+    rotations, counts = np.unique(rounded, return_counts=True)
+    order = np.argsort(-counts, kind="stable")[:MAX_LIKELY]
+    return tuple(rotations[order][counts[order] >= MIN_SHARE * len(rounded)].tolist())
+
+
+def _ratio(silhouette: NDArray[np.uint8]) -> float:
+    """Width over height of a silhouette's bounding box."""
+    _, _, width, height = cv2.boundingRect(silhouette)
+    return width / max(height, 1)
+
+
+def _wrapped(angle_deg: ArrayLike) -> NDArray[np.float64]:
+    """The same angles from -180 up to 180 degrees."""
+    return (np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0
+
+
+def seen_from(index: PoseIndex, nearest: Nearest, roll_deg: float) -> Nearest:
+    """Change rolls from those of cameras that are not rolled to rotations of a query.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    nearest : Nearest
+    roll_deg : float
+        Roll of the query's camera.
+    """
+    entry_roll_deg = index.roll_deg(nearest.numbers, nearest.mirrored)
+    return replace(nearest, roll_deg=nearest.roll_deg - entry_roll_deg + roll_deg)
+
+
+def rotate_silhouette(
+    mask: NDArray[np.uint8] | NDArray[np.bool_], angle_deg: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Rotate a silhouette clockwise and normalise it.
+
+    Parameters
+    ----------
+    mask : (H, W) uint8 or bool array
+        0 is background.
+    angle_deg : float
+
+    Returns
+    -------
+    rotated : (128, 48) uint8 array
+    inverse : (2, 3) float64 array
+        Affine transform from its pixels to those of ``mask``.
+    """
+    height, width = mask.shape
+    scale = CANVAS_PX / max(height, width)
+    sine, cosine = abs(np.sin(np.deg2rad(angle_deg))), abs(np.cos(np.deg2rad(angle_deg)))
+    # The canvas holds the whole rotated mask; its sides are even.
+    size = 2 * np.ceil(
+        scale / 2 * np.array([width * cosine + height * sine, width * sine + height * cosine])
+    )
+    # Pixel p of the mask lies at scale * p + corner on the canvas.
+    corner = (size - 1 - scale * np.array([width - 1, height - 1])) / 2
+    # OpenCV rotates counterclockwise.
+    rotation = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), -angle_deg, 1.0)
+    to_canvas = np.column_stack(
+        [scale * rotation[:, :2], rotation[:, :2] @ corner + rotation[:, 2]]
+    )
+    covered = (mask != 0).astype(np.float32)
+    canvas = cv2.warpAffine(covered, to_canvas, size.astype(int).tolist())
+    # A lower threshold keeps a silhouette too thin to cover half of any pixel.
+    rotated, placement = normalise(canvas >= min(0.5, float(canvas.max())))
+    offset = np.array([placement.offset_x, placement.offset_y])
+    from_canvas = cv2.invertAffineTransform(to_canvas)
+    linear = from_canvas[:, :2] / placement.scale
+    return rotated, np.column_stack([linear, from_canvas[:, 2] - linear @ offset])
+
+
+def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+    """Rotate points ``(..., 3)`` in camera axes about the optical axis, clockwise as seen."""
+    angle = np.deg2rad(angle_deg)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    return np.asarray(points_3d @ rotation)
+
+
+def _rotate_candidates(candidates: Candidates, query: RotatedQuery) -> Candidates:
+    if query.rotation_deg == 0:
+        return candidates
+    linear, offset = query.to_query[:, :2], query.to_query[:, 2]
+    return replace(
+        candidates,
+        rotation_deg=np.full(len(candidates), query.rotation_deg),
+        points_3d=rotate_clockwise(candidates.points_3d, query.rotation_deg),
+        points_normalised=candidates.points_normalised @ linear.T + offset,
+    )

@@ -1,0 +1,282 @@
+"""In-plane rotation of queries: silhouettes set upright, skeletons rotated back."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from descriptor.silhouette import HEIGHT, WIDTH, normalise
+from index.candidates import find_candidates
+from index.keypoint_search import Nearest
+from index.rotations import (
+    MAX_LIKELY,
+    MIN_SHARE,
+    STEP_DEG,
+    RotatedQuery,
+    compare_rotated_entries,
+    find_rotated_candidates,
+    likely_rotations,
+    rotate_clockwise,
+    rotate_silhouette,
+    usual_rotations,
+)
+from index.skeleton import JOINTS, camera_rotation
+from index.store import PoseIndex
+
+ANGLES = (-30.0, -15.0, 10.0, 25.0)
+EVERY_WAY = (-170.0, -90.0, -53.0, 8.0, 90.0, 121.0, 180.0)
+
+
+def pixels(silhouette: np.ndarray) -> np.ndarray:
+    return np.argwhere(silhouette)[:, ::-1].astype(float)
+
+
+def bar(height: int, width: int, angle_deg: float = 0.0) -> NDArray[np.uint8]:
+    """A silhouette ``(128, 48)`` of a rectangle that is rotated clockwise."""
+    return rotate_silhouette(np.ones((height, width), np.uint8), angle_deg)[0]
+
+
+def frame_mask(silhouette: NDArray[np.uint8], left: int = 10, top: int = 4) -> NDArray[np.uint8]:
+    """The silhouette, twice as large, somewhere in a frame of 280x160."""
+    mask = np.zeros((280, 160), np.uint8)
+    large = silhouette.repeat(2, axis=0).repeat(2, axis=1)
+    mask[top : top + 2 * HEIGHT, left : left + 2 * WIDTH] = large
+    return mask
+
+
+def assert_differ_only_at_the_outline(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> None:
+    kernel = np.ones((3, 3), np.uint8)
+    for inner, outer in ((one, other), (other, one)):
+        assert not (inner & ~cv2.dilate(outer, kernel) & 1).any()
+    assert (one != other).sum() < 0.15 * one.sum()
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+class TestRotateSilhouette:
+    def test_the_inverse_leads_to_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
+        silhouette = toy_index.silhouette(40)
+        upright, inverse = rotate_silhouette(silhouette, angle)
+        assert upright.shape == (HEIGHT, WIDTH)
+        places = np.rint(pixels(upright) @ inverse[:, :2].T + inverse[:, 2]).astype(int)
+        inside = np.clip(places, 0, (WIDTH - 1, HEIGHT - 1))
+        assert silhouette[inside[:, 1], inside[:, 0]].mean() > 0.95
+        assert_allclose(places.mean(axis=0), pixels(silhouette).mean(axis=0), atol=1.0)
+
+    def test_rotates_clockwise(self, toy_index: PoseIndex, angle: float) -> None:
+        _, inverse = rotate_silhouette(toy_index.silhouette(40), angle)
+        # The inverse is counterclockwise: what points right after the rotation pointed up before.
+        assert np.rad2deg(np.arctan2(-inverse[1, 0], inverse[0, 0])) == pytest.approx(
+            angle, abs=1e-6
+        )
+
+    def test_rotating_back_gives_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
+        silhouette = toy_index.silhouette(40)
+        again = rotate_silhouette(rotate_silhouette(silhouette, angle)[0], -angle)[0]
+        both, either = (again & silhouette).sum(), (again | silhouette).sum()
+        # Rotated by 30 degrees it is drawn at two thirds of the size.
+        assert both / either > 0.8
+
+
+@pytest.mark.parametrize("angle", EVERY_WAY)
+class TestRotateAnyMask:
+    def test_pixels_lead_back_to_the_mask(self, toy_index: PoseIndex, angle: float) -> None:
+        mask = frame_mask(toy_index.silhouette(40))
+        upright, inverse = rotate_silhouette(mask, angle)
+        x, y = np.rint(pixels(upright) @ inverse[:, :2].T + inverse[:, 2]).astype(int).T
+        assert mask[y, x].mean() > 0.97
+        # All of it: as large, up to the scale.
+        area = upright.sum() * abs(np.linalg.det(inverse[:, :2]))
+        assert area == pytest.approx(mask.sum(), rel=0.04)
+
+    def test_the_inverse_is_a_rotation_and_a_scale(
+        self, toy_index: PoseIndex, angle: float
+    ) -> None:
+        linear = rotate_silhouette(frame_mask(toy_index.silhouette(40)), angle)[1][:, :2]
+        scale = np.sqrt(np.linalg.det(linear))
+        sine, cosine = np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))
+        # Counterclockwise, with y down.
+        assert_allclose(linear / scale, [[cosine, sine], [-sine, cosine]], atol=1e-9)
+
+    def test_where_in_the_frame_and_how_large_does_not_matter(
+        self, toy_index: PoseIndex, angle: float
+    ) -> None:
+        silhouette = toy_index.silhouette(40)
+        masks = (
+            frame_mask(silhouette),
+            frame_mask(silhouette, left=60, top=20),
+            silhouette,
+            255 * frame_mask(silhouette),
+        )
+        first, *others = (rotate_silhouette(mask, angle)[0] for mask in masks)
+        for other in others:
+            assert_differ_only_at_the_outline(first, other)
+
+
+def test_without_a_rotation_a_mask_is_normalised(toy_index: PoseIndex) -> None:
+    mask = frame_mask(toy_index.silhouette(40))
+    rotated_by_none, inverse = rotate_silhouette(mask, 0.0)
+    expected, placement = normalise(mask)
+    assert_differ_only_at_the_outline(rotated_by_none, expected)
+    assert_allclose(inverse @ [24, 64, 1], placement.to_image([24, 64]), atol=1.0)
+
+
+def rotated(silhouette: NDArray[np.uint8], *rotations_deg: float) -> list[RotatedQuery]:
+    return [RotatedQuery.of(silhouette, rotation) for rotation in rotations_deg]
+
+
+def test_a_leaning_person_is_found(toy_index: PoseIndex) -> None:
+    number, lean = 40, 15.0
+    leaning, inverse = rotate_silhouette(toy_index.silhouette(number), lean)
+    found = find_rotated_candidates(toy_index, rotated(leaning, -15.0, 0.0, 15.0), 20)
+    assert (found.numbers[0], found.rotation_deg[0]) == (number, lean)
+    entry = toy_index.entry(number)
+    expected = (entry.points_normalised[:JOINTS] - inverse[:, 2]) @ np.linalg.inv(inverse[:, :2]).T
+    assert_allclose(found.points_normalised[0, :JOINTS], expected, atol=2.0)
+    # The head is up; leaning clockwise brings it to the right.
+    upright = entry.points_3d[4]
+    angle = np.rad2deg(np.arctan2(upright[0], -upright[1]))
+    x, y, z = found.points_3d[0, 4]
+    assert np.rad2deg(np.arctan2(x, -y)) == pytest.approx(angle + lean)
+    assert z == pytest.approx(upright[2])
+
+
+def test_without_a_rotation_the_candidates_are_the_same(toy_index: PoseIndex) -> None:
+    silhouette = toy_index.silhouette(100)
+    ours = find_rotated_candidates(toy_index, rotated(silhouette, 0.0), 30)
+    theirs = find_candidates(toy_index, silhouette, 30)
+    assert_array_equal(ours.numbers, theirs.numbers)
+    assert_array_equal(ours.points_3d, theirs.points_3d)
+    assert (ours.rotation_deg == 0).all()
+
+
+def test_candidates_of_all_rotations_are_merged_in_ascending_distance(toy_index: PoseIndex) -> None:
+    queries = rotated(toy_index.silhouette(7), -20.0, 0.0, 20.0)
+    found = find_rotated_candidates(toy_index, queries, 10)
+    assert len(found) == 30
+    assert (np.diff(found.distances) >= 0).all()
+    assert set(found.rotation_deg) == {-20.0, 0.0, 20.0}
+
+
+def test_a_single_pixel_can_be_rotated() -> None:
+    dot = np.zeros((HEIGHT, WIDTH), np.uint8)
+    dot[60, 20] = 1
+    assert rotate_silhouette(dot, 33.0)[0].any()
+
+
+@settings(deadline=None)
+@given(rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60))
+def test_likely_rotations_are_few_and_the_most_frequent(rolls: list[float]) -> None:
+    found = likely_rotations(np.array(rolls))
+    assert len(found) == len(set(found)) <= MAX_LIKELY
+    rounded = (np.rint(np.array(rolls) / STEP_DEG) * STEP_DEG + 180) % 360 - 180
+    counts = [int((rounded == rotation).sum()) for rotation in found]
+    assert counts == sorted(counts, reverse=True)
+    assert all(count >= MIN_SHARE * len(rolls) for count in counts)
+    left_out = [int((rounded == other).sum()) for other in set(rounded.tolist()) - set(found)]
+    # Either too rare, or no more frequent than all that were found.
+    frequent = [count for count in left_out if count >= MIN_SHARE * len(rolls)]
+    assert not frequent or (len(found) == MAX_LIKELY and max(frequent) <= min(counts))
+
+
+@pytest.mark.parametrize("lean", [-150.0, -90.0, -45.0, 0.0, 30.0, 60.0, 165.0])
+def test_the_most_frequent_rotation_comes_first(lean: float) -> None:
+    rolls = np.random.default_rng(1).normal(lean, 4, 100)
+    assert likely_rotations(rolls)[0] == lean
+
+
+def test_upside_down_is_one_rotation() -> None:
+    assert likely_rotations(np.array([179.0, -179.0, 181.0])) == (-180.0,)
+
+
+def test_mirrored_rotations_are_as_likely() -> None:
+    rolls = np.array([14.0] * 30 + [-31.0] * 20 + [3.0] * 50)
+    assert likely_rotations(rolls) == (0.0, 15.0, -30.0)
+    assert likely_rotations(-rolls) == (0.0, -15.0, 30.0)
+
+
+class TestUsualRotations:
+    def test_somebody_upright_is_searched_for_upright(self) -> None:
+        assert usual_rotations(bar(120, 40), 0.0) == (0.0,)
+
+    @pytest.mark.parametrize("angle", [-60.0, -30.0, 45.0, 75.0])
+    def test_nearly_square_is_searched_for_standing_either_way_up_as_well(
+        self, angle: float
+    ) -> None:
+        upright, axis, opposite = usual_rotations(bar(100, 70, angle), 0.0)
+        assert upright == 0
+        assert axis == pytest.approx(angle, abs=3)
+        assert abs(axis - opposite) == pytest.approx(180)
+
+    @pytest.mark.parametrize("roll", [-90.0, -60.0, 70.0, 90.0])
+    def test_rotated_to_stand_is_searched_for_either_way_up(self, roll: float) -> None:
+        assert usual_rotations(bar(120, 40), roll) == (0.0, -180.0)
+
+    @pytest.mark.parametrize("roll", [-90.0, -80.0, 85.0, 90.0])
+    def test_and_as_it_was_if_it_was_hardly_wide(self, roll: float) -> None:
+        assert usual_rotations(bar(60, 50), roll) == (0.0, -180.0, roll)
+
+    @pytest.mark.parametrize("roll", [0.0, 90.0, -70.0])
+    @pytest.mark.parametrize("size", [(60, 50), (120, 40)])
+    def test_the_mirror_image_is_searched_for_at_mirrored_rotations(
+        self, roll: float, size: tuple[int, int]
+    ) -> None:
+        silhouette = bar(*size, 20.0)
+        ours = usual_rotations(silhouette, roll)
+        theirs = usual_rotations(np.ascontiguousarray(silhouette[:, ::-1]), -roll)
+        assert_allclose(np.cos(np.deg2rad(theirs)), np.cos(np.deg2rad(ours)), atol=0.02)
+        assert_allclose(np.sin(np.deg2rad(theirs)), -np.sin(np.deg2rad(ours)), atol=0.02)
+
+
+class TestRotateClockwise:
+    def test_up_becomes_right_and_depth_stays(self) -> None:
+        up = np.array([[0.0, -1.0, 0.3]])
+        assert_allclose(rotate_clockwise(up, 90.0), [[1.0, 0.0, 0.3]], atol=1e-12)
+
+    @settings(deadline=None)
+    @given(angle=st.floats(-360, 360), other=st.floats(-360, 360))
+    def test_rotations_add_up(self, angle: float, other: float) -> None:
+        points = np.random.default_rng(0).normal(size=(5, 3))
+        assert_allclose(
+            rotate_clockwise(rotate_clockwise(points, angle), other),
+            rotate_clockwise(points, angle + other),
+            atol=1e-9,
+        )
+
+    @pytest.mark.parametrize("angle", ANGLES)
+    def test_is_a_roll_of_the_camera(self, angle: float) -> None:
+        points = np.random.default_rng(0).normal(size=(5, 3))
+        upright, rolled = (points @ camera_rotation(40, 25, roll).T for roll in (0.0, angle))
+        assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-12)
+
+
+def test_entries_near_keypoints_are_compared_at_the_rotation_nearest_to_theirs(
+    toy_index: PoseIndex,
+) -> None:
+    numbers, lean = np.array([40, 41, 40, 42]), 15.0
+    mirrored = np.array([False, False, True, False])
+    nearest = Nearest(numbers, mirrored, np.array([13.0, -2.0, 80.0, 8.0]), np.zeros(4))
+    silhouette = rotate_silhouette(toy_index.silhouette(40), lean)[0]
+    found = compare_rotated_entries(toy_index, rotated(silhouette, 0.0, lean), nearest)
+    assert (np.diff(found.distances) >= 0).all()
+    assert (found.numbers[0], found.rotation_deg[0]) == (40, lean)
+    leans = {
+        (number, is_mirrored): lean
+        for number, is_mirrored, lean in zip(
+            found.numbers.tolist(),
+            found.mirrored.tolist(),
+            found.rotation_deg.tolist(),
+            strict=True,
+        )
+    }
+    assert leans == {(40, False): lean, (41, False): 0.0, (40, True): lean, (42, False): lean}
+    # As they would be found by the silhouette.
+    (same,) = np.flatnonzero((found.numbers == 41) & ~found.mirrored)
+    upright = find_candidates(toy_index, silhouette, 2 * len(toy_index))
+    (there,) = np.flatnonzero((upright.numbers == 41) & ~upright.mirrored)
+    assert found.distances[same] == pytest.approx(upright.distances[there], abs=0.1)
+    assert_allclose(found.points_normalised[same], upright.points_normalised[there])
