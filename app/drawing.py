@@ -27,7 +27,7 @@ _FONT_PX = 22
 
 
 def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
-    """Draw the frame with numbered boxes, outlines of silhouettes and the best skeletons.
+    """Draw the frame with numbered boxes, postures, silhouettes and the best skeletons.
 
     Parameters
     ----------
@@ -48,8 +48,13 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     # Afterwards, so that no person covers another one's number.
     for number, person in enumerate(estimate.persons, start=1):
         box = person.observed.box
-        corner = max(0, round(box.x)), max(letter + 2, round(box.y) - 2 - line)
-        _write(picture, str(number), corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
+        text = (
+            f"{number} {person.posture.label.replace('_', ' ')}" if person.posture else f"{number}"
+        )
+        width = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0]
+        left = max(0, min(round(box.x), picture.shape[1] - width))
+        corner = left, max(letter + 2, round(box.y) - 2 - line)
+        _write(picture, text, corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
     return np.vstack([picture, _legend(picture.shape[1], letter)])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.facing import Facing
+from app.posture import VotedPosture
 from app.vision.people import Box, ObservedKeypoints, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
@@ -34,7 +35,7 @@ class ObservedPerson:
         In the original frame; None if none was found in a caller's box.
     keypoints : ObservedKeypoints or None
         Pixels of the frame; None if none were read.
-    turns : int
+    quarter_turns : int
         Quarter turns that set the person upright; see :class:`app.vision.people.Detection`.
     """
 
@@ -43,7 +44,7 @@ class ObservedPerson:
     detection_score: float | None
     silhouette: Silhouette | None
     keypoints: ObservedKeypoints | None = None
-    turns: int = 0
+    quarter_turns: int = 0
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,7 @@ class Person:
 
     observed: ObservedPerson
     facing: Facing | None
+    posture: VotedPosture | None
     hypotheses: tuple[PlacedHypothesis, ...]
 
 

@@ -23,6 +23,7 @@ from app.vision.people import Box, ObservedKeypoints
 from app.vision.segmentation.body_network import BodyNetwork
 from app.vision.segmentation.segment import NetworkSegmenter, Segmenter
 from app.vision.weights import network_path
+from index.artefact import load_index
 from index.matching import match
 from index.store import PoseIndex
 
@@ -110,7 +111,7 @@ class Estimator:
             else NetworkDetector(movenet, min_person_px=smallest)
         )
         return cls(
-            PoseIndex.load(settings.index),
+            load_index(settings.index),
             detector,
             NetworkSegmenter(body),
             KeypointReader(movenet),
@@ -189,7 +190,7 @@ class Estimator:
             return fit_poses(self.index, person, upright, n)
 
         with stopwatch.stage("describe"):
-            upright = [set_upright(person, scene.frame.shape) for person in scene.people]
+            upright = [set_upright(person) for person in scene.people]
         with stopwatch.stage("search"):
             pairs = zip(scene.people, upright, strict=True)
             return tuple(self._map(lambda pair: fit(*pair), pairs))

@@ -243,8 +243,8 @@ class Executor:
         camera : hashable, optional
             A live camera: its frame that still waits is superseded.
         photograph : bool
-            Whether people have to be found in it. Each keeps two cores busy, so no more than half of
-            the frames worked on at once are photographs; silhouettes overtake those that wait.
+            Whether people have to be found in it. Each keeps two cores busy, so at most half of the
+            frames worked on at once are photographs; silhouettes overtake those that wait.
 
         Raises
         ------

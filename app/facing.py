@@ -12,9 +12,11 @@ from index.skeleton import POINT_NAMES
 
 Evidence = Literal["image", "none"]
 
-_SIDES = tuple(
-    np.array([POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")])
-    for side in ("left", "right")
+_CORNERS = np.array(
+    [
+        [POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")]
+        for side in ("left", "right")
+    ]
 )
 
 
@@ -36,6 +38,8 @@ class Facing:
 def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     """Azimuth of the camera about shoulders and hips: 0 in front, 90 on the person's left.
 
+    Whichever way the trunk points in the picture: who lies may face the camera as well.
+
     Parameters
     ----------
     points_3d : (..., 24, 3) array
@@ -46,9 +50,13 @@ def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     (...) float64 array
         Degrees from -180 to 180.
     """
-    left, right = (points_3d[..., side, :].sum(axis=-2) for side in _SIDES)
-    across = np.asarray(left - right, np.float64)
-    return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], across[..., 0])))
+    corners = np.asarray(points_3d[..., _CORNERS, :], np.float64)
+    across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
+    trunk = (corners[..., 0, :] - corners[..., 1, :]).sum(axis=-2)
+    length = np.maximum(np.hypot(trunk[..., 0], trunk[..., 1]), 1e-9)
+    # To the right of the trunk where it points up.
+    aside = (trunk[..., 0] * across[..., 1] - trunk[..., 1] * across[..., 0]) / length
+    return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], aside)))
 
 
 def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -15,16 +15,16 @@ from app.vision.decoding.decode import LabelImage
 from app.vision.detection.detector import Detector
 from app.vision.keypoints.reader import KeypointReader
 from app.vision.people import Box, Silhouette
+from app.vision.rotation import (
+    find_quarter_turns,
+    rotate_box,
+    rotate_keypoints,
+    rotate_shape,
+    rotate_silhouette,
+)
 from app.vision.segmentation.background import BackgroundSegmenter
 from app.vision.segmentation.segment import Segmenter, silhouettes_from_labels
 from app.vision.segmentation.truncation import end_beyond_border
-from app.vision.turning import (
-    turned_box,
-    turned_keypoints,
-    turned_shape,
-    turned_silhouette,
-    turns_upright,
-)
 
 Check = Callable[[], None]
 """Called between steps; raises where the work is no longer wanted."""
@@ -80,7 +80,9 @@ class PeopleFinder:
     def detect(self, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
         """Find people by their boxes alone, the surest first."""
         return tuple(
-            ObservedPerson(found.box, "detector", found.score, None, turns=found.turns)
+            ObservedPerson(
+                found.box, "detector", found.score, None, quarter_turns=found.quarter_turns
+            )
             for found in self.detector.detect(frame)[: self.max_persons]
         )
 
@@ -92,15 +94,15 @@ class PeopleFinder:
         silhouette = person.silhouette
         if silhouette is None:
             return person
-        turned = np.rot90(frame, person.turns)
-        box = turned_box(person.box, frame.shape, person.turns)
+        turned = np.rot90(frame, person.quarter_turns)
+        box = rotate_box(person.box, frame.shape, person.quarter_turns)
         keypoints = self.reader.read(turned, box)
         if keypoints is None:
             return person
-        if person.turns:
-            shape = turned_shape(frame.shape, person.turns)
-            keypoints = turned_keypoints(keypoints, shape, -person.turns)
-        if end_beyond_border(person.box, keypoints, frame.shape, person.turns):
+        if person.quarter_turns:
+            shape = rotate_shape(frame.shape, person.quarter_turns)
+            keypoints = rotate_keypoints(keypoints, shape, -person.quarter_turns)
+        if end_beyond_border(person.box, keypoints, frame.shape, person.quarter_turns):
             silhouette = replace(silhouette, truncated=True)
         return replace(person, silhouette=silhouette, keypoints=keypoints)
 
@@ -121,11 +123,13 @@ class PeopleFinder:
                 segmenter,
                 frame,
                 [detection.box for detection in detections],
-                [detection.turns for detection in detections],
+                [detection.quarter_turns for detection in detections],
             )
         # A detection without a silhouette was hardly a person.
         return [
-            ObservedPerson(found.box, source, found.score, silhouette, turns=found.turns)
+            ObservedPerson(
+                found.box, source, found.score, silhouette, quarter_turns=found.quarter_turns
+            )
             for found, silhouette in zip(detections, silhouettes, strict=True)
             if silhouette is not None
         ]
@@ -139,14 +143,14 @@ class PeopleFinder:
         stopwatch: Stopwatch,
     ) -> list[ObservedPerson]:
         with stopwatch.stage("keypoints"):
-            turns = [self._turns(frame, box) if reads else 0 for box in boxes]
+            quarter_turns = [self._quarter_turns(frame, box) if reads else 0 for box in boxes]
         with stopwatch.stage("segment"):
             # The difference from a background does not depend on the orientation.
-            up = turns if segmenter is self.segmenter else [0] * len(turns)
+            up = quarter_turns if segmenter is self.segmenter else [0] * len(quarter_turns)
             silhouettes = _segment_turned(segmenter, frame, boxes, up)
         return [
-            ObservedPerson(box, "boxes", None, silhouette, turns=turn)
-            for box, silhouette, turn in zip(boxes, silhouettes, turns, strict=True)
+            ObservedPerson(box, "boxes", None, silhouette, quarter_turns=turn)
+            for box, silhouette, turn in zip(boxes, silhouettes, quarter_turns, strict=True)
         ]
 
     def _in_mask(
@@ -155,33 +159,35 @@ class PeopleFinder:
         with stopwatch.stage("segment"):
             silhouettes = silhouettes_from_labels(mask)
         with stopwatch.stage("keypoints"):
-            turns = [self._turns(frame, person.box) if reads else 0 for person in silhouettes]
+            quarter_turns = [
+                self._quarter_turns(frame, person.box) if reads else 0 for person in silhouettes
+            ]
         return [
-            ObservedPerson(silhouette.box, "mask", None, silhouette, turns=turn)
-            for silhouette, turn in zip(silhouettes, turns, strict=True)
+            ObservedPerson(silhouette.box, "mask", None, silhouette, quarter_turns=turn)
+            for silhouette, turn in zip(silhouettes, quarter_turns, strict=True)
         ]
 
-    def _turns(self, frame: NDArray[np.uint8], box: Box) -> int:
+    def _quarter_turns(self, frame: NDArray[np.uint8], box: Box) -> int:
         """Quarter turns that set the person in a caller's box upright, 0 unless the box is wide."""
         if box.width <= box.height:
             return 0
-        return turns_upright(self.reader.read(frame, box))
+        return find_quarter_turns(self.reader.read(frame, box))
 
 
 def _segment_turned(
     segmenter: Segmenter,
     frame: NDArray[np.uint8],
     boxes: Sequence[Box],
-    turns: Sequence[int],
+    quarter_turns: Sequence[int],
 ) -> list[Silhouette | None]:
     """Segment people, each in the frame turned so that they are upright."""
     found: list[Silhouette | None] = [None] * len(boxes)
-    for turn in sorted(set(turns)):
-        rows = [i for i, other in enumerate(turns) if other == turn]
+    for turn in sorted(set(quarter_turns)):
+        rows = [i for i, other in enumerate(quarter_turns) if other == turn]
         upright = np.ascontiguousarray(np.rot90(frame, turn))
         silhouettes = segmenter.segment(
-            upright, [turned_box(boxes[i], frame.shape, turn) for i in rows]
+            upright, [rotate_box(boxes[i], frame.shape, turn) for i in rows]
         )
         for i, silhouette in zip(rows, silhouettes, strict=True):
-            found[i] = silhouette and turned_silhouette(silhouette, upright.shape, -turn)
+            found[i] = silhouette and rotate_silhouette(silhouette, upright.shape, -turn)
     return found

@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from app.estimates import ObservedPerson, Person, PlacedHypothesis
+from app.posture import vote_posture
 from app.reranking import rank_by_keypoints, rank_by_silhouette
 from app.upright import UprightPerson
-from index.matching import Hypothesis, match_with_spares
+from index.matching import Hypothesis, match
 from index.store import Label, PoseIndex
 
 
-def set_upright(person: ObservedPerson, frame_shape: tuple[int, ...]) -> UprightPerson | None:
+def set_upright(person: ObservedPerson) -> UprightPerson | None:
     """Normalise a person's silhouette; None where there is none."""
     if person.silhouette is None:
         return None
-    return UprightPerson.of(person.silhouette, person.turns, frame_shape, person.keypoints)
+    return UprightPerson.of(person.silhouette, person.keypoints)
 
 
 def fit_poses(
@@ -34,25 +35,23 @@ def fit_poses(
     n : int
     """
     if upright is None:
-        return Person(observed, None, ())
+        return Person(observed, None, None, ())
     keypoints = upright.keypoints()
-    matched = match_with_spares(index, upright.normalised, n, keypoints)
+    matched = match(index, upright.normalised, n, keypoints, roll_deg=upright.roll_deg).hypotheses
     ranked = rank_by_silhouette(matched, n) if keypoints is None else rank_by_keypoints(matched, n)
     points_2d = upright.points_in_frame(
         np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses])
     )
-    hypotheses = [upright.in_frame(hypothesis) for hypothesis in ranked.hypotheses]
     placed = [
         PlacedHypothesis(hypothesis, distance, confidence, _label(index, hypothesis), points)
         for hypothesis, distance, confidence, points in zip(
-            hypotheses, ranked.distances, ranked.confidences, points_2d, strict=True
+            ranked.hypotheses, ranked.distances, ranked.confidences, points_2d, strict=True
         )
     ]
-    return Person(observed, ranked.facing, tuple(placed))
+    posture = vote_posture(ranked.hypotheses, ranked.confidences)
+    return Person(observed, ranked.facing, posture, tuple(placed))
 
 
 def _label(index: PoseIndex, hypothesis: Hypothesis) -> Label:
     label = index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
-    if not hypothesis.lean_deg:
-        return label
-    return replace(label, roll_deg=label.roll_deg + hypothesis.lean_deg)
+    return replace(label, roll_deg=hypothesis.tilt_deg)

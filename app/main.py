@@ -32,7 +32,7 @@ from app.runtime import Runtime
 from app.settings import Settings, read_settings
 from app.version import VERSION
 from app.vision.runtime.tflite import NetworkError
-from index.artefact import ArtefactError
+from index.verified_files import ArtefactError
 
 log = logging.getLogger("app")
 

@@ -13,6 +13,7 @@ from app import schemas
 from app.coco import compressed, polygon, run_lengths
 from app.estimates import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
+from app.posture import VotedPosture
 from app.vision.detection.detector import DetectorName
 from app.vision.keypoints.movenet import LEAST_KEYPOINT_SCORE
 from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette
@@ -102,6 +103,7 @@ def _person(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> sc
         silhouette=_silhouette(silhouette, frame_shape, form) if silhouette else None,
         observed_keypoints=_observed(observed.keypoints) if observed.keypoints else None,
         facing=_facing(facing) if facing else None,
+        posture=_posture(person.posture) if person.posture else None,
         hypotheses=[
             _hypothesis(placed, rank, form)
             for rank, placed in enumerate(person.hypotheses, start=1)
@@ -143,6 +145,10 @@ def _facing(facing: Facing) -> schemas.Facing:
     )
 
 
+def _posture(posture: VotedPosture) -> schemas.Posture:
+    return schemas.Posture(label=posture.label, probability=round(posture.probability, 4))
+
+
 def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
 
@@ -159,6 +165,7 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas
         silhouette_distance=round(hypothesis.distance, 6),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(placed.confidence, 4),
+        posture=hypothesis.posture,
         joints_3d=_points_3d(hypothesis.points_3d, keypoints) if full else None,
         joints_2d=_points_2d(placed.points_2d, keypoints) if full else None,
         joints_3d_flat=_flat(hypothesis.points_3d, keypoints, METRE_DIGITS) if compact else None,

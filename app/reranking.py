@@ -96,7 +96,7 @@ def fused_distances(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
     likelihood = (
         KEYPOINT_WEIGHT * np.array([hypothesis.log_likelihood for hypothesis in hypotheses])
         + SIDE_WEIGHT * np.array([hypothesis.side_odds for hypothesis in hypotheses])
-        - np.abs([hypothesis.lean_deg for hypothesis in hypotheses]) / LEAN_SCALE_DEG
+        - np.abs([hypothesis.tilt_deg for hypothesis in hypotheses]) / LEAN_SCALE_DEG
     )
     return np.array([hypothesis.distance for hypothesis in hypotheses]) * np.exp(
         -likelihood / DISTANCE_WEIGHT

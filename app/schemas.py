@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
+from index.posture import Posture as PostureLabel
+
 KeypointSetName = Literal["native", "coco17"]
 PersonSource = Literal["detector", "mask", "boxes", "background"]
 Evidence = Literal["photograph", "silhouette"]
@@ -212,6 +214,17 @@ class Facing(Model):
     )
 
 
+class Posture(Model):
+    """What the person's body does, told by its 3D skeleton."""
+
+    label: PostureLabel = Field(
+        description="The posture with most of the hypotheses' confidence.", examples=["walking"]
+    )
+    probability: Probability = Field(
+        description="Its share of the hypotheses' confidence.", examples=[0.88]
+    )
+
+
 class MotionSource(Model):
     """Where an entry's pose comes from."""
 
@@ -277,6 +290,9 @@ class Hypothesis(Model):
         "account.",
         examples=[0.87],
     )
+    posture: PostureLabel = Field(
+        description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
+    )
     joints_3d: list[Point3D | None] | None = Field(
         description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
         "at the pelvis, at the size of the indexed body. Null where the entry lacks one, and as "
@@ -326,6 +342,7 @@ class Person(Model):
         "without a frame, and if the network found no person."
     )
     facing: Facing | None = Field(description="Null if there are no hypotheses.")
+    posture: Posture | None = Field(description="Null if there are no hypotheses.")
     hypotheses: list[Hypothesis] = Field(
         description="Distinct poses, the best first: near-duplicates are listed once."
     )

@@ -15,6 +15,7 @@ from app.errors import documented
 from app.replies import ReplyForm, pose_reply
 from app.routes.forms import CheckQuery
 from app.routes.uploads import (
+    DEFAULT_HYPOTHESES,
     DOCUMENTED_UPLOAD,
     EvidenceQuery,
     HypothesisCount,
@@ -56,7 +57,7 @@ PNG: dict[int | str, dict[str, Any]] = {
 async def estimate_pose(
     request: Request,
     upload: UploadForm,
-    n: HypothesisCount = 7,
+    n: HypothesisCount = DEFAULT_HYPOTHESES,
     keypoints: KeypointSetQuery = "native",
     evidence: EvidenceQuery = "photograph",
     silhouettes: SilhouettesQuery = "none",
@@ -105,7 +106,8 @@ async def draw_pose(
     estimator = runtime.ready_estimator()
 
     def work(token: CancellationToken) -> bytes:
-        estimate = estimator.estimate(upload, 1, token.check, evidence)
+        # As many as `/pose` returns by default, so that both tell the same posture.
+        estimate = estimator.estimate(upload, DEFAULT_HYPOTHESES, token.check, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
 

@@ -20,6 +20,8 @@ _BOXES = TypeAdapter(
     config=ConfigDict(strict=True),
 )
 
+DEFAULT_HYPOTHESES = 7
+
 HypothesisCount = Annotated[
     int, Query(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7])
 ]

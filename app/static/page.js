@@ -233,11 +233,12 @@ const FOUND_BY = {
 };
 
 /** What is measured of a person, as pairs of term and text. */
-function measured({ box, source, detection_score: score, silhouette, observed_keypoints: seen, facing }) {
+function measured({ box, source, detection_score: score, silhouette, observed_keypoints: seen, facing, posture }) {
   const towards = facing.front_probability >= 0.5;
   const sure = towards ? facing.front_probability : 1 - facing.front_probability;
   return [
     ["Faces", `${towards ? "the camera" : "away"}, ${percent(sure)} sure (${FACING_FROM[facing.evidence]})`],
+    ["Posture", `${posture.label.replace("_", " ")}, ${percent(posture.probability)} of the poses’ confidence`],
     ["Size", `${Math.round(box.width)} × ${Math.round(box.height)} px, silhouette ${silhouette.area_px.toLocaleString("en")} px`
       + (silhouette.truncated ? ", cut off" : "")],
     ["Keypoints", seen ? `${seen.filter(Boolean).length} of ${seen.length} seen` : "not read"],
@@ -247,11 +248,12 @@ function measured({ box, source, detection_score: score, silhouette, observed_ke
 }
 
 /** What a hypothesis says, and where it comes from. */
-function supposed({ confidence, reprojection_error_px: error, entry, source, camera }) {
+function supposed({ confidence, reprojection_error_px: error, posture, entry, source, camera }) {
   const around = ((Math.round(camera.azimuth_deg) + 180) % 360) - 180;
   const side = around > 0 ? "the person’s left" : "the person’s right";
   return [
     ["Confidence", `${percent(confidence)} that its joints are right`],
+    ["Posture", posture.replace("_", " ")],
     ["Outline", `${error.toFixed(1)} px from the entry’s on average, in 128 × 48`],
     ["Seen from", `${Math.abs(around)}° to ${side}, ${Math.round(camera.elevation_deg)}° above`],
     ["Entry", `${entry}: body ${source.subject}, clip ${source.clip}, frame ${source.frame}`

@@ -14,7 +14,9 @@ from app.settings import Settings
 from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.vision.people import Box, ObservedKeypoints
-from app.vision.turning import turned_box, turned_keypoints, turned_points, turned_silhouette
+from app.vision.rotation import rotate_box, rotate_keypoints, rotate_points, rotate_silhouette
+from index.posture import LOW
+from index.rotations import rotate_clockwise
 from tests.conftest import ROOT, Photo, png
 
 WALKER = Box(135, 162, 40, 105)
@@ -145,15 +147,18 @@ def test_a_mask_alone_is_answered_as_by_the_silhouette_alone(
 
 def test_the_camera_of_somebody_who_leans_is_turned(estimator: Estimator, walker: Person) -> None:
     for placed in walker.hypotheses:
-        hypothesis = placed.hypothesis
-        label = estimator.index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
-        assert placed.label.roll_deg == pytest.approx(label.roll_deg + hypothesis.lean_deg)
+        one = placed.hypothesis
+        label = estimator.index.label(one.entry, mirrored=one.mirrored)
+        assert placed.label.roll_deg == pytest.approx(label.roll_deg + one.rotation_deg)
+        assert placed.label.roll_deg == one.tilt_deg
 
 
-@pytest.mark.parametrize("seen", [True, False])
-@pytest.mark.parametrize("turns", [1, 2, 3])
+# Upside down, silhouettes are not wide: only keypoints tell.
+@pytest.mark.parametrize(
+    ("quarter_turns", "seen"), [(1, True), (2, True), (3, True), (1, False), (3, False)]
+)
 def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
-    estimator: Estimator, street: NDArray[np.uint8], walker: Person, turns: int, seen: bool
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person, quarter_turns: int, seen: bool
 ) -> None:
     shape = street.shape
     silhouette, keypoints = walker.observed.silhouette, walker.observed.keypoints
@@ -164,60 +169,72 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
         return estimator.with_hypotheses(scene, 5, lambda: None, Stopwatch())[0]
 
     def read(back: int) -> ObservedKeypoints | None:
-        return turned_keypoints(keypoints, shape, back) if seen else None
+        return rotate_keypoints(keypoints, shape, back) if seen else None
 
     upright = answer(street, ObservedPerson(silhouette.box, "detector", 0.9, silhouette, read(0)))
-    lies = turned_silhouette(silhouette, shape, -turns)
+    lies = rotate_silhouette(silhouette, shape, -quarter_turns)
     lying = answer(
-        np.ascontiguousarray(np.rot90(street, -turns)),
-        ObservedPerson(lies.box, "detector", 0.9, lies, read(-turns), turns),
+        np.ascontiguousarray(np.rot90(street, -quarter_turns)),
+        ObservedPerson(lies.box, "detector", 0.9, lies, read(-quarter_turns), quarter_turns),
     )
-    assert upright.facing == lying.facing
-    assert poses(upright) == poses(lying)
-    lean = {1: 90, 2: 180, 3: -90}[turns]
-    turn = {1: [[0, -1], [1, 0]], 2: [[-1, 0], [0, -1]], 3: [[0, 1], [-1, 0]]}[turns]
-    for placed, other in zip(upright.hypotheses, lying.hypotheses, strict=True):
-        assert other.hypothesis.lean_deg - placed.hypothesis.lean_deg == lean
-        assert_allclose(turned_points(placed.points_2d, shape, -turns), other.points_2d, atol=1e-6)
-        # The bodies turn as their pictures do; depth stays.
-        expected = placed.hypothesis.points_3d.copy()
-        expected[:, :2] = expected[:, :2] @ np.array(turn).T
-        assert_allclose(other.hypothesis.points_3d, expected, atol=1e-9)
+    assert upright.facing is not None and lying.facing is not None
+    assert upright.facing.evidence == lying.facing.evidence
+    if seen:
+        ours, theirs = (one.facing.front_probability for one in (lying, upright))
+        assert ours == pytest.approx(theirs, abs=0.1)
+    lean = {1: 90, 2: 180, 3: -90}[quarter_turns]
+
+    first = upright.hypotheses[0]
+    body = rotate_clockwise(first.hypothesis.points_3d, lean)
+    # Rotated to stand, the silhouette is a few degrees off and sampled anew; by the silhouette
+    # alone, another may come first.
+    gaps = [
+        np.linalg.norm(other.hypothesis.points_3d - body, axis=1).mean()
+        for other in lying.hypotheses[: 1 if seen else None]
+    ]
+    same = lying.hypotheses[int(np.argmin(gaps))]
+    assert min(gaps) < 0.06
+    picture = rotate_points(first.points_2d, shape, -quarter_turns)
+    assert np.linalg.norm(same.points_2d - picture, axis=1).mean() < 3
+    off = same.hypothesis.tilt_deg - first.hypothesis.tilt_deg - lean
+    assert (off + 180) % 360 - 180 == pytest.approx(0, abs=15)
+    assert {one.hypothesis.posture for one in upright.hypotheses} == {"standing"}
+    assert same.hypothesis.posture in LOW
 
 
-@pytest.mark.parametrize("turns", [1, 3])
+@pytest.mark.parametrize("quarter_turns", [1, 3])
 def test_wide_boxes_and_masks_are_read_for_which_way_up_they_are(
-    estimator: Estimator, street: NDArray[np.uint8], walker: Person, turns: int
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person, quarter_turns: int
 ) -> None:
-    lying = np.ascontiguousarray(np.rot90(street, -turns))
-    box = turned_box(WALKER, street.shape, -turns)
+    lying = np.ascontiguousarray(np.rot90(street, -quarter_turns))
+    box = rotate_box(WALKER, street.shape, -quarter_turns)
     (by_box,) = persons(estimator, Upload(png(lying), boxes=(box,)))
-    assert (walker.observed.turns, by_box.observed.turns) == (0, turns)
+    assert (walker.observed.quarter_turns, by_box.observed.quarter_turns) == (0, quarter_turns)
     # Cut out and read upright, both are what they were.
-    expected = np.rot90(mask_of(walker, street.shape), -turns)
+    expected = np.rot90(mask_of(walker, street.shape), -quarter_turns)
     ours = mask_of(by_box, lying.shape)
     assert (expected & ours).sum() / (expected | ours).sum() > 0.95
     keypoints = walker.observed.keypoints
     assert keypoints is not None and by_box.observed.keypoints is not None
-    there = turned_keypoints(keypoints, street.shape, -turns)
+    there = rotate_keypoints(keypoints, street.shape, -quarter_turns)
     assert_allclose(by_box.observed.keypoints.positions, there.positions, atol=2)
     (by_mask,) = persons(estimator, Upload(png(lying), mask=png(ours)))
-    assert by_mask.observed.turns == turns
+    assert by_mask.observed.quarter_turns == quarter_turns
     for lying_person in (by_box, by_mask):
         assert abs(lying_person.hypotheses[0].label.roll_deg) >= 45
     (plain,) = persons(estimator, Upload(png(lying), boxes=(box,)), "silhouette")
-    assert plain.observed.turns == 0, "only keypoints tell which way up somebody is"
+    assert plain.observed.quarter_turns == 0, "only keypoints tell which way up somebody is"
 
 
 def test_who_lies_is_found_by_the_detector(estimator: Estimator, street: NDArray[np.uint8]) -> None:
     lying = np.ascontiguousarray(np.rot90(street))
-    truth = turned_box(WALKER, street.shape, 1)
+    truth = rotate_box(WALKER, street.shape, 1)
     found = persons(estimator, Upload(png(lying)))
     (person,) = (person for person in found if person.observed.box.iou(truth) > 0.5)
-    assert person.observed.turns == 3
+    assert person.observed.quarter_turns == 3
     assert person.facing is not None and person.facing.evidence == "image"
     boxes = estimator.detect(png(lying), lambda: None)
-    assert {other.turns for other in boxes} == {3}
+    assert {other.quarter_turns for other in boxes} == {3}
 
 
 def test_people_come_left_to_right(estimator: Estimator, street: NDArray[np.uint8]) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from app.facing import azimuth_deg, front_share
+from index.rotations import rotate_clockwise
 from index.skeleton import camera_rotation
 
 
@@ -18,6 +20,13 @@ def test_azimuth_is_that_of_the_camera(azimuth: float, elevation: float, atol: f
     body[[5, 8], 1] = 0.5
     seen = azimuth_deg(body @ camera_rotation(azimuth, elevation).T)
     assert (seen - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=atol)
+
+
+@pytest.mark.parametrize("angle", [-135.0, -90.0, 15.0, 90.0, 180.0])
+def test_azimuth_does_not_change_as_the_picture_is_rotated(angle: float) -> None:
+    bodies = np.random.default_rng(0).normal(size=(20, 24, 3))
+    rotated = azimuth_deg(rotate_clockwise(bodies, angle))
+    assert_allclose((rotated - azimuth_deg(bodies) + 180) % 360, 180, atol=1e-6)
 
 
 def test_front_share_is_that_of_the_confidence() -> None:

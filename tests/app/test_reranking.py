@@ -27,7 +27,9 @@ def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: floa
     points_3d = np.zeros((POINTS, 3))
     for side, sign in (("left", 1), ("right", -1)):
         for joint in ("shoulder", "hip"):
-            points_3d[POINT_NAMES.index(f"{side}_{joint}"), 0] = 0.2 * sign * (1 if front else -1)
+            row = POINT_NAMES.index(f"{side}_{joint}")
+            points_3d[row, 0] = 0.2 * sign * (1 if front else -1)
+            points_3d[row, 1] = -0.5 if joint == "shoulder" else 0.0
     return Hypothesis(
         entry=0, mirrored=False, distance=distance, reprojection_error_px=1.0,
         confidence=others.pop("confidence", 0.5), points_3d=points_3d,
@@ -65,14 +67,14 @@ class TestFusedDistances:
     def test_each_evidence_brings_a_hypothesis_nearer_and_makes_it_surer(
         self, distance: float, likely: float, odds: float, lean: float
     ) -> None:
-        hypotheses = {"log_likelihood": likely, "side_odds": odds, "lean_deg": lean}
+        hypotheses = {"log_likelihood": likely, "side_odds": odds, "tilt_deg": lean}
         before = fused_distances([hypothesis_like(distance, **hypotheses)])
         assert 0 <= fused_confidences(before)[0] <= 1
         for better in (
             hypothesis_like(0.9 * distance, **hypotheses),
             hypothesis_like(distance, **{**hypotheses, "log_likelihood": likely / 2}),
             hypothesis_like(distance, **{**hypotheses, "side_odds": odds + 5}),
-            hypothesis_like(distance, **{**hypotheses, "lean_deg": 0.0}),
+            hypothesis_like(distance, **{**hypotheses, "tilt_deg": 0.0}),
         ):
             after = fused_distances([better])
             assert after[0] <= before[0]
@@ -84,8 +86,8 @@ class TestFusedDistances:
         assert fused_distances(hypotheses) == pytest.approx(distances)
 
     @given(distance=st.floats(0.01, 5), lean=st.floats(0, 60))
-    def test_either_lean_counts_alike(self, distance: float, lean: float) -> None:
-        left, right = (hypothesis_like(distance, lean_deg=s * lean) for s in (-1, 1))
+    def test_either_tilt_counts_alike(self, distance: float, lean: float) -> None:
+        left, right = (hypothesis_like(distance, tilt_deg=s * lean) for s in (-1, 1))
         both = fused_distances([left, right])
         assert both[0] == pytest.approx(both[1])
 
