@@ -89,7 +89,7 @@ def load_index(path: Path) -> PoseIndex:
 
 def _files(index: PoseIndex) -> dict[str, bytes]:
     flat = faiss.IndexFlatL2(index.descriptor.dimension)
-    flat.add(index.vectors)
+    flat.add(index.vectors.astype(np.float32))
     silhouettes = index.silhouette_store
     learned = {f"descriptor-{k}.npy": npy_bytes(v) for k, v in index.descriptor.arrays().items()}
     return {

@@ -124,7 +124,7 @@ def _candidates(
     distances: NDArray[np.float32] | None = None,
 ) -> Candidates:
     """Entries ``(K,)``, each with its query ``(K, D)``; computes the distances if not given."""
-    vectors = index.vectors[numbers]
+    vectors = index.vectors[numbers].astype(np.float32)
     points_3d, points_normalised = index.points(numbers)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])
     points_3d[mirrored] = mirror_3d(points_3d[mirrored])

