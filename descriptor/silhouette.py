@@ -12,6 +12,9 @@ WIDTH = 48
 
 # Silhouettes whose longer side is twice this or more are averaged over blocks before they are
 # resampled: for a mask a million pixels wide the resampling matrices alone would take 512 MB.
+_AXIS_PX = 512
+"""Longer side above which the principal axis is that of block means."""
+
 _LARGEST_PX = 1024
 
 
@@ -85,7 +88,7 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
         float((HEIGHT - 1) / 2 - scale * (top + bottom - 1) / 2),
     )
     block = max(1, max(bottom - top, right - left) // _LARGEST_PX)
-    crop = _averaged(filled[top:bottom, left:right], block)
+    crop = averaged(filled[top:bottom, left:right], block)
     vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
     horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
     grey = vertical @ crop @ horizontal.T
@@ -93,7 +96,7 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
     return (grey >= min(0.5, grey.max())).astype(np.uint8), placement
 
 
-def _averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
+def averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
     """Means of the blocks of ``block`` x ``block`` pixels, whose grid is centred on the crop.
 
     What a block holds beyond the crop counts as background.
@@ -122,9 +125,11 @@ def is_wide(mask: NDArray[np.generic]) -> bool:
 
 def principal_axis_deg(mask: NDArray[np.generic]) -> float:
     """Angle of a mask's long axis from the vertical, clockwise, from -90 to 90 degrees."""
-    y, x = np.nonzero(mask)
-    across, along = np.cov(x, y, bias=True)[[0, 0], [0, 1]], y.var()
-    from_horizontal = np.rad2deg(np.arctan2(2 * across[1], across[0] - along)) / 2
+    block = max(1, max(mask.shape) // _AXIS_PX)
+    grey = averaged(mask != 0, block)
+    y, x = np.nonzero(grey)
+    (across, both), (_, along) = np.cov(x, y, bias=True, aweights=grey[y, x] if block > 1 else None)
+    from_horizontal = np.rad2deg(np.arctan2(2 * both, across - along)) / 2
     return float(from_horizontal % 180.0 - 90.0)
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from descriptor.silhouette import normalise, principal_axis_deg
+from descriptor.silhouette import averaged, normalise, principal_axis_deg
 from index.candidates import Candidates, compare_entries, find_candidates_of_each
 from index.keypoint_search import Nearest
 from index.store import PoseIndex
@@ -33,6 +33,9 @@ MIN_SHARE = 0.03
 
 CANVAS_PX = 256
 """Longer side of a mask while it is rotated."""
+
+MAX_SOURCE_PX = 1024
+"""Longer side from which on means of blocks are rotated instead."""
 
 
 @dataclass(frozen=True)
@@ -199,28 +202,35 @@ def rotate_silhouette(
     inverse : (2, 3) float64 array
         Affine transform from its pixels to those of ``mask``.
     """
-    height, width = mask.shape
+    # OpenCV takes no longer sides than 32,767 pixels, and huge masks are slow.
+    block = max(1, max(mask.shape) // MAX_SOURCE_PX)
+    covered = averaged(mask != 0, block)
+    height, width = covered.shape
     scale = CANVAS_PX / max(height, width)
     sine, cosine = abs(np.sin(np.deg2rad(angle_deg))), abs(np.cos(np.deg2rad(angle_deg)))
     # The canvas holds the whole rotated mask; its sides are even.
     size = 2 * np.ceil(
         scale / 2 * np.array([width * cosine + height * sine, width * sine + height * cosine])
     )
-    # Pixel p of the mask lies at scale * p + corner on the canvas.
+    # Pixel p of the block means lies at scale * p + corner on the canvas.
     corner = (size - 1 - scale * np.array([width - 1, height - 1])) / 2
     # OpenCV rotates counterclockwise.
     rotation = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), -angle_deg, 1.0)
     to_canvas = np.column_stack(
         [scale * rotation[:, :2], rotation[:, :2] @ corner + rotation[:, 2]]
     )
-    covered = (mask != 0).astype(np.float32)
     canvas = cv2.warpAffine(covered, to_canvas, size.astype(int).tolist())
     # A lower threshold keeps a silhouette too thin to cover half of any pixel.
     rotated, placement = normalise(canvas >= min(0.5, float(canvas.max())))
     offset = np.array([placement.offset_x, placement.offset_y])
     from_canvas = cv2.invertAffineTransform(to_canvas)
     linear = from_canvas[:, :2] / placement.scale
-    return rotated, np.column_stack([linear, from_canvas[:, 2] - linear @ offset])
+    inverse = np.column_stack([linear, from_canvas[:, 2] - linear @ offset])
+    # Blocks and mask have their centre in common.
+    inverse[:, 2] -= (np.array([width, height]) - 1) / 2
+    inverse *= block
+    inverse[:, 2] += (np.array([mask.shape[1], mask.shape[0]]) - 1) / 2
+    return rotated, inverse
 
 
 def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:

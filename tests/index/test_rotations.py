@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from descriptor.silhouette import HEIGHT, WIDTH, normalise
+from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
 from index.candidates import find_candidates
 from index.keypoint_search import Nearest
 from index.rotations import (
@@ -280,3 +280,25 @@ def test_entries_near_keypoints_are_compared_at_the_rotation_nearest_to_theirs(
     (there,) = np.flatnonzero((upright.numbers == 41) & ~upright.mirrored)
     assert found.distances[same] == pytest.approx(upright.distances[there], abs=0.1)
     assert_allclose(found.points_normalised[same], upright.points_normalised[there])
+
+
+@pytest.mark.parametrize("shape", [(12, 1_000_000), (40_000, 3)])
+def test_masks_longer_than_opencv_takes_are_rotated(shape: tuple[int, int]) -> None:
+    mask = np.ones(shape, np.uint8)
+    assert abs(principal_axis_deg(mask)) == pytest.approx(90 if shape[1] > shape[0] else 0, abs=1)
+    rotated, inverse = rotate_silhouette(mask, 90.0)
+    assert rotated.any()
+    rows, columns = np.nonzero(rotated)
+    ends = np.stack([columns, rows], axis=1)[[0, -1]] @ inverse[:, :2].T + inverse[:, 2]
+    assert np.abs(ends).max() == pytest.approx(max(shape), rel=0.1)
+
+
+def test_large_masks_are_rotated_as_small_ones() -> None:
+    small = np.zeros((120, 200), np.uint8)
+    cv2.ellipse(small, (100, 60), (80, 25), 20.0, 0, 360, 1, -1)
+    large = small.repeat(16, axis=0).repeat(16, axis=1)
+    assert principal_axis_deg(large) == pytest.approx(principal_axis_deg(small), abs=0.2)
+    (here, to_small), (there, to_large) = (rotate_silhouette(m, 70.0) for m in (small, large))
+    assert (here != there).mean() < 0.005
+    corner = np.array([10.0, 20.0, 1.0])
+    assert_allclose(to_large @ corner, 16 * (to_small @ corner + 0.5) - 0.5, atol=16)
