@@ -48,7 +48,9 @@ def fit_poses(
             ranked.hypotheses, ranked.distances, ranked.confidences, points_2d, strict=True
         )
     ]
-    posture = vote_posture(ranked.hypotheses, ranked.confidences)
+    posture = vote_posture(
+        [hypothesis.posture for hypothesis in ranked.hypotheses], ranked.confidences
+    )
     return Person(observed, ranked.facing, posture, tuple(placed))
 
 

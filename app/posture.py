@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from index.matching import Hypothesis
 from index.posture import Posture
 
 
@@ -17,18 +16,18 @@ class VotedPosture:
     probability: float
 
 
-def vote_posture(hypotheses: Sequence[Hypothesis], confidences: Sequence[float]) -> VotedPosture:
+def vote_posture(postures: Sequence[Posture], confidences: Sequence[float]) -> VotedPosture:
     """Let hypotheses vote, each with the weight of its confidence.
 
     Parameters
     ----------
-    hypotheses : sequence of Hypothesis
-        At least one, the best first, which decides ties.
+    postures : sequence of str
+        Of at least one hypothesis, the best first, which decides ties.
     confidences : sequence of float
     """
     weights: dict[Posture, float] = {}
-    for hypothesis, confidence in zip(hypotheses, confidences, strict=True):
-        weights[hypothesis.posture] = weights.get(hypothesis.posture, 0.0) + confidence
+    for posture, confidence in zip(postures, confidences, strict=True):
+        weights[posture] = weights.get(posture, 0.0) + confidence
     label = max(weights, key=lambda posture: weights[posture])
     total = sum(weights.values())
     return VotedPosture(label, weights[label] / total if total else 1 / len(weights))

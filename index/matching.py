@@ -25,7 +25,7 @@ from index.rotations import (
     seen_from,
     usual_rotations,
 )
-from index.skeleton import POINTS
+from index.skeleton import POINTS, wrap_degrees
 from index.store import PoseIndex
 
 CANDIDATES = 160
@@ -176,8 +176,7 @@ def match(
         points_3d, points_normalised = fit_to_keypoints(keypoints, points_3d, points_normalised)
     points_3d = rotate_clockwise(points_3d, -roll_deg)
     rotation_deg = centres.rotation_deg - roll_deg
-    tilt_deg = rotation_deg + index.roll_deg(centres.numbers, centres.mirrored)
-    tilt_deg = (tilt_deg + 180.0) % 360.0 - 180.0
+    tilt_deg = wrap_degrees(rotation_deg + index.roll_deg(centres.numbers, centres.mirrored))
     postures = _postures(index, centres.numbers, points_3d, tilt_deg)
     hypotheses = [
         Hypothesis(

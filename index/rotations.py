@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from descriptor.silhouette import averaged, normalise, principal_axis_deg
 from index.candidates import Candidates, compare_entries, find_candidates_of_each
 from index.keypoint_search import Nearest
+from index.skeleton import wrap_degrees
 from index.store import PoseIndex
 
 NEARLY_SQUARE = 0.75
@@ -103,7 +104,7 @@ def compare_rotated_entries(
         In ascending distance, with the skeletons rotated as in :func:`find_rotated_candidates`.
     """
     rotations_deg = np.array([query.rotation_deg for query in queries])
-    apart = np.abs(_wrapped(nearest.roll_deg[:, None] - rotations_deg))
+    apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
     assigned = apart.argmin(axis=1)
     return Candidates.merged(
         [
@@ -138,7 +139,7 @@ def usual_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[flo
     if _ratio(silhouette) < NEARLY_SQUARE:
         return (0.0,)
     axis_deg = principal_axis_deg(silhouette)
-    return (0.0, axis_deg, float(_wrapped(axis_deg + 180.0)))
+    return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
 
 
 def likely_rotations(roll_deg: NDArray[np.float64]) -> tuple[float, ...]:
@@ -154,7 +155,7 @@ def likely_rotations(roll_deg: NDArray[np.float64]) -> tuple[float, ...]:
     tuple of float
         Multiples of :data:`STEP_DEG`, the most frequent first.
     """
-    rounded = _wrapped(np.rint(roll_deg / STEP_DEG) * STEP_DEG)
+    rounded = wrap_degrees(np.rint(roll_deg / STEP_DEG) * STEP_DEG)
     rotations, counts = np.unique(rounded, return_counts=True)
     order = np.argsort(-counts, kind="stable")[:MAX_LIKELY]
     return tuple(rotations[order][counts[order] >= MIN_SHARE * len(rounded)].tolist())
@@ -164,11 +165,6 @@ def _ratio(silhouette: NDArray[np.uint8]) -> float:
     """Width over height of a silhouette's bounding box."""
     _, _, width, height = cv2.boundingRect(silhouette)
     return width / max(height, 1)
-
-
-def _wrapped(angle_deg: ArrayLike) -> NDArray[np.float64]:
-    """The same angles from -180 up to 180 degrees."""
-    return (np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0
 
 
 def seen_from(index: PoseIndex, nearest: Nearest, roll_deg: float) -> Nearest:

@@ -32,6 +32,9 @@ FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 POINT_NAMES = JOINT_NAMES + FACE_NAMES
 """The points that an index stores of a skeleton: 19 joints, then 5 points of the face."""
 
+BODY_UP = (0.0, 1.0, 0.0)
+"""Away from the ground, in body axes."""
+
 JOINTS = len(JOINT_NAMES)
 POINTS = len(POINT_NAMES)
 
@@ -150,6 +153,11 @@ def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17)}
+
+
+def wrap_degrees(angle_deg: ArrayLike) -> NDArray[np.float64]:
+    """The same angles from -180 up to 180 degrees."""
+    return np.asarray((np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0)
 
 
 def camera_rotation(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.vision.people import COCO_NAMES, Box, ObservedKeypoints, Silhouette
 
 LYING_FROM_DEG = 60.0
-"""People who lean farther are set upright by quarter turns; the index covers leans up to it."""
+"""People who lean farther are read in a frame turned by quarters."""
 
 _LEAST_SCORE = 0.15
 # The body's axis leads from its lower to its upper end: for each, the first group that is seen.

@@ -275,17 +275,21 @@ def facing_yaw(pelvis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def turned_to_front(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """World rotations ``(F, B, 3, 3)``, root first, turned so that the pelvis faces +z."""
-    yaw = facing_yaw(rotations[:, 0])
-    cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
-    turn = np.stack(
+    return np.asarray(about_vertical(-facing_yaw(rotations[:, 0]))[:, None] @ rotations)
+
+
+def about_vertical(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations ``(F, 3, 3)`` by angles ``(F,)`` in radians about y, from z towards x."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    zero, one = np.zeros_like(angle), np.ones_like(angle)
+    return np.stack(
         [
-            np.stack([cosine, zero, -sine], -1),
-            np.stack([zero, np.ones_like(yaw), zero], -1),
-            np.stack([sine, zero, cosine], -1),
+            np.stack([cosine, zero, sine], -1),
+            np.stack([zero, one, zero], -1),
+            np.stack([-sine, zero, cosine], -1),
         ],
         axis=-2,
     )
-    return np.asarray(turn[:, None] @ rotations)
 
 
 def pose_transforms(

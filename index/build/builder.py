@@ -33,6 +33,7 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
 from index.posture import LOW, POSTURES, classify
 from index.silhouettes import Silhouettes
+from index.skeleton import BODY_UP
 from index.store import STEPS, PoseIndex
 
 ATTRIBUTION = (
@@ -145,7 +146,7 @@ def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Pose
         Decides which poses are laid down, and on which side.
     """
     joints = joints_of(poses, reference)
-    low = np.isin(classify(joints, (0.0, 1.0, 0.0)), [POSTURES.index(name) for name in LOW])
+    low = np.isin(classify(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
     laid_count = round(LAID_DOWN_SHARE * count)
     laid = lay_down(poses, reference, LAID_DOWN_TRIED * laid_count, seed)
     chosen = [_cover(laid, joints_of(laid, reference), laid_count)]

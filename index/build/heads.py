@@ -1,7 +1,7 @@
 """Heads held level: marker sets let the heads of whole subjects hang or rise.
 
-The middle pitch of a subject's head over all upright frames lies anywhere from 15 degrees up to
-40 down, although people look ahead most of the time: the head's markers were put on at an angle.
+The median pitch of a subject's head over all upright frames lies anywhere from 6 degrees up to 41
+down, although people look ahead most of the time: the head's markers were put on at an angle.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.body import turned_to_front
+from index.build.body import about_vertical, turned_to_front
 
 SIDES = ("back", "left", "belly", "right")
 """What somebody lies on, by quarters of the turn about the body's long axis."""
@@ -35,16 +35,7 @@ def laid_down(
     (P, B, 3, 3) float64 array
         The pelvis faces +z again, as far as it faces anywhere.
     """
-    turn = np.deg2rad(np.nan_to_num(lying_deg))
-    cosine, sine, zero, one = np.cos(turn), np.sin(turn), np.zeros_like(turn), np.ones_like(turn)
-    about_long_axis = np.stack(
-        [
-            np.stack([cosine, zero, sine], -1),
-            np.stack([zero, one, zero], -1),
-            np.stack([-sine, zero, cosine], -1),
-        ],
-        axis=-2,
-    )
+    about_long_axis = about_vertical(np.deg2rad(np.nan_to_num(lying_deg)))
     # From upright to the back: what was up points backwards, what was ahead points up.
     onto_back = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     lying = turned_to_front((onto_back @ about_long_axis)[:, None] @ rotations)

@@ -14,7 +14,7 @@ from index.build.heads import with_level_heads
 from index.build.lying import SIDES, TRUNK_BELOW_M, laid_down, side_of
 from index.build.motion import Clip, MotionError, Segment, read_clip
 from index.posture import POSTURES, classify
-from index.skeleton import JOINT_NAMES, JOINTS
+from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
     joints = joints_of(laid, avatar)
     heights = joints[..., 1] - joints[..., 1].min(axis=1, keepdims=True)
     trunk = heights[:, [JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("chest")]].max(axis=1)
-    lies = classify(joints, (0.0, 1.0, 0.0)) == POSTURES.index("lying")
+    lies = classify(joints, BODY_UP) == POSTURES.index("lying")
     return laid.take(np.flatnonzero(lies & (trunk < TRUNK_BELOW_M)))
 
 

@@ -18,7 +18,7 @@ from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_vie
 from index.build.poses import Poses
 from index.build.render import render, skin
 from index.posture import POSTURES, classify
-from index.skeleton import JOINT_NAMES, POINTS, camera_rotation
+from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 
 BLOCK = 4096
@@ -29,7 +29,6 @@ FORESHORTENED_OF = 2
 somebody who stands."""
 
 _NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
-_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ def simulate(
         rotations = poses.rotations(np.array([row]))
         transforms = pose_transforms(avatar, retargeting[clip, body], rotations)
         points = posed_points(avatar, transforms)
-        near_ground = classify(points, _UP)[0] in _NEAR_GROUND
+        near_ground = classify(points, BODY_UP)[0] in _NEAR_GROUND
         skeletons[skeleton] = points[0]
         labels[skeleton] = (clip, poses.frame[row], body, poses.action[row], speeds[row])
         vertices = skin(
@@ -196,6 +195,6 @@ def _draw(
         rolls = [roll_deg - axis_deg, roll_deg - axis_deg + 180.0]
         upright = camera_rotation(azimuth_deg, elevation_deg, np.array(rolls))
         head_down, pelvis_down = (body @ upright.swapaxes(1, 2))[..., 1].T
-        roll_deg = (rolls[int((head_down - pelvis_down).argmin())] + 180.0) % 360.0 - 180.0
+        roll_deg = float(wrap_degrees(rolls[int((head_down - pelvis_down).argmin())]))
         placement = placed()
     return azimuth_deg, elevation_deg, roll_deg, distance, *placement

@@ -51,7 +51,9 @@ def estimate_by_keypoints(
             ranked.hypotheses, ranked.distances, ranked.confidences, points, strict=True
         )
     ]
-    posture = vote_posture(ranked.hypotheses, ranked.confidences)
+    posture = vote_posture(
+        [hypothesis.posture for hypothesis in ranked.hypotheses], ranked.confidences
+    )
     return Person(found, ranked.facing, posture, tuple(placed))
 
 

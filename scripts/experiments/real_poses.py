@@ -16,7 +16,7 @@ from app.stopwatch import Stopwatch
 from app.vision.people import COCO_NAMES, Box, Silhouette
 from app.vision.segmentation.segment import Segmenter
 from descriptor.silhouette import normalise
-from index.skeleton import LIMBS, POINT_NAMES
+from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees
 from scripts.experiments.real_data import (
     HIPS,
     Photograph,
@@ -112,7 +112,7 @@ def judge(
     apart = points_2d - reference.joints_2d
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
     front = np.cos(np.deg2rad(azimuth)) > 0
-    turned = np.abs((azimuth - reference.azimuth_deg + 180) % 360 - 180)
+    turned = np.abs(wrap_degrees(azimuth - reference.azimuth_deg))
     return Trial(
         name=name,
         odd=odd,

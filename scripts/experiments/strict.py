@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from app.posture import vote_posture
 from index.build.avatars import HELD_OUT_AVATARS, make_avatars
 from index.build.builder import (
     Asked,
@@ -31,7 +32,7 @@ from index.build.motion import Segment, read_manifest
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.posture import LOW, POSTURES, classify
-from index.skeleton import JOINT_NAMES, LIMBS
+from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.strict_pictures import draw_hard_queries, draw_postures, plot_reliability
 
@@ -164,17 +165,17 @@ def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]
 def true_postures(queries: Simulation) -> NDArray[np.int64]:
     """Postures ``(Q,)`` of the skeletons themselves, as positions in ``POSTURES``."""
     rows = queries.entries["skeleton"]
-    return classify(queries.skeletons[rows], (0, 1, 0), queries.skeleton_labels["speed"][rows])
+    return classify(queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows])
 
 
 def voted_postures(trial: Trial) -> NDArray[np.int64]:
-    """Postures ``(Q,)`` that the hypotheses of each query vote for."""
-    return np.array(
-        [
-            np.bincount(postures[postures >= 0], confidence[postures >= 0]).argmax()
-            for postures, confidence in zip(trial.postures, trial.confidence, strict=True)
-        ]
-    )
+    """Postures ``(Q,)`` that the hypotheses of each query vote for, as in the service."""
+    voted = []
+    for postures, confidences in zip(trial.postures, trial.confidence, strict=True):
+        offered = postures >= 0
+        labels = [POSTURES[row] for row in postures[offered]]
+        voted.append(POSTURES.index(vote_posture(labels, confidences[offered].tolist()).label))
+    return np.array(voted)
 
 
 def posture_groups(postures: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:

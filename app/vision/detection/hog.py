@@ -1,4 +1,4 @@
-"""OpenCV's people detector: histograms of oriented gradients and a linear classifier.
+"""OpenCV's HOG people detector, a linear SVM on histograms of oriented gradients.
 
 The detector looks at 64x128 windows in which a person is 96 px tall [1]_. Alone it searches a
 pyramid of the frame; beside the network it judges a box on its window alone.
