@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from index.skeleton import POINT_NAMES
 
-Evidence = Literal["image", "none"]
+Evidence = Literal["image", "motion", "none"]
 
 _CORNERS = np.array(
     [
@@ -28,7 +28,8 @@ class Facing:
     ----------
     front_probability : float
     evidence : str
-        ``image``: the photograph; ``none``: only the hypotheses themselves.
+        ``image``: the photograph; ``motion``: the way the person moves; ``none``: only the
+        hypotheses themselves.
     """
 
     front_probability: float

@@ -1,0 +1,1 @@
+"""People over time: camera sessions, tracks, smoothed poses, actions and events."""

@@ -1,0 +1,132 @@
+"""What tracking returns for a frame: people with identities, smoothed poses, actions, events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimates import Person
+from index.skeleton import POINTS
+
+EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
+EventState = Literal["begin", "end"]
+SessionState = Literal["new", "warm"]
+
+
+@dataclass(frozen=True)
+class SmoothedPose:
+    """A track's pose at the newest frame, estimated from all frames so far.
+
+    Parameters
+    ----------
+    points_3d : (24, 3) float64 array
+        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
+    points_2d : (24, 2) float64 array
+        Pixels of the frame.
+    confidence : float
+        Calibrated probability that the mean joint error in the normalised frame is below 5 px.
+    entry : int
+        Index entry of the hypothesis of this frame that the pose follows.
+    """
+
+    points_3d: NDArray[np.float64]
+    points_2d: NDArray[np.float64]
+    confidence: float
+    entry: int
+
+    def __post_init__(self) -> None:
+        if self.points_3d.shape != (POINTS, 3) or self.points_2d.shape != (POINTS, 2):
+            raise ValueError(
+                f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
+                f"got {self.points_3d.shape} and {self.points_2d.shape}"
+            )
+
+
+@dataclass(frozen=True)
+class RecognisedAction:
+    """What a person does, with its probability; the label is one of the index's actions."""
+
+    label: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something about a track that began or ended at a frame.
+
+    Parameters
+    ----------
+    event : str
+    track_id : int
+    state : str
+    timestamp : float
+        Seconds, of the frame.
+    probability : float
+    """
+
+    event: EventName
+    track_id: int
+    state: EventState
+    timestamp: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class TrackedPerson:
+    """A person of a frame and the track they belong to.
+
+    Parameters
+    ----------
+    person : Person
+        The frame's own estimate. Its facing and posture are those of the track.
+    track_id : int
+        Unique within a camera session.
+    age_frames : int
+        Frames since the track began, this one included.
+    pose : SmoothedPose or None
+        None where the track has no pose yet: nobody could be cut out so far.
+    action : RecognisedAction or None
+        None until enough frames were seen.
+    """
+
+    person: Person
+    track_id: int
+    age_frames: int
+    pose: SmoothedPose | None
+    action: RecognisedAction | None
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame of a camera session.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR.
+    frame_index : int
+        Of the session, from 0.
+    timestamp : float
+        Seconds.
+    session : str
+        ``new`` if this frame began the session.
+    reset : str or None
+        Why tracks and background were forgotten before this frame, as a sentence.
+    persons : tuple of TrackedPerson
+        Ordered left to right.
+    events : tuple of Event
+        What began or ended at this frame.
+    timings_ms : dict
+    """
+
+    frame: NDArray[np.uint8]
+    frame_index: int
+    timestamp: float
+    session: SessionState
+    reset: str | None
+    persons: tuple[TrackedPerson, ...]
+    events: tuple[Event, ...]
+    timings_ms: dict[str, float]
