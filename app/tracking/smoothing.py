@@ -319,5 +319,5 @@ def _with_bone_lengths(
 
 
 def _log_sum_exp(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    most = values.max(axis=axis, keepdims=True)
-    return np.asarray(np.log(np.exp(values - most).sum(axis=axis)) + most.squeeze(axis))
+    sums: NDArray[np.float64] = np.logaddexp.reduce(values, axis=axis)
+    return sums

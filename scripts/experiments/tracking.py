@@ -209,8 +209,8 @@ def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out
             [name if kind == "alone" else "", kind, *_cells(values)]
             for kind, values in figures[name].items()
         ]
-    points = [[track.points_2d for track in those] for those in (single, tracks)]
-    draw_sequences(sequences, *points, out / "tracking.png")
+    alone_2d, smooth_2d = ([track.points_2d for track in those] for those in (single, tracks))
+    draw_sequences(sequences, alone_2d, smooth_2d, out / "tracking.png")
     write(out, "tracking", COMMAND, [
         "Tracks against single frames",
         f"{len(sequences)} sequences of held-out clips, each stretch of motion of one action "
