@@ -253,7 +253,7 @@ def _log_moves(
     """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
     ways = np.linalg.norm(before[:, None, :JOINTS] - after[None, :, :JOINTS], axis=-1).mean(axis=-1)
     cost_per_m = COST_PER_M * min(1.0, 1 / (RATE * seconds))
-    return -np.minimum(cost_per_m * ways, MOST_COST)
+    return np.asarray(-np.minimum(cost_per_m * ways, MOST_COST))
 
 
 def _weights_near_best(
