@@ -14,7 +14,7 @@ from app.finder import Check, PeopleFinder
 from app.hypotheses import fit_poses, set_upright
 from app.settings import Settings
 from app.stopwatch import Stopwatch
-from app.upload import Upload, UploadDecoder
+from app.upload import DecodedUpload, Upload, UploadDecoder
 from app.upright import UprightPerson
 from app.vision.detection.detector import Detector, HogDetector, NetworkDetector
 from app.vision.keypoints.movenet import MoveNet
@@ -79,9 +79,7 @@ class Estimator:
         self.detector = detector
         self.segmenter = segmenter
         self._decoder = UploadDecoder(max_pixels, max_persons, map_parts)
-        self._finder = PeopleFinder(
-            detector, segmenter, keypoint_reader, min_person_px, max_persons
-        )
+        self.finder = PeopleFinder(detector, segmenter, keypoint_reader, min_person_px, max_persons)
         self._map = map_parts
 
     @classmethod
@@ -165,11 +163,15 @@ class Estimator:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
         check()
         with stopwatch.stage("decode"):
-            decoded = self._decoder.decode(upload)
+            decoded = self.decode(upload)
         check()
         reads = evidence == "photograph" and upload.frame is not None
-        people = self._finder.find(decoded, reads, check, stopwatch)
+        people = self.finder.find(decoded, reads, check, stopwatch)
         return Scene(decoded.frame, tuple(sorted(people, key=lambda person: person.box.x)))
+
+    def decode(self, upload: Upload) -> DecodedUpload:
+        """Decode the images of an upload; raises :class:`UploadError`."""
+        return self._decoder.decode(upload)
 
     def with_keypoints(self, scene: Scene, check: Check, stopwatch: Stopwatch) -> Scene:
         """Read the keypoints of people with silhouettes from the photograph."""
@@ -177,7 +179,7 @@ class Estimator:
         with stopwatch.stage("keypoints"):
             for person in scene.people:
                 check()
-                people.append(self._finder.with_keypoints(scene.frame, person))
+                people.append(self.finder.with_keypoints(scene.frame, person))
         return replace(scene, people=tuple(people))
 
     def with_hypotheses(
@@ -200,8 +202,8 @@ class Estimator:
         check()
         pixels = self._decoder.decode_frame(frame)
         check()
-        return self._finder.detect(pixels)
+        return self.finder.detect(pixels)
 
     def read_keypoints(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
         """Read the keypoints of the upright person in a box, in pixels of the frame."""
-        return self._finder.reader.read(frame, box)
+        return self.finder.reader.read(frame, box)

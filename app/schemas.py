@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 from index.posture import Posture as PostureLabel
 
 KeypointSetName = Literal["native", "coco17"]
-PersonSource = Literal["detector", "mask", "boxes", "background"]
+PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
 Evidence = Literal["photograph", "silhouette"]
 SilhouetteForm = Literal["none", "rle", "polygon"]
 JointForm = Literal["full", "compact", "none"]
