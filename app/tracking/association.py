@@ -39,11 +39,10 @@ def associate(
     list of int or None
         For each sighting the position of its track, None for a newcomer.
     """
-    costs = association_costs(tracks, sightings, timestamp)
-    # The solver's answer has another shape where no pair is allowed.
-    if not (costs <= _LARGEST_COST).any():
+    if not tracks or not sightings:
         return [None] * len(sightings)
-    _, assigned, _ = lap.lapjv(costs, extend_cost=True, cost_limit=_LARGEST_COST)
+    costs = association_costs(tracks, sightings, timestamp)
+    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=_LARGEST_COST)
     return [int(row) if row >= 0 else None for row in assigned]
 
 
