@@ -40,6 +40,8 @@ _LEAST_HEIGHT = 0.8
 _STILL_SPEED, _STILL_SHARE = 0.3, 0.1
 # How long somebody is believed to move on as expected while others hide who is who.
 _BELIEVED_S = 1.0
+# How long a place where something moves and nobody was found is left alone.
+_LEFT_ALONE_S = 1.0
 
 
 class PeopleSearch:
@@ -56,6 +58,8 @@ class PeopleSearch:
         self._background = BackgroundModel()
         self._searched_at = -math.inf
         self._newcomers_at = -math.inf
+        # Where nobody was found of late, with the time of the search.
+        self._empty: list[tuple[Box, float]] = []
 
     @property
     def memory_bytes(self) -> int:
@@ -196,7 +200,14 @@ class PeopleSearch:
     ) -> Box | None:
         """The part of the frame that has waited longest for the detector."""
         least_height = _LEAST_HEIGHT * self._finder.min_person_px
-        newcomers = moving.unexplained([box for _, box in inside], least_height)
+        self._empty = [
+            (box, since) for box, since in self._empty if timestamp - since < _LEFT_ALONE_S
+        ]
+        newcomers = [
+            box
+            for box in moving.unexplained([box for _, box in inside], least_height)
+            if all(box.iou(other) < SAME_PERSON for other, _ in self._empty)
+        ]
         groups = _touching([box for _, box in unclear])
         waiting = [
             (min(unclear[i][0].searched_at for i in group), [unclear[i][1] for i in group])
@@ -210,6 +221,7 @@ class PeopleSearch:
         since, boxes = min(waiting, key=lambda part: part[0])
         if newcomers and since == self._newcomers_at:
             self._newcomers_at = timestamp
+            self._empty.append((boxes[0], timestamp))
         for track, box in unclear:
             if box in boxes:
                 track.searched_at = timestamp
