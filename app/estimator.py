@@ -24,7 +24,7 @@ from app.vision.segmentation.body_network import BodyNetwork
 from app.vision.segmentation.segment import NetworkSegmenter, Segmenter
 from app.vision.weights import network_path
 from index.artefact import load_index
-from index.matching import match
+from index.matching import CANDIDATES_PER_HYPOTHESIS, match
 from index.store import PoseIndex
 
 # Two threads share a pass of a network with little loss; more do not.
@@ -80,7 +80,7 @@ class Estimator:
         self.segmenter = segmenter
         self._decoder = UploadDecoder(max_pixels, max_persons, map_parts)
         self.finder = PeopleFinder(detector, segmenter, keypoint_reader, min_person_px, max_persons)
-        self._map = map_parts
+        self.map_parts = map_parts
 
     @classmethod
     def load(cls, settings: Settings, map_parts: Map = map_serially) -> Estimator:
@@ -183,19 +183,27 @@ class Estimator:
         return replace(scene, people=tuple(people))
 
     def with_hypotheses(
-        self, scene: Scene, n: int, check: Check, stopwatch: Stopwatch
+        self,
+        scene: Scene,
+        n: int,
+        check: Check,
+        stopwatch: Stopwatch,
+        candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
     ) -> tuple[Person, ...]:
-        """Find the poses that fit people's silhouettes and keypoints."""
+        """Find the poses that fit people's silhouettes and keypoints.
+
+        ``candidates_per_hypothesis`` is that of :func:`index.matching.match`.
+        """
 
         def fit(person: ObservedPerson, upright: UprightPerson | None) -> Person:
             check()
-            return fit_poses(self.index, person, upright, n)
+            return fit_poses(self.index, person, upright, n, candidates_per_hypothesis)
 
         with stopwatch.stage("describe"):
             upright = [set_upright(person) for person in scene.people]
         with stopwatch.stage("search"):
             pairs = zip(scene.people, upright, strict=True)
-            return tuple(self._map(lambda pair: fit(*pair), pairs))
+            return tuple(self.map_parts(lambda pair: fit(*pair), pairs))
 
     def detect(self, frame: bytes, check: Check) -> tuple[ObservedPerson, ...]:
         """Find the people of a frame by their boxes alone, the surest first."""

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.executor import Map, map_serially
 from app.vision.people import Box, Silhouette, silhouette_from_mask
 from app.vision.resampling import resize
 from app.vision.segmentation.mask_cleaning import fill_small_holes, keep_components
@@ -46,9 +47,15 @@ class BackgroundModel:
 
     OpenCV's nearest-neighbour model: its silhouettes on ``vtest`` overlap with the network's by
     0.87, those of the mixture of Gaussians by 0.84.
+
+    Parameters
+    ----------
+    map_parts : callable
+        Works on the upper and the lower half of a frame; see :class:`app.executor.Map`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, map_parts: Map = map_serially) -> None:
+        self._map = map_parts
         self._began = self._last = 0.0
         self.memory_bytes = 0
         self._restart()
@@ -76,7 +83,9 @@ class BackgroundModel:
         self._last = timestamp
         self._frames += 1
         rate = max(1 / (2 * self._frames), min(1.0, elapsed / MEMORY_S))
-        mask = self._model.apply(small, None, rate) == _FOREGROUND
+        halves = zip(self._models, np.array_split(small, len(self._models)), strict=True)
+        mask = np.vstack(self._map(lambda half: half[0].apply(half[1], None, rate), halves))
+        mask = mask == _FOREGROUND
         self.memory_bytes = _BYTES_PER_PIXEL * mask.size
         if self._frames < READY_FRAMES or timestamp - self._began < READY_S:
             return None
@@ -86,8 +95,9 @@ class BackgroundModel:
         return MovingRegions.of(mask, factor, frame.shape)
 
     def _restart(self) -> None:
-        self._model = cv2.createBackgroundSubtractorKNN(500, _DISTANCE, True)
-        self._model.setNSamples(_SAMPLES)
+        self._models = [cv2.createBackgroundSubtractorKNN(500, _DISTANCE, True) for _ in range(2)]
+        for model in self._models:
+            model.setNSamples(_SAMPLES)
         self._frames = 0
 
 

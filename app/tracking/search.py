@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson
+from app.executor import Map, map_serially
 from app.finder import Check, PeopleFinder, segment_turned
 from app.stopwatch import Stopwatch
 from app.tracking.moving import BackgroundModel, MovingRegions
@@ -33,11 +34,17 @@ NETWORK_CUTS = 2
 
 # Room about people in a part of the frame that is searched, as a share of their height.
 _ROOM = 0.25
+# People who end this near to the edge of such a part are cut by it.
+_CUT_PX = 3.0
 # Regions lower than this share of the smallest person wanted are not searched.
 _LEAST_HEIGHT = 0.8
 # Somebody slower than this, in heights a second, with less than this share of the box moving,
 # stands where they stood.
 _STILL_SPEED, _STILL_SHARE = 0.3, 0.1
+# How long somebody who stands still is believed to stand there: the detector may miss them twice.
+_RESTING_S = 2.5 * SEARCH_EVERY_S
+# How much of somebody has to be inside the frame.
+_MOSTLY = 0.7
 # How long somebody is believed to move on as expected while others hide who is who.
 _BELIEVED_S = 1.0
 # How long a place where something moves and nobody was found is left alone.
@@ -51,11 +58,13 @@ class PeopleSearch:
     ----------
     finder : PeopleFinder
         Its detector and segmenter are used.
+    map_parts : callable
+        Works on the parts of a frame; see :class:`app.executor.Map`.
     """
 
-    def __init__(self, finder: PeopleFinder) -> None:
+    def __init__(self, finder: PeopleFinder, map_parts: Map = map_serially) -> None:
         self._finder = finder
-        self._background = BackgroundModel()
+        self._background = BackgroundModel(map_parts)
         self._searched_at = -math.inf
         self._newcomers_at = -math.inf
         # Where nobody was found of late, with the time of the search.
@@ -240,7 +249,12 @@ class PeopleSearch:
             replace(d, box=Box(d.box.x + left, d.box.y + top, d.box.width, d.box.height))
             for d in self._finder.detector.detect(np.ascontiguousarray(cut(frame, window)))
         ]
-        return [d for d in found if all(d.box.iou(s.box) < SAME_PERSON for s in clear)]
+        return [
+            d
+            for d in found
+            if not _is_cut(d.box, inside, frame.shape)
+            and all(d.box.iou(s.box) < SAME_PERSON for s in clear)
+        ]
 
     def _cut_out(
         self,
@@ -282,10 +296,24 @@ def _is_believed(track: Track, box: Box, moving: MovingRegions, timestamp: float
     """Whether somebody is where they are expected although nothing shows them clearly."""
     if not track.is_confirmed:
         return False
+    # Somebody who has all but left the frame has left it.
+    if box.area < _MOSTLY * track.motion.expect(timestamp).area:
+        return False
+    unseen = timestamp - track.motion.timestamp
     if _is_still(track, box, moving):
-        return True
-    recent = timestamp - track.motion.timestamp <= _BELIEVED_S
-    return recent and moving.moving_share(box) >= _STILL_SHARE
+        return unseen <= _RESTING_S
+    return unseen <= _BELIEVED_S and moving.moving_share(box) >= _STILL_SHARE
+
+
+def _is_cut(box: Box, part: Box, frame_shape: tuple[int, ...]) -> bool:
+    """Whether somebody ends where the part of the frame does, but the frame goes on."""
+    height, width = frame_shape[:2]
+    return (
+        (part.x > 0 and box.x < part.x + _CUT_PX)
+        or (part.y > 0 and box.y < part.y + _CUT_PX)
+        or (part.right < width - 1 and box.right > part.right - _CUT_PX)
+        or (part.bottom < height - 1 and box.bottom > part.bottom - _CUT_PX)
+    )
 
 
 def _around(boxes: Sequence[Box]) -> Box:

@@ -24,18 +24,25 @@ from app.upload import Upload
 HYPOTHESES = 20
 """Hypotheses of each person from which poses are smoothed; the reply holds as many as asked."""
 
+CANDIDATES_PER_HYPOTHESIS = 7
+"""So that the candidates are those of a single frame with seven hypotheses, the default; with 20,
+a person takes nearly twice the time."""
+
 LONGEST_GAP_S = 10.0
 """After a longer gap the session begins anew: the scene may be another."""
 
-FORGOTTEN_AFTER_S, TENTATIVE_FOR_S = 2.0, 0.5
-"""How long a track lives unseen, once confirmed and before."""
+FORGOTTEN_AFTER_S, LEAVING_FOR_S, TENTATIVE_FOR_S = 2.0, 0.5, 0.5
+"""How long a track lives unseen: inside the frame, at its edge, and before it is confirmed."""
 
 FOUND_WITHIN_S = 8.0
 """A track that neither detector nor keypoints show to be a person for this long is dropped: what
 moves may be a car, or a curtain."""
 
 READ_PER_FRAME = 1
-"""People whose keypoints are read on a frame that is not searched as a whole."""
+"""People whose keypoints are read on a frame: those whose last ones are oldest."""
+
+# People expected this near to the frame's edge leave it.
+_EDGE_PX = 3.0
 
 
 class LateFrameError(ValueError):
@@ -58,7 +65,7 @@ class CameraSession:
     def __init__(self, estimator: Estimator, clock: Callable[[], float] = time.monotonic) -> None:
         self._estimator = estimator
         self._clock = clock
-        self._search = PeopleSearch(estimator.finder)
+        self._search = PeopleSearch(estimator.finder, estimator.map_parts)
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -137,7 +144,9 @@ class CameraSession:
         if reads:
             seen = self._with_keypoints(seen, frame, timestamp, check, stopwatch)
         scene = Scene(frame, tuple(person for person, _ in seen))
-        persons = self._estimator.with_hypotheses(scene, max(n, HYPOTHESES), check, stopwatch)
+        persons = self._estimator.with_hypotheses(
+            scene, max(n, HYPOTHESES), check, stopwatch, CANDIDATES_PER_HYPOTHESIS
+        )
         tracked = []
         for person, (_, track) in zip(persons, seen, strict=True):
             result = track.update(person, timestamp)
@@ -182,7 +191,7 @@ class CameraSession:
         else:
             return
         self._reset = reason
-        self._search = PeopleSearch(self._estimator.finder)
+        self._search = PeopleSearch(self._estimator.finder, self._estimator.map_parts)
         for track in self._tracks:
             self._tell("left", track, timestamp)
         self._tracks = []
@@ -237,13 +246,28 @@ class CameraSession:
     def _forget_unseen(self, timestamp: float) -> None:
         kept = []
         for track in self._tracks:
-            longest = TENTATIVE_FOR_S if track.track_id is None else FORGOTTEN_AFTER_S
+            if track.track_id is None:
+                longest = TENTATIVE_FOR_S
+            else:
+                longest = LEAVING_FOR_S if self._leaves(track, timestamp) else FORGOTTEN_AFTER_S
             unseen, unfound = timestamp - track.seen_at, timestamp - track.found_at
             if unseen <= longest and unfound <= FOUND_WITHIN_S:
                 kept.append(track)
             else:
                 self._tell("left", track, timestamp)
         self._tracks = kept
+
+    def _leaves(self, track: Track, timestamp: float) -> bool:
+        """Whether somebody is expected at the frame's edge."""
+        if self._size is None:
+            return False
+        height, width = self._size
+        box = track.motion.expect(timestamp)
+        return (
+            min(box.x, box.y) < _EDGE_PX
+            or box.right > width - _EDGE_PX
+            or box.bottom > height - _EDGE_PX
+        )
 
     def _with_keypoints(
         self,

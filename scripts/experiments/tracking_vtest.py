@@ -1,6 +1,6 @@
 """The street video played to a camera session in process: times, memory, identities.
 
-Run with ``python -m scripts.experiments.tracking_vtest VIDEO``.
+Run with ``OPENBLAS_NUM_THREADS=1 python -m scripts.experiments.tracking_vtest VIDEO``.
 """
 
 from __future__ import annotations

@@ -78,7 +78,9 @@ class TestAssociate:
 
     def test_clothes_tell_who_is_who_where_places_do_not(self) -> None:
         tracks = [walking(100, 0, RED), walking(110, 0, BLUE)]
-        assert associate(tracks, [sighting(103, clothes=BLUE), sighting(107, clothes=RED)], 1.1) == [
+        assert associate(
+            tracks, [sighting(103, clothes=BLUE), sighting(107, clothes=RED)], 1.1
+        ) == [
             1,
             0,
         ]

@@ -150,9 +150,7 @@ class TestMovingRegions:
 
     def test_a_person_at_the_corner_stays_inside(self) -> None:
         moving = regions((COLUMNS - 20, ROWS - 60, 20, 60), factor=2)
-        (silhouette,) = moving.silhouettes(
-            [Box(2 * (COLUMNS - 20), 2 * (ROWS - 60), 40, 120)]
-        )
+        (silhouette,) = moving.silhouettes([Box(2 * (COLUMNS - 20), 2 * (ROWS - 60), 40, 120)])
         assert silhouette is not None
         assert silhouette.mask((2 * ROWS, 2 * COLUMNS)).sum() == 2 * 60 * 2 * 20
 
