@@ -66,7 +66,10 @@ class PeopleSearch:
         self._finder = finder
         self._background = BackgroundModel(map_parts)
         self._searched_at = -math.inf
+        self._last = -math.inf
         self._newcomers_at = -math.inf
+        self.detected_at = -math.inf
+        """When the detector last looked, at the whole frame or a part of it."""
         # Where nobody was found of late, with the time of the search.
         self._empty: list[tuple[Box, float]] = []
 
@@ -105,11 +108,13 @@ class PeopleSearch:
         check()
         if moving is None or timestamp - self._searched_at >= SEARCH_EVERY_S:
             found = self._everywhere(frame, moving, check, stopwatch)
-            self._searched_at = timestamp
+            self._searched_at = self.detected_at = timestamp
             for track in tracks:
                 track.searched_at = timestamp
-            return found
-        return self._about(tracks, frame, timestamp, moving, check, stopwatch)
+        else:
+            found = self._about(tracks, frame, timestamp, moving, check, stopwatch)
+        self._last = timestamp
+        return found
 
     def _everywhere(
         self,
@@ -156,7 +161,10 @@ class PeopleSearch:
             if silhouette is None
         ]
         with stopwatch.stage("detect"):
-            part = self._next_part(unclear, inside, moving, timestamp)
+            # Every other frame at most: between, keypoints are read.
+            rests = self.detected_at == self._last
+            part = None if rests else self._next_part(unclear, inside, moving, timestamp)
+            self.detected_at = self.detected_at if part is None else timestamp
             detections = [] if part is None else self._detect_in(frame, part, clear)
         check()
         # Those of whom the detector found no better place.

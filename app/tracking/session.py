@@ -38,8 +38,9 @@ FOUND_WITHIN_S = 8.0
 """A track that neither detector nor keypoints show to be a person for this long is dropped: what
 moves may be a car, or a curtain."""
 
-READ_PER_FRAME = 1
-"""People whose keypoints are read on a frame: those whose last ones are oldest."""
+READ_PER_FRAME, READ_EVERY_S = 1, 0.5
+"""People whose keypoints are read on a frame: those whose last ones are oldest. Nobody's are read
+on frames on which the detector looks, unless this long ago any were read."""
 
 # People expected this near to the frame's edge leave it.
 _EDGE_PX = 3.0
@@ -72,6 +73,7 @@ class CameraSession:
         self._size: tuple[int, ...] | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
+        self._read_at = -math.inf
         # Not told yet.
         self._reset: str | None = None
         self._events: list[Event] = []
@@ -141,7 +143,8 @@ class CameraSession:
             found = [(person, None) for person in people]
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
-        if reads:
+        looked = self._search.detected_at == timestamp
+        if reads and (not looked or timestamp - self._read_at >= READ_EVERY_S):
             seen = self._with_keypoints(seen, frame, timestamp, check, stopwatch)
         scene = Scene(frame, tuple(person for person, _ in seen))
         persons = self._estimator.with_hypotheses(
@@ -286,7 +289,7 @@ class CameraSession:
                 check()
                 person, track = seen[i]
                 person = self._estimator.finder.with_keypoints(frame, person)
-                track.read_at = timestamp
+                track.read_at = self._read_at = timestamp
                 if person.keypoints is not None:
                     track.found_at = timestamp
                 result[i] = person, track
