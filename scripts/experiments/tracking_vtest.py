@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimator import Estimator
-from app.executor import Item, Result
+from app.executor import Item, Map, Result
 from app.process import configure_process
 from app.settings import Settings
 from app.tracking.results import TrackedFrame
@@ -43,24 +43,11 @@ def main() -> None:
         type=int,
         default=0,
         metavar="EVERY",
-        help="compare silhouettes of every so-manieth frame with the network's",
+        help="compare silhouettes of every EVERY-th frame with the network's",
     )
     options = parser.parse_args()
     configure_process()
-    threads = ThreadPoolExecutor(1)
-
-    def map_parts(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
-        """Two threads: this one and a helper."""
-        parts = list(items)
-        helped = [threads.submit(function, part) for part in parts[1::2]]
-        own = [function(part) for part in parts[::2]]
-        theirs = [future.result() for future in helped]
-        result: list[Result] = []
-        for place in range(len(parts)):
-            result.append((theirs if place % 2 else own)[place // 2])
-        return result
-
-    estimator = Estimator.load(Settings(), map_parts)
+    estimator = Estimator.load(Settings(), two_threads())
     estimator.warm_up()
     session = CameraSession(estimator)
     frames = 0
@@ -78,6 +65,31 @@ def main() -> None:
         print(f"  resident {resident_mb():.0f} MB, session {session.memory_bytes / 1e6:.1f} MB")
     if options.sheets:
         report.save_sheets(options.sheets)
+
+
+def two_threads() -> Map:
+    """Work on the parts of a frame by this thread and a helper, as a quiet service does."""
+    helper = ThreadPoolExecutor(1)
+
+    def map_parts(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
+        waiting = list(enumerate(items))
+        results: dict[int, Result] = {}
+
+        def work() -> None:
+            while waiting:
+                try:
+                    place, item = waiting.pop(0)
+                except IndexError:  # The other thread took the last one.
+                    return
+                results[place] = function(item)
+
+        count = len(waiting)
+        helped = helper.submit(work)
+        work()
+        helped.result()
+        return [results[place] for place in range(count)]
+
+    return map_parts
 
 
 def encoded_frames(video: Path, limit: int | None) -> Iterator[tuple[int, bytes]]:
