@@ -35,7 +35,9 @@ _FOREGROUND = 255  # Shadows are 127.
 _ROOM = 0.15
 # A component of which less lies in the room is more than this person ...
 _INSIDE = 0.8
-# ... and makes the person unclear if it has this share of the foreground in the room.
+# ... one of which this much lies in the room of each of two people may be both of them, ...
+_SHARED = 0.35
+# ... and either makes the person unclear if it has this share of the foreground in the room.
 _FOREIGN = 0.15
 # Height and width of a clear person, as ratios to the expected ones.
 _HEIGHTS, _WIDTHS = (0.8, 1.25), (0.55, 1.8)
@@ -159,14 +161,19 @@ class MovingRegions:
         list of Silhouette or None
             None where the regions are shared, reach beyond the person, or have another size.
         """
-        found = [self._own_regions(box) for box in expected]
-        claims = np.zeros(len(self.areas), np.int64)
-        for regions in found:
-            claims[list(regions)] += 1
-        return [
-            None if any(claims[region] > 1 for region in regions) else self._cut(box, regions)
-            for box, regions in zip(expected, found, strict=True)
-        ]
+        inside = np.array([self._pixels_in(box) for box in expected], np.int64)
+        inside = inside.reshape(len(expected), len(self.areas))
+        # Whose box holds most of a region, nobody else's a good part of it, owns it.
+        held = inside >= _INSIDE * self.areas
+        shared = (inside >= _SHARED * self.areas).sum(axis=0) > 1
+        owned = held.any(axis=0) & ~shared
+        found: list[Silhouette | None] = []
+        for box, pixels, own in zip(expected, inside, held, strict=True):
+            about = np.where(owned & ~own, 0, pixels)
+            matters = (about > 0) & (about >= _FOREIGN * about.sum())
+            clear = matters.any() and not (matters & (shared | ~own)).any()
+            found.append(self._cut(box, own & ~shared) if clear else None)
+        return found
 
     def moving_share(self, box: Box) -> float:
         """Share of a box that moves, 0 to 1."""
@@ -202,25 +209,17 @@ class MovingRegions:
         tall = tall[np.argsort(-tall[:, cv2.CC_STAT_AREA], kind="stable")]
         return [Box(*(self.factor * np.array(row[:4]) - [0.5, 0.5, 0, 0]).tolist()) for row in tall]
 
-    def _own_regions(self, box: Box) -> tuple[int, ...]:
-        """Regions that make up most of what moves about a box."""
+    def _pixels_in(self, box: Box) -> NDArray[np.int64]:
+        """Pixels ``(K + 1,)`` of each region that lie in a box with some room about it."""
         rows, columns = self._window(box, _ROOM)
-        inside = np.bincount(self.labels[rows, columns].ravel(), minlength=1)
-        inside[0] = 0
-        enough = _FOREIGN * inside.sum()
-        return tuple(int(k) for k in np.flatnonzero((inside > 0) & (inside >= enough)))
+        counts = np.bincount(self.labels[rows, columns].ravel(), minlength=len(self.areas))
+        counts[0] = 0
+        return counts
 
-    def _cut(self, box: Box, regions: tuple[int, ...]) -> Silhouette | None:
+    def _cut(self, box: Box, regions: NDArray[np.bool_]) -> Silhouette | None:
         """The silhouette of one person's regions; None unless it is the size of the box."""
-        if not regions:
-            return None
         rows, columns = self._window(box, _ROOM)
-        part = self.labels[rows, columns]
-        inside = np.bincount(part.ravel(), minlength=len(self.areas))
-        if any(inside[region] < _INSIDE * self.areas[region] for region in regions):
-            return None
-        # Specks of the same person count as long as they lie wholly inside.
-        mask = (inside >= _INSIDE * self.areas)[part] & (part > 0)
+        mask = regions[self.labels[rows, columns]]
         mask = fill_small_holes(keep_components(mask, 0.1), 0.05)
         height, width = self.frame_shape[:2]
         top, left = rows.start * self.factor, columns.start * self.factor

@@ -136,6 +136,15 @@ class TestMovingRegions:
         found = moving.silhouettes([Box(40, 20, 20, 60), Box(70, 20, 20, 60)])
         assert [silhouette and silhouette.left for silhouette in found] == [40, 70]
 
+    def test_neighbours_in_each_other_s_room_are_both_clear(self) -> None:
+        moving = regions((40, 20, 20, 60), (63, 20, 20, 60))
+        found = moving.silhouettes([Box(39, 20, 22, 60), Box(62, 20, 22, 60)])
+        assert [silhouette and silhouette.crop.shape for silhouette in found] == [(60, 20)] * 2
+
+    def test_one_behind_another_is_not_clear(self) -> None:
+        both = [Box(40, 20, 20, 60), Box(46, 18, 20, 58)]
+        assert regions((40, 18, 26, 62)).silhouettes(both) == [None, None]
+
     def test_nothing_moves(self) -> None:
         assert regions().silhouettes([Box(40, 20, 20, 60)]) == [None]
         assert regions().silhouettes([]) == []
