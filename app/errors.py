@@ -18,6 +18,7 @@ from app.messages import expected_and_got, shortened
 from app.request_context import note_rejection
 from app.route_table import RouteTable
 from app.schemas import Problem
+from app.tracking.session import LateFrameError
 from app.upload import UploadError
 
 MEDIA_TYPE = "application/problem+json"
@@ -122,12 +123,13 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 _MEANINGS = {
-    400: "An upload is not a decodable image.",
+    400: "An upload is not a decodable image or video.",
     401: "An API key is configured, and the request's is missing or wrong.",
     404: "There is no such thing.",
     408: "The upload took too long.",
+    409: "The frame is not later than the last one of its camera.",
     413: "Too many bytes or pixels.",
-    415: "The body is neither multipart/form-data nor, where that is taken, an image.",
+    415: "The body is neither multipart/form-data nor, where that is taken, an image or a video.",
     422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
     503: "Overloaded (with Retry-After), or the index is not loaded.",
 }
@@ -158,6 +160,12 @@ def register_error_handlers(
         status = _STATUS_OF_UPLOAD[error.reason]
         return problem_response(
             ProblemError(status, str(error), field=error.field, reason=error.reason)
+        )
+
+    @app.exception_handler(LateFrameError)
+    async def _(request: Request, error: LateFrameError) -> Response:
+        return problem_response(
+            ProblemError(409, str(error), field="timestamp", reason="late_frame")
         )
 
     @app.exception_handler(BusyError)
