@@ -11,6 +11,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import RedirectResponse, Response
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.types import Receive, Scope, Send
 
 from app.cancellation import BusyError, ClientGoneError
@@ -20,6 +21,7 @@ from app.route_table import RouteTable
 from app.schemas import Problem
 from app.tracking.session import LateFrameError
 from app.upload import UploadError
+from app.video_reader import VideoError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -105,6 +107,11 @@ def is_image(request: Request) -> bool:
     return request.headers.get("content-type", "").lower().startswith("image/")
 
 
+def is_video(request: Request) -> bool:
+    """Whether the content type says that the body is a video."""
+    return request.headers.get("content-type", "").lower().startswith("video/")
+
+
 def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemError:
     """Make a 415 for any other body."""
     got = request.headers.get("content-type", "")[:100] or "none"
@@ -172,8 +179,16 @@ def register_error_handlers(
     async def _(request: Request, error: BusyError) -> Response:
         return problem_response(overloaded(str(error), error.reason, retry_after_s()))
 
+    @app.exception_handler(VideoError)
+    async def _(request: Request, error: VideoError) -> Response:
+        status = _STATUS_OF_UPLOAD[error.reason]
+        return problem_response(
+            ProblemError(status, str(error), field="video", reason=error.reason)
+        )
+
+    @app.exception_handler(ClientDisconnect)
     @app.exception_handler(ClientGoneError)
-    async def _(request: Request, error: ClientGoneError) -> Response:
+    async def _(request: Request, error: Exception) -> Response:
         note_rejection(request.scope, "client_gone")
         return Response(status_code=499)  # For the log; the client is gone.
 

@@ -13,7 +13,7 @@ from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 
 from app.access_log import AccessLogMiddleware
-from app.admission import AdmissionMiddleware
+from app.admission import AdmissionMiddleware, UploadLimits
 from app.cameras import HEADER as CAMERA_HEADER
 from app.cameras import camera_stream
 from app.cors import CorsMiddleware
@@ -25,7 +25,7 @@ from app.metrics import Metrics
 from app.openapi import SERVERS, TAGS, add_openapi
 from app.process import configure_process, freeze_loaded_objects, trim_heap
 from app.route_table import RouteTable
-from app.routes import cameras, deepstack, health, index, pose
+from app.routes import cameras, deepstack, health, index, pose, sequence
 from app.routes.cameras import SESSION_HEADER
 from app.routes.docs import add_docs
 from app.routes.page import add_page
@@ -85,7 +85,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
     )
     runtime = Runtime(settings, executor, metrics, sessions)
-    runtime.metrics.observe_sessions(lambda: len(sessions))
+    metrics.observe_sessions(lambda: len(sessions), lambda: runtime.sequences)
     runtime.metrics.observe_load(lambda: executor.inside, executor.capacity)
     runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
@@ -95,7 +95,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_process()
         # Uploads stay in memory, within the limits of admission: no photograph touches a disk.
-        MultiPartParser.spool_max_size = settings.max_upload_bytes
+        MultiPartParser.spool_max_size = max(settings.max_upload_bytes, settings.max_video_bytes)
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(_load, runtime)
@@ -119,7 +119,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         redirect_slashes=False,  # Redirects of our own are relative, see app/errors.py.
     )
     app.state.runtime = runtime
-    routers = [module.router for module in (pose, cameras, index, deepstack, health)]
+    routers = [module.router for module in (pose, cameras, sequence, index, deepstack, health)]
     for router in routers:
         app.include_router(router)
     add_openapi(app)
@@ -137,11 +137,16 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(
         AdmissionMiddleware,
-        is_full=lambda scope: executor.is_full(camera_stream(scope)),
+        # Frames of a video wait until there is room for them.
+        is_full=lambda scope: (
+            scope["path"] != sequence.PATH and executor.is_full(camera_stream(scope))
+        ),
         retry_after_s=executor.retry_after_s,
-        max_bytes=settings.max_upload_bytes,
+        limits=UploadLimits(settings.max_upload_bytes, settings.upload_timeout_s),
+        limits_of_paths={
+            sequence.PATH: UploadLimits(settings.max_video_bytes, settings.video_upload_timeout_s)
+        },
         max_open=settings.max_requests,
-        timeout_s=settings.upload_timeout_s,
     )
     if settings.cors_origins:
         app.add_middleware(

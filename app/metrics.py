@@ -122,13 +122,14 @@ class Metrics:
         self._sessions = Gauge(
             "pose_camera_sessions", "Camera sessions held.", registry=self.registry
         )
-        self.sequences = Gauge(
+        self._sequences = Gauge(
             "pose_sequences", "Videos received or worked on.", registry=self.registry
         )
 
-    def observe_sessions(self, count: Callable[[], int]) -> None:
-        """Report the camera sessions held whenever metrics are read."""
-        self._sessions.set_function(count)
+    def observe_sessions(self, sessions: Callable[[], int], sequences: Callable[[], int]) -> None:
+        """Report the camera sessions and the videos at hand whenever metrics are read."""
+        self._sessions.set_function(sessions)
+        self._sequences.set_function(sequences)
 
     def observe_load(self, inside: Callable[[], int], capacity: int) -> None:
         """Report the frames in flight whenever metrics are read.

@@ -8,9 +8,9 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from app.schemas import DeepstackUpload, FrameUpload, Problem
-from app.tracking_schemas import TrackUpload
+from app.tracking_schemas import TrackUpload, VideoUpload
 
-_FORMS = (FrameUpload, TrackUpload, DeepstackUpload)
+_FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
 
 TAGS = [
     {"name": "pose", "description": "A frame in; its people, their silhouettes and poses out."},

@@ -13,6 +13,15 @@ NOTES = "pose.notes"
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 
 
+ENDING = "pose.ending"
+"""Key of a request's state: whether the service is being stopped."""
+
+
+def is_ending(scope: Scope) -> bool:
+    """Whether the service is being stopped while it answers this request."""
+    return bool(scope.get("state", {}).get(ENDING))
+
+
 HEADERS = "headers"
 """Key of the notes: headers that the answer shall have, whatever it will be."""
 

@@ -33,6 +33,8 @@ class Runtime:
         Does all work on images.
     metrics : Metrics
     sessions : CameraSessions
+    sequences : int
+        Videos that are received or worked on.
     estimator : Estimator or None
         None until the index is loaded.
     not_ready_because : str
@@ -45,6 +47,7 @@ class Runtime:
     executor: Executor
     metrics: Metrics
     sessions: CameraSessions
+    sequences: int = 0
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
     loading: bool = True

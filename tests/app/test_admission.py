@@ -13,13 +13,16 @@ from fastapi.routing import APIRoute
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from app.admission import AdmissionMiddleware
+from app.admission import AdmissionMiddleware, UploadLimits
 from app.errors import ProblemError
 from app.routes import deepstack, health, index, pose
 
 
 async def answer(
-    middleware: AdmissionMiddleware, method: str = "POST", headers: dict[bytes, bytes] | None = None
+    middleware: AdmissionMiddleware,
+    method: str = "POST",
+    headers: dict[bytes, bytes] | None = None,
+    path: str = "/pose",
 ) -> tuple[int, dict[bytes, bytes], int]:
     """Status and headers of the answer, and how many messages of the body were read."""
     sent: list[Message] = []
@@ -33,7 +36,8 @@ async def answer(
     async def send(message: Message) -> None:
         sent.append(message)
 
-    scope = {"type": "http", "method": method, "headers": list((headers or {}).items())}
+    fields = list((headers or {}).items())
+    scope = {"type": "http", "method": method, "path": path, "headers": fields}
     await middleware(scope, receive, send)
     return sent[0]["status"], dict(sent[0]["headers"]), read
 
@@ -54,9 +58,9 @@ def admission(
         reading,
         is_full=lambda scope: full,
         retry_after_s=lambda: 7,
-        max_bytes=100,
+        limits=UploadLimits(100, timeout_s),
+        limits_of_paths={"/sequence": UploadLimits(1000, timeout_s)},
         max_open=max_open,
-        timeout_s=timeout_s,
     )
 
 
