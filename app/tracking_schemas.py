@@ -173,11 +173,13 @@ class VideoUpload(Model):
     )
 
 
-class SequenceFrame(_TrackedFrame):
-    """A line of a video's answer: one of its frames."""
-
+class _FrameLine(Model):
     type: Literal["frame"] = Field(description="Always `frame`.", examples=["frame"])
     video_frame: int = Field(ge=0, description="Frame of the video, from 0.", examples=[80])
+
+
+class SequenceFrame(_TrackedFrame, _FrameLine):
+    """A line of a video's answer: one of its frames."""
 
 
 class PostureTime(Model):

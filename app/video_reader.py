@@ -151,8 +151,10 @@ class VideoReader:
                 f"got {width}x{height}",
             )
         if kind == END:
-            if number < width * (1 - _ANNOUNCED_BUT_MISSING) or not number:
-                raise self._broken(f"{number} of {width} frames could be read")
+            if not number:
+                raise self._broken("something else")
+            if number < width * (1 - _ANNOUNCED_BUT_MISSING):
+                raise self._broken(f"{number} of {width} frames")
             return None
         assert kind == FRAME
         pixels = await self._stream.readexactly(width * height * 3)
@@ -162,5 +164,5 @@ class VideoReader:
         )
 
     def _broken(self, found: str) -> VideoError:
-        expected = "more of the video" if self._read else "a video that FFmpeg can read"
+        expected = "the whole video" if self._read else "a video that FFmpeg can read"
         return VideoError("undecodable", f"video: expected {expected}, got {found}")
