@@ -71,16 +71,9 @@ def test_rubbish_has_no_frames(tmp_path: Path, data: bytes) -> None:
     assert decode(tmp_path / "v.avi")[-1][:2] == (END, 0)
 
 
-@pytest.mark.parametrize(
-    "playlist",
-    [
-        "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{video}\n#EXT-X-ENDLIST\n",
-        "ffconcat version 1.0\nfile {video}\n",
-    ],
-)
-def test_no_other_file_is_opened(tmp_path: Path, playlist: str) -> None:
-    write_video(tmp_path / "secret.ts", numbered_frames(3), "mp4v")
-    (tmp_path / "v.avi").write_text(playlist.format(video=tmp_path / "secret.ts"))
+def test_no_other_file_is_opened(tmp_path: Path) -> None:
+    write_video(tmp_path / "other.avi", numbered_frames(3))
+    (tmp_path / "v.avi").write_text("ffconcat version 1.0\nfile other.avi\n")
     assert decode(tmp_path / "v.avi") == [(END, 0, 0, 0)]
 
 
