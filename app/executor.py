@@ -277,7 +277,7 @@ class Executor:
             return await done
         finally:
             job.token.cancel()
-            job.future.cancel()
+            done.cancel()
             gone.cancel()
             if place.job is job:
                 self._leave(place, camera)

@@ -101,6 +101,9 @@ async def open_video(
     finally:
         if process.returncode is None:
             process.kill()
+        # Else asyncio, which reads no further ahead than its buffer, would wait for ever.
+        while await process.stdout.read(_BUFFER_BYTES):
+            pass
         await process.wait()
 
 

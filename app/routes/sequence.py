@@ -37,6 +37,7 @@ from app.routes.uploads import (
 )
 from app.runtime import Runtime, runtime_of
 from app.schemas import Evidence
+from app.tracking.results import TrackedFrame
 from app.tracking.sequence import SequenceSummary
 from app.tracking.session import CameraSession
 from app.tracking_replies import sequence_end_reply, sequence_frame_reply
@@ -255,24 +256,25 @@ class _Sequence:
     async def _work_on(self, frame: VideoFrame) -> bytes:
         """Work on a frame once there is room for it, and return its line."""
 
-        def work(token: CancellationToken) -> bytes:
+        def work(token: CancellationToken) -> tuple[TrackedFrame, bytes]:
             tracked = self._session.process(
                 Upload(frame.pixels), frame.timestamp, self._n, token.check, self._evidence
             )
-            self._summary.add(tracked)
             self._runtime.metrics.observe_stages(tracked.timings_ms)
             self._runtime.metrics.observe_persons(person.person for person in tracked.persons)
-            return _line(
-                sequence_frame_reply(tracked, frame.number, self._estimator.index, self._form)
-            )
+            reply = sequence_frame_reply(tracked, frame.number, self._estimator.index, self._form)
+            return tracked, _line(reply)
 
         while True:
             try:
-                return await self._runtime.executor.run(
+                tracked, line = await self._runtime.executor.run(
                     work, _until_cancelled, photograph=self._summary.frames == 0
                 )
             except OverloadedError:
                 await asyncio.sleep(_RETRY_S)
+            else:
+                self._summary.add(tracked)
+                return line
 
     def _end(self, reason: SequenceEndReason, detail: str) -> bytes:
         return _line(sequence_end_reply(self._summary, reason, detail))
