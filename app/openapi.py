@@ -98,6 +98,10 @@ def _mend_operation(operation: dict[str, Any]) -> None:
     for status, response in operation["responses"].items():
         names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
         names += ["X-Session"] * (operation["operationId"] == "track_frame")
+        for content in response.get("content", {}).values():
+            if "anyOf" in content["schema"]:
+                # FastAPI adds that lines of JSON are a string.
+                content["schema"] = {"anyOf": content["schema"]["anyOf"]}
         response["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in names}
     if "security" in operation:
         # Keys are required only if the operator has set any.

@@ -95,6 +95,7 @@ class TestFrames:
         for session in "ab":
             assert [n for name, n in order if name == session] == list(range(6))
         assert "ab" in together
+        executor.shut_down()
         assert executor._sessions == set()
 
     async def test_two_who_waited_for_the_same_frame_both_begin(self) -> None:
