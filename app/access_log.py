@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import ProblemError, problem_response
 from app.metrics import Metrics
-from app.request_context import NOTES, request_id
+from app.request_context import HEADERS, NOTES, request_id
 from app.route_table import RouteTable
 
 log = logging.getLogger("app.request")
@@ -52,7 +52,9 @@ class AccessLogMiddleware:
         async def noting_send(message: Message) -> None:
             if message["type"] == "http.response.start":
                 notes["status"] = message["status"]
-                MutableHeaders(scope=message)[_HEADER] = identifier
+                headers = MutableHeaders(scope=message)
+                headers[_HEADER] = identifier
+                headers.update(notes.get(HEADERS, {}))
             await send(message)
 
         try:

@@ -8,7 +8,8 @@ that have been accepted.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -23,18 +24,32 @@ STALLED_S = 1.0
 """An upload that has been silent for this long makes room for another one."""
 
 
+@dataclass(frozen=True)
+class UploadLimits:
+    """Limits of one request body.
+
+    Parameters
+    ----------
+    max_bytes : int
+    timeout_s : float
+        For receiving it.
+    """
+
+    max_bytes: int
+    timeout_s: float
+
+
 class _Upload:
     """One body that is being received.
 
     Parameters
     ----------
-    timeout_s : float
-        For all of it.
+    limits : UploadLimits
     """
 
-    def __init__(self, timeout_s: float) -> None:
+    def __init__(self, limits: UploadLimits) -> None:
+        self.limits = limits
         self._started = self._last = asyncio.get_running_loop().time()
-        self._timeout_s = timeout_s
         self._timeout: asyncio.Timeout | None = None
         self.received = 0
         self.complete = False
@@ -42,7 +57,7 @@ class _Upload:
     async def next(self, receive: Receive) -> Message:
         """Return the next message; raise TimeoutError if it does not come in time."""
         grace_s = GRACE_S + self.received / MIN_BYTES_PER_S
-        deadline = self._started + min(self._timeout_s, grace_s)
+        deadline = self._started + min(self.limits.timeout_s, grace_s)
         try:
             async with asyncio.timeout_at(deadline) as self._timeout:
                 message = await receive()
@@ -76,12 +91,11 @@ class AdmissionMiddleware:
         Whether the executor would refuse a request of this scope.
     retry_after_s : callable
         Seconds until it probably has room.
-    max_bytes : int
-        Of one request body.
+    limits : UploadLimits
+    limits_of_paths : mapping
+        Limits of the paths that have others.
     max_open : int
         Requests with a body that are received or answered at once.
-    timeout_s : float
-        For receiving one body.
     """
 
     def __init__(
@@ -90,16 +104,16 @@ class AdmissionMiddleware:
         *,
         is_full: Callable[[Scope], bool],
         retry_after_s: Callable[[], int],
-        max_bytes: int,
+        limits: UploadLimits,
+        limits_of_paths: Mapping[str, UploadLimits],
         max_open: int,
-        timeout_s: float,
     ) -> None:
         self.app = app
         self._is_full = is_full
         self._retry_after_s = retry_after_s
-        self._max_bytes = max_bytes
+        self._limits = limits
+        self._limits_of_paths = limits_of_paths
         self._max_open = max_open
-        self._timeout_s = timeout_s
         self._uploads: set[_Upload] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -107,25 +121,26 @@ class AdmissionMiddleware:
         if scope["type"] != "http" or scope["method"] not in ("POST", "PUT", "PATCH"):
             await self.app(scope, receive, send)
             return
-        refusal = self._refusal(scope)
+        limits = self._limits_of_paths.get(scope["path"], self._limits)
+        refusal = self._refusal(scope, limits)
         if refusal is not None:
             await problem_response(refusal)(scope, receive, send)
             return
-        upload = _Upload(self._timeout_s)
+        upload = _Upload(limits)
         self._uploads.add(upload)
         try:
             await self._admit(upload, scope, receive, send)
         finally:
             self._uploads.discard(upload)
 
-    def _refusal(self, scope: Scope) -> ProblemError | None:
+    def _refusal(self, scope: Scope, limits: UploadLimits) -> ProblemError | None:
         if self._is_full(scope):
             return overloaded(FULL, "queue_full", self._retry_after_s())
         if len(self._uploads) >= self._max_open and not self._make_room():
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
         length = dict(scope["headers"]).get(b"content-length", b"")
-        if length.isdigit() and int(length) > self._max_bytes:
-            return self._too_large()
+        if length.isdigit() and int(length) > limits.max_bytes:
+            return _too_large(limits)
         return None
 
     def _make_room(self) -> bool:
@@ -135,11 +150,6 @@ class AdmissionMiddleware:
             return False
         stalled.give_up()
         return True
-
-    def _too_large(self) -> ProblemError:
-        return ProblemError(
-            413, f"expected a request of at most {self._max_bytes} bytes", reason="too_many_bytes"
-        )
 
     async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
         refusal: ProblemError | None = None
@@ -154,13 +164,14 @@ class AdmissionMiddleware:
             except TimeoutError:
                 refusal = ProblemError(
                     408,
-                    f"expected the whole upload in {self._timeout_s:g} seconds, without a pause",
+                    f"expected the whole upload in {upload.limits.timeout_s:g} seconds, "
+                    "without a pause",
                     reason="slow_upload",
                     headers={"Connection": "close"},
                 )
                 raise refusal from None
-            if upload.received > self._max_bytes:
-                refusal = self._too_large()
+            if upload.received > upload.limits.max_bytes:
+                refusal = _too_large(upload.limits)
                 raise refusal
             return message
 
@@ -174,3 +185,9 @@ class AdmissionMiddleware:
                 await problem_response(refusal)(scope, receive, send)
 
         await self.app(scope, counting_receive, replacing_send)
+
+
+def _too_large(limits: UploadLimits) -> ProblemError:
+    return ProblemError(
+        413, f"expected a request of at most {limits.max_bytes} bytes", reason="too_many_bytes"
+    )

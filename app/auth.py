@@ -19,34 +19,45 @@ _header = APIKeyHeader(
 _bearer = HTTPBearer(auto_error=False, description="The same key as a bearer token.")
 
 
-def check_key(settings: Settings, given: Iterable[str | None]) -> None:
-    """Raise a 401 unless a given key is among the configured ones.
+def check_key(settings: Settings, given: Iterable[str | None]) -> int:
+    """Return the position of the given key among the configured ones; 0 if none is configured.
 
     All pairs are compared, each in constant time, so that the duration reveals nothing.
+
+    Raises
+    ------
+    ProblemError
+        A 401 if keys are configured and none of them was given.
     """
     if not settings.api_keys:
-        return
+        return 0
     matches = [
-        hmac.compare_digest(key.get_secret_value().encode(), candidate.encode())
+        position
         for candidate in given
         if candidate
-        for key in settings.api_keys
+        for position, key in enumerate(settings.api_keys)
+        if hmac.compare_digest(key.get_secret_value().encode(), candidate.encode())
     ]
-    if not any(matches):
+    if not matches:
         raise ProblemError(
             401,
             "expected an API key in the header X-API-Key or as a bearer token",
             reason="unauthorised",
             headers={"WWW-Authenticate": "Bearer"},
         )
+    return matches[0]
 
 
 async def _require_key(
     request: Request,
     header: Annotated[str | None, Security(_header)],
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
-) -> None:
-    check_key(runtime_of(request).settings, (header, bearer.credentials if bearer else None))
+) -> int:
+    given = (header, bearer.credentials if bearer else None)
+    return check_key(runtime_of(request).settings, given)
 
 
 RequireKey = Depends(_require_key)
+
+Caller = Annotated[int, RequireKey]
+"""The caller, by the position of their key; all are the same where no keys are configured."""

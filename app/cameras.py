@@ -9,9 +9,10 @@ from fastapi import Depends, Header
 from starlette.types import Scope
 
 HEADER = "X-Camera-ID"
-_PATTERN = "^[A-Za-z0-9._-]{1,64}$"
+CAMERA_PATTERN = "^[A-Za-z0-9._-]{1,64}$"
 _HEADER_BYTES = HEADER.lower().encode()
-_PATTERN_BYTES = re.compile(_PATTERN.encode())
+_PATTERN_BYTES = re.compile(CAMERA_PATTERN.encode())
+_SESSION_PATH = re.compile("/cameras/([^/]+)/frames")
 
 
 class CameraStream(NamedTuple):
@@ -24,9 +25,13 @@ class CameraStream(NamedTuple):
 
 
 def camera_stream(scope: Scope) -> CameraStream | None:
-    """Return the stream a request belongs to, None if it names no camera."""
+    """Return the stream a request belongs to, None if it names no camera.
+
+    The header names it, or the path of a camera session.
+    """
     headers = dict(scope["headers"])
-    camera = headers.get(_HEADER_BYTES)
+    session = _SESSION_PATH.fullmatch(scope["path"])
+    camera = session[1].encode() if session else headers.get(_HEADER_BYTES)
     if camera is None or not _PATTERN_BYTES.match(camera):
         return None
     return CameraStream(
@@ -42,7 +47,7 @@ async def _camera_header(
         str | None,
         Header(
             alias=HEADER,
-            pattern=_PATTERN,
+            pattern=CAMERA_PATTERN,
             description="Name of the camera, for live use: while a frame of it waits, a newer one "
             "takes its place, and the older is answered at once with a 503.",
             examples=["yard-2"],

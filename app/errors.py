@@ -11,6 +11,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import RedirectResponse, Response
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.types import Receive, Scope, Send
 
 from app.cancellation import BusyError, ClientGoneError
@@ -18,7 +19,9 @@ from app.messages import expected_and_got, shortened
 from app.request_context import note_rejection
 from app.route_table import RouteTable
 from app.schemas import Problem
+from app.tracking.session import LateFrameError
 from app.upload import UploadError
+from app.video_reader import VideoError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -104,6 +107,11 @@ def is_image(request: Request) -> bool:
     return request.headers.get("content-type", "").lower().startswith("image/")
 
 
+def is_video(request: Request) -> bool:
+    """Whether the content type says that the body is a video."""
+    return request.headers.get("content-type", "").lower().startswith("video/")
+
+
 def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemError:
     """Make a 415 for any other body."""
     got = request.headers.get("content-type", "")[:100] or "none"
@@ -122,12 +130,13 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 _MEANINGS = {
-    400: "An upload is not a decodable image.",
+    400: "An upload is not a decodable image or video.",
     401: "An API key is configured, and the request's is missing or wrong.",
     404: "There is no such thing.",
     408: "The upload took too long.",
+    409: "The frame is not later than the last one of its camera.",
     413: "Too many bytes or pixels.",
-    415: "The body is neither multipart/form-data nor, where that is taken, an image.",
+    415: "The body is neither multipart/form-data nor, where that is taken, an image or a video.",
     422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
     503: "Overloaded (with Retry-After), or the index is not loaded.",
 }
@@ -160,12 +169,26 @@ def register_error_handlers(
             ProblemError(status, str(error), field=error.field, reason=error.reason)
         )
 
+    @app.exception_handler(LateFrameError)
+    async def _(request: Request, error: LateFrameError) -> Response:
+        return problem_response(
+            ProblemError(409, str(error), field="timestamp", reason="late_frame")
+        )
+
     @app.exception_handler(BusyError)
     async def _(request: Request, error: BusyError) -> Response:
         return problem_response(overloaded(str(error), error.reason, retry_after_s()))
 
+    @app.exception_handler(VideoError)
+    async def _(request: Request, error: VideoError) -> Response:
+        status = _STATUS_OF_UPLOAD[error.reason]
+        return problem_response(
+            ProblemError(status, str(error), field="video", reason=error.reason)
+        )
+
+    @app.exception_handler(ClientDisconnect)
     @app.exception_handler(ClientGoneError)
-    async def _(request: Request, error: ClientGoneError) -> Response:
+    async def _(request: Request, error: Exception) -> Response:
         note_rejection(request.scope, "client_gone")
         return Response(status_code=499)  # For the log; the client is gone.
 

@@ -5,7 +5,8 @@ Frames (:meth:`Executor.run`)
     deadline and is dropped when its client hangs up. A frame of a live camera that still waits is
     replaced by the next one of the same camera: a late answer is worth less than one to a newer
     frame. At most half of the frames worked on at once are photographs in which people have to be
-    found: each keeps two cores busy, and two on two cores are both answered later.
+    found: each keeps two cores busy, and two on two cores are both answered later. Frames of one
+    camera session are worked on one after the other.
 Parts (:meth:`Executor.map`)
     The people of a frame, or its images. The frame's own thread works through its parts. While
     there are fewer frames than may be worked on at once, other threads help, one part at a time,
@@ -24,6 +25,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from contextvars import Context, ContextVar, copy_context
 from dataclasses import dataclass, field
 from functools import partial
@@ -81,6 +83,7 @@ class _Job:
     work: Callable[[CancellationToken], Any]
     token: CancellationToken
     photograph: bool
+    session: Hashable = None
     context: Context = field(default_factory=copy_context)
     future: Future[Any] = field(default_factory=Future)
 
@@ -198,6 +201,7 @@ class Executor:
         self._newest: dict[Hashable, _Place] = {}
         self._lock = threading.Lock()
         self._running = self._helping = self._photographs = 0
+        self._sessions: set[Hashable] = set()
         self._waiting: deque[_Place] = deque()
         self._divided: deque[_Parts[Any, Any]] = deque()
 
@@ -230,6 +234,7 @@ class Executor:
         camera: Hashable = None,
         *,
         photograph: bool = False,
+        session: Hashable = None,
     ) -> T:
         """Work on a frame in a thread.
 
@@ -245,6 +250,8 @@ class Executor:
         photograph : bool
             Whether people have to be found in it. Each keeps two cores busy, so at most half of the
             frames worked on at once are photographs; silhouettes overtake those that wait.
+        session : hashable, optional
+            A camera session: its frames are worked on one at a time, in order of arrival.
 
         Raises
         ------
@@ -254,7 +261,7 @@ class Executor:
         """
         if _role.get():
             raise RuntimeError("expected a frame to be started by a request, not by another frame")
-        job = _Job(work, CancellationToken(self._timeout_s), photograph)
+        job = _Job(work, CancellationToken(self._timeout_s), photograph, session)
         place = self._place(job, camera)
         done: asyncio.Future[T] = asyncio.wrap_future(job.future)
         gone = asyncio.ensure_future(until_gone())
@@ -270,7 +277,7 @@ class Executor:
             return await done
         finally:
             job.token.cancel()
-            job.future.cancel()
+            done.cancel()
             gone.cancel()
             if place.job is job:
                 self._leave(place, camera)
@@ -341,10 +348,12 @@ class Executor:
         with self._lock:
             if self._running < self._frames and (place := self._next_place()) is not None:
                 self._waiting.remove(place)
-                photograph = place.job.photograph
+                photograph, session = place.job.photograph, place.job.session
                 self._running += 1
                 self._photographs += photograph
-                return partial(self._work_on, place, photograph)
+                if session is not None:
+                    self._sessions.add(session)
+                return partial(self._work_on, place, photograph, session)
             while self._divided and self._running + self._helping < self._frames:
                 parts = self._divided.popleft()
                 if (part := parts.take()) is not None:
@@ -356,20 +365,32 @@ class Executor:
     def _next_place(self) -> _Place | None:
         """Return the first place that waits and may be worked on beside the others."""
         full = self._photographs >= max(1, self._frames // 2)
-        return next((p for p in self._waiting if not (full and p.job.photograph)), None)
+        return next(
+            (
+                place
+                for place in self._waiting
+                if not (full and place.job.photograph) and place.job.session not in self._sessions
+            ),
+            None,
+        )
 
     def _help(self, part: Callable[[], None]) -> None:
         part()
         with self._lock:
             self._helping -= 1
 
-    def _work_on(self, place: _Place, photograph: bool) -> None:
+    def _work_on(self, place: _Place, photograph: bool, session: Hashable) -> None:
         try:
             self._do(place)
         finally:
             with self._lock:
                 self._running -= 1
                 self._photographs -= photograph
+                self._sessions.discard(session)
+            if self._waiting:
+                # Two may have waited for this one: a photograph, and the session's next frame.
+                with suppress(RuntimeError):  # The threads are being shut down.
+                    self._threads.submit(self._work)
 
     def _do(self, place: _Place) -> None:
         job = place.begin()

@@ -13,7 +13,7 @@ from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 
 from app.access_log import AccessLogMiddleware
-from app.admission import AdmissionMiddleware
+from app.admission import AdmissionMiddleware, UploadLimits
 from app.cameras import HEADER as CAMERA_HEADER
 from app.cameras import camera_stream
 from app.cors import CorsMiddleware
@@ -25,11 +25,14 @@ from app.metrics import Metrics
 from app.openapi import SERVERS, TAGS, add_openapi
 from app.process import configure_process, freeze_loaded_objects, trim_heap
 from app.route_table import RouteTable
-from app.routes import deepstack, health, index, pose
+from app.routes import cameras, deepstack, health, index, pose, sequence
+from app.routes.cameras import SESSION_HEADER
 from app.routes.docs import add_docs
 from app.routes.page import add_page
 from app.runtime import Runtime
 from app.settings import Settings, read_settings
+from app.tracking.session import CameraSession
+from app.tracking.sessions import CameraSessions
 from app.version import VERSION
 from app.vision.runtime.tflite import NetworkError
 from index.verified_files import ArtefactError
@@ -40,6 +43,8 @@ log = logging.getLogger("app")
 GZIP_FROM_BYTES = 1400
 # Shrinks an answer with seven hypotheses to a quarter in half a millisecond; more takes longer.
 GZIP_LEVEL = 1
+
+_SWEEP_EVERY_S = 10.0
 
 DESCRIPTION = """
 3D human pose from one camera frame on a plain CPU: silhouettes, Krawtchouk moments and
@@ -70,7 +75,17 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     """
     settings = settings or read_settings()
     executor = Executor(settings.concurrency, settings.queue_length, settings.request_timeout_s)
-    runtime = Runtime(settings, executor, Metrics(settings.request_timeout_s))
+    metrics = Metrics(settings.request_timeout_s)
+    sessions = CameraSessions(
+        lambda: CameraSession(runtime.ready_estimator()),
+        max_sessions=settings.max_cameras,
+        idle_s=settings.camera_idle_s,
+        max_memory_bytes=settings.camera_memory_mb * 1024**2,
+        on_begin=metrics.sessions_started.inc,
+        on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
+    )
+    runtime = Runtime(settings, executor, metrics, sessions)
+    metrics.observe_sessions(lambda: len(sessions), lambda: runtime.sequences)
     runtime.metrics.observe_load(lambda: executor.inside, executor.capacity)
     runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
@@ -80,10 +95,11 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_process()
         # Uploads stay in memory, within the limits of admission: no photograph touches a disk.
-        MultiPartParser.spool_max_size = settings.max_upload_bytes
+        MultiPartParser.spool_max_size = max(settings.max_upload_bytes, settings.max_video_bytes)
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(_load, runtime)
+            tasks.start_soon(_end_idle_sessions, runtime)
             yield
             tasks.cancel_scope.cancel()
         executor.shut_down()
@@ -103,7 +119,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         redirect_slashes=False,  # Redirects of our own are relative, see app/errors.py.
     )
     app.state.runtime = runtime
-    routers = [module.router for module in (pose, index, deepstack, health)]
+    routers = [module.router for module in (pose, cameras, sequence, index, deepstack, health)]
     for router in routers:
         app.include_router(router)
     add_openapi(app)
@@ -121,11 +137,16 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(
         AdmissionMiddleware,
-        is_full=lambda scope: executor.is_full(camera_stream(scope)),
+        # Frames of a video wait until there is room for them.
+        is_full=lambda scope: (
+            scope["path"] != sequence.PATH and executor.is_full(camera_stream(scope))
+        ),
         retry_after_s=executor.retry_after_s,
-        max_bytes=settings.max_upload_bytes,
+        limits=UploadLimits(settings.max_upload_bytes, settings.upload_timeout_s),
+        limits_of_paths={
+            sequence.PATH: UploadLimits(settings.max_video_bytes, settings.video_upload_timeout_s)
+        },
         max_open=settings.max_requests,
-        timeout_s=settings.upload_timeout_s,
     )
     if settings.cors_origins:
         app.add_middleware(
@@ -133,7 +154,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
             allow_origins=list(settings.cors_origins),
             allow_methods=list(table.methods),
             allow_headers=["X-API-Key", "Authorization", "X-Request-ID", CAMERA_HEADER],
-            expose_headers=["Retry-After", "X-Request-ID"],
+            expose_headers=["Retry-After", "X-Request-ID", SESSION_HEADER],
         )
     app.add_middleware(HeadMiddleware)
     # The outermost, so that it also sees refused requests.
@@ -163,6 +184,13 @@ async def _load(runtime: Runtime) -> None:
         log.exception("not ready")
     else:
         _become_ready(runtime, estimator)
+
+
+async def _end_idle_sessions(runtime: Runtime) -> None:
+    """Give back what sessions hold whose cameras have stopped sending."""
+    while True:
+        await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
+        runtime.sessions.end_idle()
 
 
 def _become_ready(runtime: Runtime, estimator: Estimator) -> None:

@@ -104,6 +104,33 @@ class Metrics:
             registry=self.registry,
         )
 
+        self.sessions_started = Counter(
+            "pose_camera_sessions_started", "Camera sessions begun.", registry=self.registry
+        )
+        self.sessions_ended = Counter(
+            "pose_camera_sessions_ended",
+            "Camera sessions ended, by reason.",
+            ["reason"],
+            registry=self.registry,
+        )
+        self.camera_frames = Counter(
+            "pose_camera_frames",
+            "Frames of cameras tracked, by whether their session was new.",
+            ["session"],
+            registry=self.registry,
+        )
+        self._sessions = Gauge(
+            "pose_camera_sessions", "Camera sessions held.", registry=self.registry
+        )
+        self._sequences = Gauge(
+            "pose_sequences", "Videos received or worked on.", registry=self.registry
+        )
+
+    def observe_sessions(self, sessions: Callable[[], int], sequences: Callable[[], int]) -> None:
+        """Report the camera sessions and the videos at hand whenever metrics are read."""
+        self._sessions.set_function(sessions)
+        self._sequences.set_function(sequences)
+
     def observe_load(self, inside: Callable[[], int], capacity: int) -> None:
         """Report the frames in flight whenever metrics are read.
 

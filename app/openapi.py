@@ -8,11 +8,13 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from app.schemas import DeepstackUpload, FrameUpload, Problem
+from app.tracking_schemas import TrackUpload, VideoUpload
 
-_FORMS = (FrameUpload, DeepstackUpload)
+_FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
 
 TAGS = [
     {"name": "pose", "description": "A frame in; its people, their silhouettes and poses out."},
+    {"name": "cameras", "description": "Frames of fixed cameras, in order; people over time."},
     {"name": "index", "description": "The simulated silhouettes that people are compared with."},
     {"name": "compatibility", "description": "Other services' protocols, for their clients."},
     {"name": "health", "description": "Whether the service runs, and whether it takes frames."},
@@ -33,6 +35,11 @@ HEADERS: dict[str, Any] = {
         "description": "Seconds until there is probably room for another frame, or the index is "
         "loaded. Missing where waiting does not help.",
         "schema": {"type": "integer", "minimum": 1},
+    },
+    "X-Session": {
+        "description": "`new` where the camera starts afresh: nothing is known of earlier frames; "
+        "else `warm`.",
+        "schema": {"type": "string", "enum": ["new", "warm"]},
     },
 }
 
@@ -90,6 +97,11 @@ def _mend_operation(operation: dict[str, Any]) -> None:
         parameter["schema"].pop("title", None)
     for status, response in operation["responses"].items():
         names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
+        names += ["X-Session"] * (operation["operationId"] == "track_frame")
+        for content in response.get("content", {}).values():
+            if "anyOf" in content["schema"]:
+                # FastAPI adds that lines of JSON are a string.
+                content["schema"] = {"anyOf": content["schema"]["anyOf"]}
         response["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in names}
     if "security" in operation:
         # Keys are required only if the operator has set any.

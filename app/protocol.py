@@ -10,6 +10,7 @@ import httptools
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.errors import MEDIA_TYPE, ProblemError, problem_body
+from app.request_context import ENDING
 
 
 class _HeadTooLargeError(Exception):
@@ -55,6 +56,12 @@ class HttpProtocol(HttpToolsProtocol):
                 self._refuse(self._head_too_large())
         elif self._head_timer is None and self._is_idle():
             self._wait_for_head()  # uvicorn no longer waits for the next request.
+
+    def shutdown(self) -> None:
+        """Finish the request, which is told; called when the service is being stopped."""
+        if not self._is_idle():
+            self.scope["state"][ENDING] = True
+        super().shutdown()
 
     def on_message_begin(self) -> None:
         """Begin to read a head."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,14 +46,29 @@ class ReplyForm:
 
 def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
     """Write the answer to a frame."""
-    height, width = estimate.frame.shape[:2]
     return schemas.PoseResponse(
-        image=schemas.ImageSize(width=width, height=height),
-        index=schemas.IndexVersion(name=index.name, version=index.version),
-        keypoints=_keypoints(form.keypoints),
-        persons=[_person(person, estimate.frame.shape, form) for person in estimate.persons],
-        timings_ms=schemas.Timings(**{k: round(v, 3) for k, v in estimate.timings_ms.items()}),
+        **frame_fields(estimate.frame, estimate.timings_ms, index, form),
+        persons=[
+            schemas.Person(**person_fields(person, estimate.frame.shape, form))
+            for person in estimate.persons
+        ],
     )
+
+
+def frame_fields(
+    frame: NDArray[np.uint8],
+    timings_ms: Mapping[str, float],
+    index: PoseIndex,
+    form: ReplyForm,
+) -> dict[str, Any]:
+    """Write what answers say of a frame besides its people."""
+    height, width = frame.shape[:2]
+    return {
+        "image": schemas.ImageSize(width=width, height=height),
+        "index": schemas.IndexVersion(name=index.name, version=index.version),
+        "keypoints": _keypoints(form.keypoints),
+        "timings_ms": schemas.Timings(**{k: round(v, 3) for k, v in timings_ms.items()}),
+    }
 
 
 def index_reply(
@@ -89,26 +106,27 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     )
 
 
-def _person(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> schemas.Person:
+def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> dict[str, Any]:
+    """Write what a frame tells of a person."""
     observed, facing, silhouette = person.observed, person.facing, person.observed.silhouette
-    return schemas.Person(
-        box=schemas.Box(
+    return {
+        "box": schemas.Box(
             x=round(observed.box.x, 2),
             y=round(observed.box.y, 2),
             width=round(observed.box.width, 2),
             height=round(observed.box.height, 2),
         ),
-        detection_score=_rounded(observed.detection_score, 4),
-        source=observed.source,
-        silhouette=_silhouette(silhouette, frame_shape, form) if silhouette else None,
-        observed_keypoints=_observed(observed.keypoints) if observed.keypoints else None,
-        facing=_facing(facing) if facing else None,
-        posture=_posture(person.posture) if person.posture else None,
-        hypotheses=[
+        "detection_score": _rounded(observed.detection_score, 4),
+        "source": observed.source,
+        "silhouette": _silhouette(silhouette, frame_shape, form) if silhouette else None,
+        "observed_keypoints": _observed(observed.keypoints) if observed.keypoints else None,
+        "facing": _facing(facing) if facing else None,
+        "posture": _posture(person.posture) if person.posture else None,
+        "hypotheses": [
             _hypothesis(placed, rank, form)
             for rank, placed in enumerate(person.hypotheses, start=1)
         ],
-    )
+    }
 
 
 def _silhouette(
@@ -154,8 +172,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 
 def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
-    hypothesis, label, keypoints = placed.hypothesis, placed.label, form.keypoints
-    full, compact = form.joints == "full", form.joints == "compact"
+    hypothesis, label = placed.hypothesis, placed.label
     # Not validated: for its hundreds of points that would take a third of the time of writing an
     # answer, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
@@ -166,13 +183,23 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(placed.confidence, 4),
         posture=hypothesis.posture,
-        joints_3d=_points_3d(hypothesis.points_3d, keypoints) if full else None,
-        joints_2d=_points_2d(placed.points_2d, keypoints) if full else None,
-        joints_3d_flat=_flat(hypothesis.points_3d, keypoints, METRE_DIGITS) if compact else None,
-        joints_2d_flat=_flat(placed.points_2d, keypoints, PIXEL_DIGITS) if compact else None,
+        **joint_fields(hypothesis.points_3d, placed.points_2d, form),
         source=_source(label),
         camera=_camera(label),
     )
+
+
+def joint_fields(
+    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], form: ReplyForm
+) -> dict[str, Any]:
+    """Write joints in the form wanted; the fields of the other forms are null."""
+    keypoints, full, compact = form.keypoints, form.joints == "full", form.joints == "compact"
+    return {
+        "joints_3d": _points_3d(points_3d, keypoints) if full else None,
+        "joints_2d": _points_2d(points_2d, keypoints) if full else None,
+        "joints_3d_flat": _flat(points_3d, keypoints, METRE_DIGITS) if compact else None,
+        "joints_2d_flat": _flat(points_2d, keypoints, PIXEL_DIGITS) if compact else None,
+    }
 
 
 def _source(label: Label) -> schemas.MotionSource:

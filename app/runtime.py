@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Annotated, TypeVar, cast
 
@@ -15,6 +15,7 @@ from app.estimator import Estimator
 from app.executor import Executor
 from app.metrics import Metrics
 from app.settings import Settings
+from app.tracking.sessions import CameraSessions
 
 T = TypeVar("T")
 
@@ -31,6 +32,9 @@ class Runtime:
     executor : Executor
         Does all work on images.
     metrics : Metrics
+    sessions : CameraSessions
+    sequences : int
+        Videos that are received or worked on.
     estimator : Estimator or None
         None until the index is loaded.
     not_ready_because : str
@@ -42,6 +46,8 @@ class Runtime:
     settings: Settings
     executor: Executor
     metrics: Metrics
+    sessions: CameraSessions
+    sequences: int = 0
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
     loading: bool = True
@@ -73,7 +79,11 @@ EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
 
 
 async def run_frame(
-    request: Request, work: Callable[[CancellationToken], T], *, photograph: bool
+    request: Request,
+    work: Callable[[CancellationToken], T],
+    *,
+    photograph: bool,
+    session: Hashable = None,
 ) -> T:
     """Work on a request's frame in a thread; see :meth:`app.executor.Executor.run`."""
 
@@ -82,5 +92,10 @@ async def run_frame(
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    camera = camera_stream(request.scope)
-    return await runtime_of(request).executor.run(work, until_gone, camera, photograph=photograph)
+    return await runtime_of(request).executor.run(
+        work,
+        until_gone,
+        camera_stream(request.scope),
+        photograph=photograph,
+        session=session,
+    )

@@ -206,10 +206,10 @@ class Facing(Model):
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
-    evidence: Literal["image", "none"] = Field(
-        description="What it rests on: `image`, the keypoints that the photograph shows; `none`, "
-        "the silhouette alone, which cannot tell. In both cases it is the share of the "
-        "hypotheses' confidence that faces the camera.",
+    evidence: Literal["image", "motion", "none"] = Field(
+        description="What it rests on: `image`, the keypoints that the photograph shows; `motion`, "
+        "the way a tracked person moves; `none`, the silhouette alone, which cannot tell. In a "
+        "single frame it is the share of the hypotheses' confidence that faces the camera.",
         examples=["image"],
     )
 

@@ -85,6 +85,43 @@ class Settings(BaseSettings):
         description="A slower client is sent away with 408.",
     )
 
+    max_cameras: int = Field(
+        default=64, ge=1, description="Camera sessions; beyond, the least recently used is dropped."
+    )
+    camera_idle_s: float = Field(
+        default=300.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="A camera session is dropped when no frame has come for this long.",
+    )
+    camera_memory_mb: int = Field(
+        default=256,
+        ge=1,
+        description="Of all camera sessions; beyond, the least recently used is dropped.",
+    )
+
+    max_sequences: int = Field(
+        default=2, ge=1, description="Videos received or worked on at once; one more gets 503."
+    )
+    max_video_bytes: int = Field(
+        default=64 * 1024**2, ge=1024, description="Of a request with a video, on disk meanwhile."
+    )
+    video_upload_timeout_s: float = Field(
+        default=120.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="As `POSE_UPLOAD_TIMEOUT_S`, for a video.",
+    )
+    max_sequence_frames: int = Field(
+        default=5000, ge=1, description="Frames of a video that are worked on."
+    )
+    sequence_timeout_s: float = Field(
+        default=900.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="From the end of the upload of a video to the last line of the answer.",
+    )
+
     api_keys: Annotated[tuple[SecretStr, ...], NoDecode] = Field(
         default=(), description="Comma-separated; without any, no key is required."
     )

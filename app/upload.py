@@ -49,8 +49,8 @@ class Upload:
 
     Parameters
     ----------
-    frame : bytes, optional
-        Encoded photograph; may be missing if there is a mask.
+    frame : bytes or (H, W, 3) uint8 array, optional
+        Photograph, encoded or as BGR pixels; may be missing if there is a mask.
     mask : bytes, optional
         Encoded label image of the same size: 0 background, k = person k.
     background : bytes, optional
@@ -59,7 +59,7 @@ class Upload:
         In pixels of the frame. Neither boxes nor a background may come with a mask.
     """
 
-    frame: bytes | None = None
+    frame: bytes | NDArray[np.uint8] | None = None
     mask: bytes | None = None
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
@@ -118,11 +118,13 @@ class UploadDecoder:
             ("mask", upload.mask, decode_mask),
             ("background", upload.background, decode_image),
         )
-        sent = [image for image in images if image[1] is not None]
+        sent = [image for image in images if isinstance(image[1], bytes)]
         decoded: list[Any] = self.map_parts(lambda image: self._decode(*image), sent)
         by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
         mask, background = by_name.get("mask"), by_name.get("background")
-        if "frame" in by_name:
+        if isinstance(upload.frame, np.ndarray):
+            frame = upload.frame
+        elif "frame" in by_name:
             frame = by_name["frame"]
         else:
             frame = np.zeros((*by_name["mask"].labels.shape, 3), np.uint8)

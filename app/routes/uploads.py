@@ -1,8 +1,8 @@
-"""The multipart form that all routes on poses take."""
+"""The multipart forms that all routes on poses take."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from fastapi import Depends, Query, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
@@ -11,6 +11,7 @@ from app.errors import ProblemError, is_image, is_multipart, unsupported_body
 from app.messages import expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
 from app.schemas import Evidence, FrameUpload, JointForm, KeypointSetName, SilhouetteForm
+from app.tracking_schemas import LATEST_TIMESTAMP_S, TrackUpload
 from app.upload import Upload
 from app.vision.people import Box
 
@@ -19,6 +20,8 @@ _BOXES = TypeAdapter(
     list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]],
     config=ConfigDict(strict=True),
 )
+Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S)]
+_TIMESTAMP = TypeAdapter[float](Timestamp)
 
 DEFAULT_HYPOTHESES = 7
 
@@ -64,38 +67,88 @@ JointsQuery = Annotated[
     ),
 ]
 
-DOCUMENTED_UPLOAD: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "description": "A photograph alone may also be the body itself, as `image/jpeg` or any "
-        "other type of image.",
-        "content": {
-            "multipart/form-data": {"schema": {"$ref": "#/components/schemas/FrameUpload"}}
-        },
+TimestampQuery = Annotated[
+    Timestamp | None,
+    Query(
+        description="As the form field of this name, for a photograph that is the body itself.",
+        examples=[12.4],
+    ),
+]
+
+
+def _documented(form: type[FrameUpload]) -> dict[str, Any]:
+    return {
+        "requestBody": {
+            "required": True,
+            "description": "A photograph alone may also be the body itself, as `image/jpeg` or any "
+            "other type of image.",
+            "content": {
+                "multipart/form-data": {"schema": {"$ref": f"#/components/schemas/{form.__name__}"}}
+            },
+        }
     }
-}
+
+
+DOCUMENTED_UPLOAD = _documented(FrameUpload)
 """What FastAPI would write if it parsed the form itself."""
+
+DOCUMENTED_TRACK_UPLOAD = _documented(TrackUpload)
 
 
 # FastAPI parses the form that a route declares before it asks for the key, and its validation of
 # four fields takes nearly as long as all its other work on a request.
-async def _read_upload(request: Request) -> Upload:
+async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, float | None]:
     if is_image(request):
-        return Upload(await request.body())
+        return Upload(await request.body()), None
     if not is_multipart(request):
         raise unsupported_body(request, "multipart/form-data or image/*")
     async with request.form() as form:
-        check_fields(form, FrameUpload.model_fields)
-        boxes = text_of(form, "boxes")
-        return Upload(
+        check_fields(form, model.model_fields)
+        boxes, timestamp = text_of(form, "boxes"), text_of(form, "timestamp")
+        upload = Upload(
             await file_of(form, "frame"),
             mask=await file_of(form, "mask"),
             background=await file_of(form, "background"),
             boxes=_parse_boxes(boxes) if boxes else None,
         )
+        return upload, _parse_timestamp(timestamp) if timestamp else None
+
+
+async def _read_upload(request: Request) -> Upload:
+    return (await _read(request, FrameUpload))[0]
 
 
 UploadForm = Annotated[Upload, Depends(_read_upload)]
+
+
+class TrackedUpload(NamedTuple):
+    """A frame of a camera, and when it was taken, in seconds, if the caller says so."""
+
+    upload: Upload
+    timestamp: float | None
+
+
+async def _read_track_upload(request: Request, timestamp: TimestampQuery = None) -> TrackedUpload:
+    upload, field = await _read(request, TrackUpload)
+    if timestamp is not None and field is not None:
+        raise ProblemError(
+            422,
+            "timestamp: expected a form field or a query parameter, got both",
+            field="timestamp",
+        )
+    return TrackedUpload(upload, timestamp if field is None else field)
+
+
+TrackUploadForm = Annotated[TrackedUpload, Depends(_read_track_upload)]
+
+
+def _parse_timestamp(text: str) -> float:
+    try:
+        return _TIMESTAMP.validate_python(text)
+    except ValidationError as error:
+        raise ProblemError(
+            422, f"timestamp: {expected_and_got(error.errors()[0])}", field="timestamp"
+        ) from None
 
 
 def _parse_boxes(text: str) -> list[Box]:

@@ -18,15 +18,12 @@ from app.stopwatch import Stopwatch
 from app.tracking.association import associate
 from app.tracking.results import Event, TrackedFrame
 from app.tracking.search import PeopleSearch
+from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
 from app.upload import Upload
 
-HYPOTHESES = 20
-"""Hypotheses of each person from which poses are smoothed; the reply holds as many as asked."""
-
 CANDIDATES_PER_HYPOTHESIS = 7
-"""So that the candidates are those of a single frame with seven hypotheses, the default; with 20,
-a person takes nearly twice the time."""
+"""Fewer than a single frame's: a person takes half the time."""
 
 LONGEST_GAP_S = 10.0
 """After a longer gap the session begins anew: the scene may be another."""
@@ -148,7 +145,7 @@ class CameraSession:
             seen = self._with_keypoints(seen, frame, timestamp, check, stopwatch)
         scene = Scene(frame, tuple(person for person, _ in seen))
         persons = self._estimator.with_hypotheses(
-            scene, max(n, HYPOTHESES), check, stopwatch, CANDIDATES_PER_HYPOTHESIS
+            scene, max(n, STATES), check, stopwatch, CANDIDATES_PER_HYPOTHESIS
         )
         tracked = []
         for person, (_, track) in zip(persons, seen, strict=True):

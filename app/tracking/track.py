@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person
 from app.tracking.results import TrackedPerson
+from app.tracking.smoothing import PoseSmoother
 from app.vision.people import Box, Silhouette
 
 SURE_SCORE = 0.6
@@ -159,6 +160,7 @@ class Track:
         self.cut_at = -math.inf
         """When the silhouette was last cut out."""
         self.clothes = sighting.clothes
+        self._smoother = PoseSmoother()
 
     @property
     def is_confirmed(self) -> bool:
@@ -187,10 +189,11 @@ class Track:
             self.clothes = self.clothes + _CLOTHES_GAIN * (sighting.clothes - self.clothes)
 
     def update(self, person: Person, timestamp: float) -> TrackedPerson:
-        """Take in the poses of this frame.
-
-        Smoothing and actions belong here.
-        """
+        """Take in the poses of this frame."""
         if self.track_id is None:
             raise ValueError("expected a confirmed track")
-        return TrackedPerson(person, self.track_id, self.age_frames, None, None)
+        smoothed = self._smoother.update(person, timestamp)
+        if smoothed is None:
+            return TrackedPerson(person, self.track_id, self.age_frames, None, None)
+        person = replace(person, facing=smoothed.facing, posture=smoothed.posture)
+        return TrackedPerson(person, self.track_id, self.age_frames, smoothed.pose, None)

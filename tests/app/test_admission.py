@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from inspect import iscoroutinefunction
+from inspect import isasyncgenfunction, iscoroutinefunction
 from types import ModuleType
 
 import anyio
@@ -13,13 +13,16 @@ from fastapi.routing import APIRoute
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from app.admission import AdmissionMiddleware
+from app.admission import AdmissionMiddleware, UploadLimits
 from app.errors import ProblemError
-from app.routes import deepstack, health, index, pose
+from app.routes import cameras, deepstack, health, index, pose, sequence
 
 
 async def answer(
-    middleware: AdmissionMiddleware, method: str = "POST", headers: dict[bytes, bytes] | None = None
+    middleware: AdmissionMiddleware,
+    method: str = "POST",
+    headers: dict[bytes, bytes] | None = None,
+    path: str = "/pose",
 ) -> tuple[int, dict[bytes, bytes], int]:
     """Status and headers of the answer, and how many messages of the body were read."""
     sent: list[Message] = []
@@ -33,7 +36,8 @@ async def answer(
     async def send(message: Message) -> None:
         sent.append(message)
 
-    scope = {"type": "http", "method": method, "headers": list((headers or {}).items())}
+    fields = list((headers or {}).items())
+    scope = {"type": "http", "method": method, "path": path, "headers": fields}
     await middleware(scope, receive, send)
     return sent[0]["status"], dict(sent[0]["headers"]), read
 
@@ -54,9 +58,9 @@ def admission(
         reading,
         is_full=lambda scope: full,
         retry_after_s=lambda: 7,
-        max_bytes=100,
+        limits=UploadLimits(100, timeout_s),
+        limits_of_paths={"/sequence": UploadLimits(1000, timeout_s)},
         max_open=max_open,
-        timeout_s=timeout_s,
     )
 
 
@@ -75,6 +79,15 @@ def test_a_body_announced_too_large_is_refused_unread() -> None:
     assert (status, read) == (413, 0)
 
 
+def test_videos_have_limits_of_their_own() -> None:
+    headers = {b"content-length": b"101"}
+    status, _, read = anyio.run(answer, admission(), "POST", headers, "/sequence")
+    assert (status, read) == (200, 1)
+    headers = {b"content-length": b"1001"}
+    status, _, read = anyio.run(answer, admission(), "POST", headers, "/sequence")
+    assert (status, read) == (413, 0)
+
+
 @pytest.mark.parametrize(("method", "full"), [("POST", False), ("GET", True)])
 def test_others_pass(method: str, full: bool) -> None:
     status, _, read = anyio.run(answer, admission(full=full), method)
@@ -87,12 +100,13 @@ def functions(dependant: Dependant) -> list[object]:
     return own + [call for part in dependant.dependencies for call in functions(part)]
 
 
-@pytest.mark.parametrize("routes", [deepstack, health, index, pose])
+@pytest.mark.parametrize("routes", [cameras, deepstack, health, index, pose, sequence])
 def test_dependencies_do_not_hop_between_threads(routes: ModuleType) -> None:
     found = [r for r in routes.router.routes if isinstance(r, APIRoute)]
     assert found
     for call in {call for route in found for call in functions(route.dependant)}:
-        assert iscoroutinefunction(call) or iscoroutinefunction(type(call).__call__), call
+        known = (call, type(call).__call__)
+        assert any(iscoroutinefunction(c) or isasyncgenfunction(c) for c in known), call
 
 
 class StalledUploads:
@@ -107,7 +121,7 @@ class StalledUploads:
             if message["type"] == "http.response.start":
                 self.statuses.append(message["status"])
 
-        scope = {"type": "http", "method": "POST", "headers": []}
+        scope = {"type": "http", "method": "POST", "path": "/pose", "headers": []}
         await self.admission(scope, anyio.sleep_forever, send)
 
 

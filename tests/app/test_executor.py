@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import weakref
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -68,6 +69,53 @@ class TestFrames:
         assert most == 2
         executor.shut_down()
         assert executor._running == executor._helping == 0
+
+    async def test_frames_of_a_session_are_worked_on_one_after_the_other(self) -> None:
+        executor = Executor(frames=4, queue_length=20, timeout_s=5)
+        lock = threading.Lock()
+        running, together, order = set[str](), set[str](), list[tuple[str, int]]()
+
+        async def ask(session: str, number: int) -> None:
+            def work(_: CancellationToken) -> None:
+                with lock:
+                    assert session not in running
+                    running.add(session)
+                    together.add("".join(sorted(running)))
+                time.sleep(0.005)
+                with lock:
+                    running.remove(session)
+                    order.append((session, number))
+
+            await executor.run(work, never, session=session)
+
+        async with anyio.create_task_group() as tasks:
+            for number in range(6):
+                for session in "ab":
+                    tasks.start_soon(ask, session, number)
+        for session in "ab":
+            assert [n for name, n in order if name == session] == list(range(6))
+        assert "ab" in together
+        executor.shut_down()
+        assert executor._sessions == set()
+
+    async def test_two_who_waited_for_the_same_frame_both_begin(self) -> None:
+        executor = Executor(frames=2, queue_length=4, timeout_s=5)
+        release, both = threading.Event(), threading.Barrier(2)
+
+        def first(_: CancellationToken) -> None:
+            release.wait(5)
+
+        def next_ones(_: CancellationToken) -> None:
+            both.wait(5)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(partial(executor.run, photograph=True, session="a"), first, never)
+            await anyio.sleep(0.01)
+            tasks.start_soon(partial(executor.run, session="a"), next_ones, never)
+            tasks.start_soon(partial(executor.run, photograph=True), next_ones, never)
+            await anyio.sleep(0.01)
+            assert executor.inside == 3
+            release.set()
 
     async def test_silhouettes_overtake_photographs_that_wait_for_their_share(self) -> None:
         executor = Executor(frames=2, queue_length=4, timeout_s=5)

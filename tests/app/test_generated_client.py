@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT, Photo, Server
+from tests.videos import write_video
 
 pytestmark = pytest.mark.slow
 PACKAGE = "silhouette_pose_client"
@@ -84,3 +86,33 @@ def test_it_asks_for_boxes_as_deepstack_does(package: Any, server: Server, photo
     client = package.Client(server.url)
     answer = load("api.compatibility.detect_deepstack").sync(client=client, body=body)
     assert answer.success
+
+
+def test_it_tracks_the_frames_of_a_camera(package: Any, server: Server, photo: Photo) -> None:
+    file, client = load("types").File, package.Client(server.url)
+    for index in range(2):
+        body = load("models").TrackUpload(
+            frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
+            mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
+            timestamp=float(index),
+        )
+        operation = load("api.cameras.track_frame")
+        response = operation.sync_detailed("generated", client=client, body=body)
+        assert response.headers["x-session"] == ("warm" if index else "new")
+        assert response.parsed.frame_index == index
+    (camera,) = load("api.cameras.list_cameras").sync(client=client).cameras
+    assert (camera.camera_id, camera.frames) == ("generated", 2)
+    forget = load("api.cameras.forget_camera")
+    assert forget.sync_detailed("generated", client=client).status_code == 204
+
+
+def test_it_gets_the_lines_of_a_video(
+    package: Any, server: Server, photo: Photo, tmp_path: Path
+) -> None:
+    data = write_video(tmp_path / "v.avi", [photo.frame] * 3)
+    video = load("types").File(io.BytesIO(data), "v.avi", "video/x-msvideo")
+    body = load("models").VideoUpload(video=video)
+    answer = load("api.cameras.analyse_sequence").sync(client=package.Client(server.url), body=body)
+    *frames, end = (json.loads(line) for line in answer.payload.read().splitlines())
+    assert [frame["type"] for frame in frames] == ["frame"] * 3
+    assert load("models").SequenceEnd.from_dict(end).frames == 3

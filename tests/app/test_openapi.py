@@ -33,6 +33,11 @@ def test_operation_ids_are_those_of_the_contract(document: dict[str, Any]) -> No
         "estimate_pose",
         "draw_pose",
         "extract_silhouettes",
+        "track_frame",
+        "list_cameras",
+        "get_camera",
+        "forget_camera",
+        "analyse_sequence",
         "describe_index",
         "get_entry",
         "get_entry_silhouette",
@@ -56,7 +61,7 @@ def test_every_operation_and_field_is_described(document: dict[str, Any]) -> Non
 
 def test_values_that_are_never_sent_are_not_declared(document: dict[str, Any]) -> None:
     facing = document["components"]["schemas"]["Facing"]
-    assert facing["properties"]["evidence"]["enum"] == ["image", "none"]
+    assert facing["properties"]["evidence"]["enum"] == ["image", "motion", "none"]
 
 
 def test_errors_and_confidences_say_of_what_they_are(document: dict[str, Any]) -> None:
@@ -93,6 +98,8 @@ def test_headers_of_answers_are_declared(document: dict[str, Any], client: TestC
         for status, response in operation["responses"].items():
             assert "X-Request-ID" in response["headers"]
             assert ("Retry-After" in response["headers"]) == (status == "503")
+            tracks = operation["operationId"] == "track_frame"
+            assert ("X-Session" in response["headers"]) == tracks
     for name in document["components"]["headers"]:
         assert f'"#/components/headers/{name}"' in json.dumps(document)
     assert client.get("/healthz").headers["x-request-id"]
@@ -104,6 +111,14 @@ def test_pictures_are_of_a_type_that_every_generator_knows(document: dict[str, A
         assert set(content) == {"image/png", "application/octet-stream"}
 
 
+def test_lines_of_a_video_are_described(document: dict[str, Any]) -> None:
+    content = document["paths"]["/sequence"]["post"]["responses"]["200"]["content"]
+    models = [f"#/components/schemas/{name}" for name in ("SequenceFrame", "SequenceEnd")]
+    lines = {"anyOf": [{"$ref": model} for model in models]}
+    assert content["application/x-ndjson"]["schema"] == lines
+    assert set(content) == {"application/x-ndjson", "application/octet-stream"}
+
+
 def test_cameras_may_name_themselves(document: dict[str, Any]) -> None:
     for path in ("/pose", "/pose/overlay", "/silhouette", "/v1/vision/detection"):
         parameters = {p["name"]: p for p in document["paths"][path]["post"]["parameters"]}
@@ -112,7 +127,7 @@ def test_cameras_may_name_themselves(document: dict[str, Any]) -> None:
 
 
 def test_evidence_may_be_chosen_where_poses_are_estimated(document: dict[str, Any]) -> None:
-    for path in ("/pose", "/pose/overlay"):
+    for path in ("/pose", "/pose/overlay", "/cameras/{camera_id}/frames", "/sequence"):
         parameters = {p["name"]: p for p in document["paths"][path]["post"]["parameters"]}
         schema = parameters["evidence"]["schema"]
         assert schema["enum"] == ["photograph", "silhouette"]
@@ -132,7 +147,7 @@ def test_uploads_are_binary_for_generators(document: dict[str, Any]) -> None:
 
 def test_optional_fields_of_forms_are_optional_for_generators(document: dict[str, Any]) -> None:
     # openapi-typescript takes a field with a default for one that must be there.
-    for name in ("FrameUpload", "DeepstackUpload"):
+    for name in ("FrameUpload", "TrackUpload", "VideoUpload", "DeepstackUpload"):
         schema = document["components"]["schemas"][name]
         for field, value in schema["properties"].items():
             assert "default" not in value, f"{name}.{field}"

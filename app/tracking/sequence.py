@@ -1,0 +1,80 @@
+"""What a whole video tells of each person: how long, in which postures, doing what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
+from index.posture import Posture
+
+LONGEST_GAP_S = 2.0
+"""A person unseen for longer is not taken to have kept the posture."""
+
+
+@dataclass
+class Track:
+    """One person over the frames of a video.
+
+    Parameters
+    ----------
+    track_id : int
+    first_timestamp, last_timestamp : float
+        Seconds.
+    frames : int
+        In which the person was seen.
+    """
+
+    track_id: int
+    first_timestamp: float
+    last_timestamp: float
+    frames: int = 0
+    _posture: Posture | None = None
+    _posture_s: dict[Posture, float] = field(default_factory=dict)
+    _actions: dict[str, float] = field(default_factory=dict)
+    _with_action: int = 0
+
+    def add(self, tracked: TrackedPerson, timestamp: float) -> None:
+        """Take the person's next frame into account."""
+        gap_s = timestamp - self.last_timestamp
+        if self._posture is not None and gap_s <= LONGEST_GAP_S:
+            self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
+        posture = tracked.person.posture
+        self._posture = posture.label if posture else None
+        if self._posture is not None:
+            self._posture_s.setdefault(self._posture, 0.0)
+        if tracked.action is not None:
+            label, probability = tracked.action.label, tracked.action.probability
+            self._actions[label] = self._actions.get(label, 0.0) + probability
+            self._with_action += 1
+        self.last_timestamp = timestamp
+        self.frames += 1
+
+    def postures(self) -> list[tuple[Posture, float]]:
+        """Return each posture and its seconds, the longest first."""
+        return sorted(self._posture_s.items(), key=lambda item: -item[1])
+
+    def action(self) -> RecognisedAction | None:
+        """Return the action with the largest sum of probabilities, and its mean probability."""
+        if not self._actions:
+            return None
+        label = max(self._actions, key=lambda name: self._actions[name])
+        return RecognisedAction(label, self._actions[label] / self._with_action)
+
+
+class SequenceSummary:
+    """Tracks and events over the frames of a video."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.tracks: dict[int, Track] = {}
+        self.events: list[Event] = []
+
+    def add(self, frame: TrackedFrame) -> None:
+        """Take the next frame into account."""
+        self.frames += 1
+        self.events += frame.events
+        for tracked in frame.persons:
+            track = self.tracks.setdefault(
+                tracked.track_id, Track(tracked.track_id, frame.timestamp, frame.timestamp)
+            )
+            track.add(tracked, frame.timestamp)

@@ -1,0 +1,238 @@
+"""The camera sessions of a service: how many there are, and which have to go."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from app.estimates import Evidence
+from app.finder import Check
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession
+from app.upload import Upload
+
+EndReason = Literal["forgotten", "idle", "number", "memory"]
+"""Why a session ended: on demand, or because of one of the limits."""
+
+
+class CameraKey(NamedTuple):
+    """Identifies a session: callers do not see one another's cameras."""
+
+    caller: int
+    camera_id: str
+
+
+@dataclass(frozen=True)
+class CameraSummary:
+    """A camera session at a glance.
+
+    Parameters
+    ----------
+    camera_id : str
+    frames : int
+        Since the session began.
+    timestamp : float
+        Seconds, of the last frame.
+    width, height : int
+        Pixels, of the last frame.
+    track_ids : tuple of int
+        Of the people in the last frame, left to right.
+    age_s, idle_s : float
+        Seconds since the first and since the last frame came.
+    memory_bytes : int
+    """
+
+    camera_id: str
+    frames: int
+    timestamp: float
+    width: int
+    height: int
+    track_ids: tuple[int, ...]
+    age_s: float
+    idle_s: float
+    memory_bytes: int
+
+
+class _Held:
+    """A session and what is known of it without asking it, which only one thread may do."""
+
+    def __init__(self, session: CameraSession, now: float) -> None:
+        self.session = session
+        self.busy = True
+        self._first = self.last = now
+        self.memory_bytes = 0
+
+    def note(self, frame: TrackedFrame, now: float) -> None:
+        """Remember what the summary says of the newest frame."""
+        self.last = now
+        self.memory_bytes = self.session.memory_bytes
+        self._frames = frame.frame_index + 1
+        self._timestamp = frame.timestamp
+        self._height, self._width = frame.frame.shape[:2]
+        self._track_ids = tuple(person.track_id for person in frame.persons)
+
+    def summary(self, camera_id: str, now: float) -> CameraSummary:
+        return CameraSummary(
+            camera_id=camera_id,
+            frames=self._frames,
+            timestamp=self._timestamp,
+            width=self._width,
+            height=self._height,
+            track_ids=self._track_ids,
+            age_s=now - self._first,
+            idle_s=now - self.last,
+            memory_bytes=self.memory_bytes,
+        )
+
+
+class CameraSessions:
+    """Camera sessions, bounded in number, memory and idle time; safe under several threads.
+
+    Where a limit is exceeded, the caller who has the most sessions loses the one that was least
+    recently used, so that nobody crowds out others. A session whose frame is being worked on stays.
+
+    Parameters
+    ----------
+    create : callable
+        Makes a session for a camera's first frame.
+    max_sessions : int
+    idle_s : float
+        Seconds without a frame after which a session ends.
+    max_memory_bytes : int
+        Of all sessions together, as they report it. The one used last stays even if it alone
+        exceeds this.
+    on_begin : callable
+        Called when a session has begun.
+    on_end : callable
+        Called with the reason when a session has ended.
+    clock : callable
+        Seconds, monotonic.
+    """
+
+    def __init__(
+        self,
+        create: Callable[[], CameraSession],
+        *,
+        max_sessions: int,
+        idle_s: float,
+        max_memory_bytes: int,
+        on_begin: Callable[[], None] = lambda: None,
+        on_end: Callable[[EndReason], None] = lambda reason: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._create = create
+        self._max_sessions = max_sessions
+        self._idle_s = idle_s
+        self._max_memory_bytes = max_memory_bytes
+        self._on_begin, self._on_end = on_begin, on_end
+        self._clock = clock
+        self._held: dict[CameraKey, _Held] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def __contains__(self, key: object) -> bool:
+        with self._lock:
+            self._end_idle()
+            return key in self._held
+
+    def process(
+        self,
+        key: CameraKey,
+        upload: Upload,
+        timestamp: float | None,
+        n: int,
+        check: Check,
+        evidence: Evidence = "photograph",
+    ) -> TrackedFrame:
+        """Process the next frame of a camera, whose session begins if there is none.
+
+        A session begins only with a frame that could be used: rubbish displaces nobody. Frames of
+        one camera must not be processed at once; :meth:`app.executor.Executor.run` sees to that.
+
+        Raises
+        ------
+        UploadError, LateFrameError
+            See :meth:`app.tracking.session.CameraSession.process`.
+        """
+        with self._lock:
+            self._end_idle()
+            held = self._held.get(key)
+            if held is not None:
+                held.busy = True
+        begins = held is None
+        if held is None:
+            held = _Held(self._create(), self._clock())
+        try:
+            frame = held.session.process(upload, timestamp, n, check, evidence)
+            with self._lock:
+                held.note(frame, self._clock())
+                if begins:
+                    self._held[key] = held
+                    self._on_begin()
+                self._shrink()
+        finally:
+            held.busy = False
+        return frame
+
+    def summaries(self, caller: int) -> list[CameraSummary]:
+        """Return the summaries of a caller's sessions, ordered by camera."""
+        with self._lock:
+            self._end_idle()
+            now = self._clock()
+            return [
+                held.summary(key.camera_id, now)
+                for key, held in sorted(self._held.items(), key=lambda item: item[0])
+                if key.caller == caller
+            ]
+
+    def summary(self, key: CameraKey) -> CameraSummary:
+        """Return the summary of a session; raises KeyError if there is none."""
+        with self._lock:
+            self._end_idle()
+            return self._held[key].summary(key.camera_id, self._clock())
+
+    def forget(self, key: CameraKey) -> None:
+        """End a session; raises KeyError if there is none.
+
+        A frame of it that is being worked on is finished.
+        """
+        with self._lock:
+            self._end_idle()
+            self._end(key, "forgotten")
+
+    def end_idle(self) -> None:
+        """End the sessions whose last frame came too long ago."""
+        with self._lock:
+            self._end_idle()
+
+    def _end_idle(self) -> None:
+        since = self._clock() - self._idle_s
+        for key in [k for k, held in self._held.items() if held.last < since and not held.busy]:
+            self._end(key, "idle")
+
+    def _shrink(self) -> None:
+        """End sessions until the limits hold or all others are being worked on."""
+        while len(self._held) > self._max_sessions and self._end_oldest("number"):
+            pass
+        while self._memory_bytes() > self._max_memory_bytes and self._end_oldest("memory"):
+            pass
+
+    def _memory_bytes(self) -> int:
+        return sum(held.memory_bytes for held in self._held.values())
+
+    def _end_oldest(self, reason: EndReason) -> bool:
+        idle = {key: held for key, held in self._held.items() if not held.busy}
+        if not idle:
+            return False
+        callers = [key.caller for key in self._held]
+        self._end(min(idle, key=lambda k: (-callers.count(k.caller), idle[k].last)), reason)
+        return True
+
+    def _end(self, key: CameraKey, reason: EndReason) -> None:
+        del self._held[key]
+        self._on_end(reason)

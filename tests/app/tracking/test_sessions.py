@@ -1,0 +1,202 @@
+"""Camera sessions: begun, kept, and ended by their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from app.tracking.results import TrackedFrame
+from app.tracking.sessions import CameraKey, CameraSessions
+from app.upload import Upload, UploadError
+
+UPLOAD = Upload(b"frame")
+
+
+class FakeSession:
+    """Counts its frames; holds a thousand bytes a pixel."""
+
+    def __init__(self, while_working: Callable[[], None] = lambda: None) -> None:
+        self.frames = 0
+        self.memory_bytes = 0
+        self.while_working = while_working
+
+    def process(
+        self,
+        upload: Upload,
+        timestamp: float | None,
+        n: int,
+        check: Callable[[], None],
+        evidence: str,
+    ) -> TrackedFrame:
+        check()
+        self.while_working()
+        if upload.frame == b"broken":
+            raise UploadError("frame", "undecodable", "frame: expected an image")
+        self.memory_bytes = n * 1000
+        self.frames += 1
+        return TrackedFrame(
+            frame=np.zeros((2, n, 3), np.uint8),
+            frame_index=self.frames - 1,
+            timestamp=float(self.frames if timestamp is None else timestamp),
+            session="new" if self.frames == 1 else "warm",
+            reset=None,
+            persons=(),
+            events=(),
+            timings_ms={},
+        )
+
+
+class Registry(CameraSessions):
+    """A registry of fakes, with a clock that is set by hand."""
+
+    def __init__(self, max_sessions: int = 3, max_memory_bytes: int = 1_000_000) -> None:
+        self.now = 0.0
+        self.began = 0
+        self.ended: list[str] = []
+        self.while_working: Callable[[], None] = lambda: None
+        super().__init__(
+            lambda: FakeSession(lambda: self.while_working()),  # type: ignore[arg-type,return-value]
+            max_sessions=max_sessions,
+            idle_s=60,
+            max_memory_bytes=max_memory_bytes,
+            on_begin=self._begin,
+            on_end=self.ended.append,
+            clock=lambda: self.now,
+        )
+
+    def _begin(self) -> None:
+        self.began += 1
+
+    def send(self, camera: str, caller: int = 0, upload: Upload = UPLOAD, n: int = 1) -> str:
+        """Process a frame a second after the last one; return the session's state."""
+        self.now += 1
+        key = CameraKey(caller, camera)
+        return self.process(key, upload, None, n, lambda: None).session
+
+    def cameras(self, caller: int = 0) -> list[str]:
+        return [summary.camera_id for summary in self.summaries(caller)]
+
+
+def test_a_camera_starts_new_and_stays_warm() -> None:
+    registry = Registry()
+    assert [registry.send("yard") for _ in range(3)] == ["new", "warm", "warm"]
+    assert registry.send("gate") == "new"
+    assert registry.cameras() == ["gate", "yard"]
+    assert (registry.began, registry.ended) == (2, [])
+
+
+def test_a_summary_tells_of_the_last_frame() -> None:
+    registry = Registry()
+    registry.send("yard")
+    registry.send("yard", n=7)
+    registry.now += 5
+    summary = registry.summary(CameraKey(0, "yard"))
+    assert (summary.frames, summary.timestamp) == (2, 2.0)
+    assert (summary.width, summary.height) == (7, 2)
+    assert (summary.age_s, summary.idle_s, summary.memory_bytes) == (6.0, 5.0, 7000)
+
+
+def test_the_least_recently_used_goes_first() -> None:
+    registry = Registry(max_sessions=2)
+    for camera in ("yard", "gate", "yard", "roof"):
+        registry.send(camera)
+    assert registry.cameras() == ["roof", "yard"]
+    assert registry.ended == ["number"]
+    assert registry.send("gate") == "new"
+
+
+def test_memory_is_bounded_but_the_newest_stays() -> None:
+    registry = Registry(max_memory_bytes=10_000)
+    registry.send("yard", n=4)
+    registry.send("gate", n=4)
+    registry.send("roof", n=4)
+    assert registry.cameras() == ["gate", "roof"]
+    registry.send("roof", n=50)
+    assert registry.cameras() == ["roof"]
+    assert registry.ended == ["memory", "memory"]
+
+
+def test_idle_sessions_end() -> None:
+    registry = Registry()
+    registry.send("yard")
+    registry.now += 30
+    registry.send("gate")
+    registry.now += 31
+    registry.end_idle()
+    assert registry.cameras() == ["gate"]
+    assert registry.ended == ["idle"]
+    registry.now += 60.5
+    assert CameraKey(0, "gate") not in registry
+    assert registry.send("gate") == "new"
+
+
+def test_callers_do_not_see_one_another() -> None:
+    registry = Registry()
+    assert [registry.send("yard", caller) for caller in (0, 1)] == ["new", "new"]
+    assert registry.cameras(0) == registry.cameras(1) == ["yard"]
+    assert registry.cameras(2) == []
+    registry.forget(CameraKey(0, "yard"))
+    assert registry.send("yard", 1) == "warm"
+
+
+def test_who_has_most_sessions_makes_room() -> None:
+    registry = Registry(max_sessions=3)
+    registry.send("yard", caller=1)
+    for number in range(5):
+        registry.send(f"camera-{number}", caller=0)
+    assert registry.send("yard", caller=1) == "warm"
+    assert registry.cameras(0) == ["camera-3", "camera-4"]
+
+
+def test_a_session_at_work_stays() -> None:
+    registry = Registry(max_sessions=1)
+    registry.send("yard")
+
+    def meanwhile() -> None:
+        registry.while_working = lambda: None
+        registry.now += 100
+        registry.end_idle()
+        registry.send("gate")
+
+    registry.while_working = meanwhile
+    assert registry.send("yard") == "warm"
+    assert registry.cameras() == ["yard"]
+    assert registry.ended == ["number"]
+
+
+def test_rubbish_displaces_nobody() -> None:
+    registry = Registry(max_sessions=1)
+    registry.send("yard")
+    with pytest.raises(UploadError):
+        registry.send("gate", upload=Upload(b"broken"))
+    assert registry.cameras() == ["yard"]
+    assert registry.began == 1
+
+
+def test_a_broken_frame_leaves_a_session_warm() -> None:
+    registry = Registry()
+    registry.send("yard")
+    with pytest.raises(UploadError):
+        registry.send("yard", upload=Upload(b"broken"))
+    assert registry.send("yard") == "warm"
+
+
+def test_what_is_forgotten_starts_afresh_even_if_at_work() -> None:
+    registry = Registry()
+    registry.send("yard")
+    registry.while_working = lambda: registry.forget(CameraKey(0, "yard"))
+    assert registry.send("yard") == "warm"
+    registry.while_working = lambda: None
+    assert registry.cameras() == []
+    assert registry.send("yard") == "new"
+    assert registry.ended == ["forgotten"]
+
+
+def test_unknown_cameras_are_told() -> None:
+    registry = Registry()
+    with pytest.raises(KeyError):
+        registry.summary(CameraKey(0, "yard"))
+    with pytest.raises(KeyError):
+        registry.forget(CameraKey(0, "yard"))
