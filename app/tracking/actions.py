@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from app.estimates import Person, PlacedHypothesis
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.measures import Measured, ground_path
-from app.tracking.results import RecognisedAction, SmoothedPose
+from app.tracking.results import RecognisedAction
+from app.tracking.smoothing import Smoothed
 from index.posture import camera_up
 
 WINDOW_S, LEAST_S = 3.0, 1.0
@@ -110,7 +111,7 @@ class ActionRecogniser:
         self._seen: deque[tuple[Measured, NDArray[np.float64]]] = deque()
 
     def update(
-        self, timestamp: float, person: Person, pose: SmoothedPose
+        self, timestamp: float, person: Person, smoothed: Smoothed
     ) -> RecognisedAction | None:
         """Take in a frame of the track.
 
@@ -120,7 +121,8 @@ class ActionRecogniser:
             Seconds, after those of the frames before.
         person : Person
             With at least one hypothesis.
-        pose : SmoothedPose
+        smoothed : Smoothed
+            The track's pose at this frame.
 
         Returns
         -------
@@ -129,7 +131,7 @@ class ActionRecogniser:
         """
         if self._seen and timestamp - self._seen[-1][0].timestamp > MOST_GAP_S:
             self._seen.clear()
-        measured = Measured.of(timestamp, pose, person.hypotheses)
+        measured = Measured.of(timestamp, smoothed)
         self._seen.append((measured, self._model.votes(person.hypotheses)))
         while timestamp - self._seen[0][0].timestamp > WINDOW_S:
             self._seen.popleft()

@@ -1,15 +1,13 @@
-"""What a tracked person's poses tell in metres: the way up, the way gone, postures' speeds."""
+"""A track's pose at a frame, with what turns pixels into metres on the ground."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import PlacedHypothesis
-from app.tracking.results import SmoothedPose
+from app.tracking.smoothing import Smoothed
 from index.skeleton import POINT_NAMES
 
 LEAST_SINE = 0.35
@@ -20,20 +18,20 @@ _PELVIS = POINT_NAMES.index("pelvis")
 
 @dataclass(frozen=True)
 class Measured:
-    """A track's pose at a frame, in metres.
+    """A pose at a moment.
 
     Parameters
     ----------
     timestamp : float
         Seconds.
     points_3d : (24, 3) float64 array
-        Camera axes, origin at the pelvis.
+        Camera axes, metres, origin at the pelvis.
     pelvis_px : (2,) float64 array
         In the frame.
     pixels_per_metre : float
         At the person's distance.
     elevation_deg : float
-        Of the camera above the person, as the hypotheses of this frame have it.
+        Of the camera above the person.
     """
 
     timestamp: float
@@ -43,16 +41,19 @@ class Measured:
     elevation_deg: float
 
     @classmethod
-    def of(
-        cls, timestamp: float, pose: SmoothedPose, hypotheses: Sequence[PlacedHypothesis]
-    ) -> Measured:
-        """Measure a smoothed pose, with the hypotheses of the same frame, at least one."""
+    def of(cls, timestamp: float, smoothed: Smoothed) -> Measured:
+        """Measure a smoothed pose."""
+        pose = smoothed.pose
+        spread_px, spread_m = (
+            float(np.linalg.norm(points - points[_PELVIS], axis=1).sum())
+            for points in (pose.points_2d, pose.points_3d[:, :2])
+        )
         return cls(
             timestamp,
-            pose.points_3d,
+            pose.points_3d - pose.points_3d[_PELVIS],
             pose.points_2d[_PELVIS],
-            _pixels_per_metre(pose),
-            _elevation_deg(hypotheses),
+            max(spread_px, 1e-6) / max(spread_m, 1e-6),
+            smoothed.elevation_deg,
         )
 
 
@@ -77,17 +78,3 @@ def ground_path(
     """
     sine = max(float(np.sin(np.deg2rad(elevation_deg))), LEAST_SINE)
     return np.asarray(pelvis_px / pixels_per_metre / np.array([1.0, sine]))
-
-
-def _pixels_per_metre(pose: SmoothedPose) -> float:
-    spread_px, spread_m = (
-        float(np.linalg.norm(points - points[_PELVIS], axis=1).sum())
-        for points in (pose.points_2d, pose.points_3d[:, :2])
-    )
-    return max(spread_px, 1e-6) / max(spread_m, 1e-6)
-
-
-def _elevation_deg(hypotheses: Sequence[PlacedHypothesis]) -> float:
-    weights = np.array([hypothesis.confidence for hypothesis in hypotheses]) + 1e-9
-    elevations = np.array([hypothesis.label.elevation_deg for hypothesis in hypotheses])
-    return float(weights @ elevations / weights.sum())

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.actions import LEAST_S, WINDOW_S, ActionModel, window_features
+from app.tracking.actions import WINDOW_S, ActionModel, window_features
 from app.tracking.measures import Measured
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
@@ -32,8 +32,8 @@ shows less than two seconds; and what one subject alone does, which nobody else 
 SEVERAL_ACTIONS = ("127_25", "127_27", "127_33", "127_35")
 """Clips under one label that show two: people run, jump once and run on."""
 
-MOST_S = 20.0
-"""Longer stretches are cut."""
+SHORTEST_S, LONGEST_S = 1.2, 20.0
+"""Shorter stretches are left out, longer ones cut."""
 
 IDLE_BELOW = 0.3
 """Mean speed of limbs and pelvis, metres a second, below which a person only stands.
@@ -119,12 +119,12 @@ def read_motions(
         action = poses.actions[poses.action[first]]
         whole = Motion(clip.name, subjects[clip.name], action, int(frames[0]), world)
         motions += _without_waiting(whole)
-    motions += [laid_down(m, turn) for m in motions if m.action == "stand" for turn in (0, 1, 2)]
+    motions += [laid_down(m, turn) for m in motions if m.action == "stand" for turn in (0, 1)]
     return [
         piece
         for motion in motions
-        for piece in _pieces(motion, round(MOST_S * CLIP_FPS))
-        if len(piece.world) >= LEAST_S * CLIP_FPS
+        for piece in _pieces(motion, round(LONGEST_S * CLIP_FPS))
+        if len(piece.world) >= SHORTEST_S * CLIP_FPS
     ]
 
 
