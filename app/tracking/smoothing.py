@@ -48,6 +48,10 @@ SHARPNESS = 0.5
 LINE_FRAMES = 4
 """Frames through whose averages a line is fitted."""
 
+CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.5, 0.87, 0.34
+"""Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and
+of the share of probability near it. Fitted by ``python -m scripts.evaluate tracking --fit``."""
+
 _LEFT, _RIGHT = (
     [POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")]
     for side in ("left", "right")
@@ -67,6 +71,9 @@ class Smoothed:
     velocity : GroundVelocity
     elevation_deg : float
         Of the camera above the person, averaged over the track.
+    confidence_features : (float, float)
+        Log odds, whose weighted sum gives the pose's confidence: of the hypotheses near the pose,
+        and of the share of probability near it.
     """
 
     pose: SmoothedPose
@@ -74,6 +81,7 @@ class Smoothed:
     posture: VotedPosture
     velocity: GroundVelocity
     elevation_deg: float
+    confidence_features: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -84,6 +92,7 @@ class _States:
     ----------
     timestamp : float
     points_3d : (N, 24, 3) float64 array
+    confidences : (N,) float64 array
     log_evidence : (N,) float64 array
     log_forward : (N,) float64 array
         Log probabilities given all frames up to this one, less a constant.
@@ -93,6 +102,7 @@ class _States:
 
     timestamp: float
     points_3d: NDArray[np.float64]
+    confidences: NDArray[np.float64]
     log_evidence: NDArray[np.float64]
     log_forward: NDArray[np.float64]
     log_moves: NDArray[np.float64] | None
@@ -141,19 +151,20 @@ class PoseSmoother:
         if going > 0:
             cosines = _cosines(points_3d, elevations_deg, velocity)
             log_evidence = log_evidence + DIRECTION_WEIGHT * going * (cosines - 1) / 2
-        self._append(timestamp, points_3d, log_evidence)
+        self._append(timestamp, points_3d, confidences, log_evidence)
 
-        probabilities = np.exp(self._frames[-1].log_forward)
+        log_probabilities = self._frames[-1].log_forward
+        probabilities = np.exp(log_probabilities)
         probabilities /= probabilities.sum()
-        smoothed_3d = self._smoothed_points(timestamp)
-        near = _weights_near_best(points_3d, self._frames[-1].log_forward)
-        averaged_2d = np.einsum("n,npd->pd", near, points_2d)
-        best = int(probabilities.argmax())
+        near = _weights_near_best(points_3d, log_probabilities)
+        smoothed_3d, odds = self._smoothed(timestamp)
+        agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
+        features = odds, _log_odds(agreement)
         pose = SmoothedPose(
             smoothed_3d,
-            _placed_on(smoothed_3d, averaged_2d),
-            float(near @ confidences),
-            hypotheses[best].hypothesis.entry,
+            np.einsum("n,npd->pd", near, points_2d),
+            _confidence(*features),
+            hypotheses[int(probabilities.argmax())].hypothesis.entry,
         )
         front = float(np.clip(probabilities @ faces_camera(azimuth_deg(points_3d)), 0, 1))
         posture = vote_posture(
@@ -165,12 +176,14 @@ class PoseSmoother:
             posture,
             velocity,
             self._ground.elevation_deg,
+            features,
         )
 
     def _append(
         self,
         timestamp: float,
         points_3d: NDArray[np.float64],
+        confidences: NDArray[np.float64],
         log_evidence: NDArray[np.float64],
     ) -> None:
         """Add a frame's states: the forward step."""
@@ -180,12 +193,17 @@ class PoseSmoother:
             log_moves = _log_moves(last.points_3d, points_3d, timestamp - last.timestamp)
             log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
-        self._frames.append(_States(timestamp, points_3d, log_evidence, log_forward, log_moves))
+        self._frames.append(
+            _States(timestamp, points_3d, confidences, log_evidence, log_forward, log_moves)
+        )
 
-    def _smoothed_points(self, timestamp: float) -> NDArray[np.float64]:
-        """The skeleton ``(24, 3)`` at the newest frame, by the last frames: the backward step."""
+    def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
+        """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.
+
+        And the log odds of the hypotheses near it, averaged over these frames.
+        """
         log_backward = np.zeros(len(self._frames[-1].log_forward))
-        averages, lengths = [], []
+        averages, lengths, odds = [], [], []
         later: _States | None = None
         for states in reversed(self._frames):
             if later is not None and later.log_moves is not None:
@@ -196,10 +214,11 @@ class PoseSmoother:
             weights = _weights_near_best(states.points_3d, states.log_forward + log_backward)
             averages.append(np.einsum("n,npd->pd", weights, states.points_3d))
             lengths.append(weights @ _bone_lengths(states.points_3d))
+            odds.append(_log_odds(float(weights @ states.confidences)))
             later = states
         ages = timestamp - np.array([states.timestamp for states in reversed(self._frames)])
         smoothed = _line_at_zero(ages, np.array(averages))
-        return _with_bone_lengths(smoothed, np.mean(lengths, axis=0))
+        return _with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
 
 
 def _px_per_m(
@@ -234,19 +253,35 @@ def _log_moves(
     """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
     ways = np.linalg.norm(before[:, None, :JOINTS] - after[None, :, :JOINTS], axis=-1).mean(axis=-1)
     cost_per_m = COST_PER_M * min(1.0, 1 / (RATE * seconds))
-    return -np.minimum(cost_per_m * ways, MOST_COST)
+    return np.asarray(-np.minimum(cost_per_m * ways, MOST_COST))
 
 
 def _weights_near_best(
     points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
+    softened = np.exp(SHARPNESS * (log_probabilities - log_probabilities.max()))
+    weights = softened * _nearness(points_3d, log_probabilities)
+    return np.asarray(weights / weights.sum())
+
+
+def _nearness(
+    points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How near states ``(N,)`` are to the most probable one, 0 to 1."""
     best = points_3d[log_probabilities.argmax()]
     apart = np.linalg.norm(points_3d[:, :JOINTS] - best[:JOINTS], axis=-1).mean(axis=-1)
-    weights = np.exp(
-        SHARPNESS * (log_probabilities - log_probabilities.max()) - (apart / NEARBY_M) ** 2 / 2
-    )
-    return np.asarray(weights / weights.sum())
+    return np.asarray(np.exp(-((apart / NEARBY_M) ** 2) / 2))
+
+
+def _confidence(odds: float, agreement_odds: float) -> float:
+    """Probability that a smooth pose is right."""
+    total = CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds
+    return float(1 / (1 + np.exp(-total)))
+
+
+def _log_odds(probability: float) -> float:
+    return float(np.log((probability + 1e-3) / (1 - probability + 1e-3)))
 
 
 def _line_at_zero(ages: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -283,17 +318,6 @@ def _with_bone_lengths(
     return result
 
 
-def _placed_on(
-    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Project a skeleton at the scale and place of points ``(24, 2)`` in the picture."""
-    plane = points_3d[:, :2]
-    scale = float(_px_per_m(points_3d, points_2d))
-    return np.asarray(points_2d.mean(axis=0) + scale * (plane - plane.mean(axis=0)))
-
-
 def _log_sum_exp(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    most = values.max(axis=axis, keepdims=True)
-    return np.asarray(
-        np.squeeze(most + np.log(np.exp(values - most).sum(axis=axis, keepdims=True)), axis)
-    )
+    sums: NDArray[np.float64] = np.logaddexp.reduce(values, axis=axis)
+    return sums
