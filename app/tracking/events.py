@@ -18,12 +18,14 @@ MOST_STEP_S = 0.2
 """A frame stands for no more than this, however long none came: a single one decides nothing."""
 
 DOWN_WITHIN_S = 4.0
-"""From the last moment upright to lying; who takes longer lay down."""
+"""From the last moment upright to the ground; who takes longer lay down."""
 
 STAYS_DOWN_S = 1.5
-"""Seconds of lying after which somebody fell."""
+"""Seconds on the ground after which somebody fell."""
 
 UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
+DOWN: tuple[Posture, ...] = ("lying", "crawling")
+"""Who fell need not lie flat."""
 
 
 class _Evidence:
@@ -58,7 +60,8 @@ class EventDetector:
     def __init__(self, track_id: int) -> None:
         self._track_id = track_id
         self._last: float | None = None
-        self._lying, self._arms_raised, self._upright = _Evidence(), _Evidence(), _Evidence()
+        self._lying, self._arms_raised = _Evidence(), _Evidence()
+        self._down, self._upright = _Evidence(), _Evidence()
         self._upright_at: float | None = None
         self._fallen = False
 
@@ -92,18 +95,19 @@ class EventDetector:
         lies = probability if posture.label == "lying" else 0.0
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        return (*events, *happened("fell", self._fell(timestamp), self._lying.level))
+        self._down.update(timestamp, probability if posture.label in DOWN else 0.0, step)
+        return (*events, *happened("fell", self._fell(timestamp), self._down.level))
 
     def _fell(self, timestamp: float) -> EventState | None:
         """Whether a fall begins or ends at this frame."""
-        lying = self._lying
-        if self._fallen and not lying.holds:
+        down = self._down
+        if self._fallen and not down.holds:
             self._fallen = False
             return "end"
-        if self._fallen or not lying.holds or self._upright_at is None:
+        if self._fallen or not down.holds or self._upright_at is None:
             return None
-        suddenly = 0 <= lying.since - self._upright_at <= DOWN_WITHIN_S
-        if suddenly and timestamp - lying.since >= STAYS_DOWN_S:
+        suddenly = 0 <= down.since - self._upright_at <= DOWN_WITHIN_S
+        if suddenly and timestamp - down.since >= STAYS_DOWN_S:
             self._fallen = True
             return "begin"
         return None

@@ -114,7 +114,9 @@ def film(
         for _ in range(views):
             avatar = avatars[len(filmed) % len(avatars)]
             filmed.append(
-                _film(clip, action, subjects[clip.name], poses.frame[rows], avatar, generator)
+                film_stretch(
+                    clip, action, subjects[clip.name], poses.frame[rows], avatar, generator
+                )
             )
     return filmed
 
@@ -132,7 +134,7 @@ def _stretches(poses: Poses, step: int) -> list[NDArray[np.int64]]:
     return [piece[::step] for piece in pieces if len(piece) >= LEAST_S * CLIP_FPS]
 
 
-def _film(
+def film_stretch(
     clip: Clip,
     action: str,
     subject: str,
