@@ -55,12 +55,14 @@ NOISE_M = (0.02, 0.07)
 NOISE_OF_AXIS = (0.6, 0.6, 1.3)
 """Depth is known least."""
 
-SHRINKAGE = 0.5
+SHRINKAGE = 0.4
 """Of the covariance towards a multiple of the identity; more than half of the features'
 dimensions are noise to a handful of subjects."""
 
 VOTE_WEIGHT = 0.15
 HOP_S = 0.5
+TEMPERATURES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+COPIES, SEED = 4, 20
 
 _PIXELS_PER_METRE = 100.0
 _LIMBS = [
@@ -231,7 +233,18 @@ class Windows:
 
     def of_subject(self, subject: str) -> NDArray[np.bool_]:
         """Which windows ``(W,)`` show somebody."""
-        return (np.array(self.subjects) == subject)[self.motion]
+        return np.asarray((np.array(self.subjects) == subject)[self.motion])
+
+
+def merged(parts: Sequence[Windows]) -> Windows:
+    """Windows of several sources together."""
+    firsts = np.cumsum([0, *(len(part.actions) for part in parts[:-1])])
+    return Windows(
+        np.concatenate([part.features for part in parts]),
+        np.concatenate([part.motion + first for part, first in zip(parts, firsts, strict=True)]),
+        tuple(action for part in parts for action in part.actions),
+        tuple(subject for part in parts for subject in part.subjects),
+    )
 
 
 def make_windows(motions: Sequence[Motion], copies: int, seed: int) -> Windows:

@@ -20,11 +20,12 @@ from tqdm import tqdm
 
 from app.estimates import ObservedPerson, Person
 from app.hypotheses import fit_poses, set_upright
+from app.tracking.measures import Measured
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from descriptor.silhouette import pack
 from index.artefact import load_index
-from index.build.avatars import HELD_OUT_AVATARS, make_avatars
+from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.body import Avatar
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
@@ -32,7 +33,18 @@ from index.posture import classify
 from index.silhouettes import Silhouettes
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
-from scripts.experiments.action_model import ACTIONS, SEVERAL_ACTIONS, SHORTEST_S
+from scripts.experiments.action_model import (
+    ACTIONS,
+    COPIES,
+    SEED,
+    SEVERAL_ACTIONS,
+    SHORTEST_S,
+    Windows,
+    make_windows,
+    merged,
+    read_motions,
+    windows_of,
+)
 from scripts.experiments.sequences import CLIP_FPS, FPS, Filmed, film_stretch
 
 LEFT_OUT_TOGETHER = (
@@ -141,7 +153,7 @@ def film_actions(
     """A piece of every stretch, of no more than some of an action by a subject."""
     poses = _poses(motion, segments)
     counts: Counter[tuple[str, str]] = Counter()
-    films = []
+    films: list[Filmed] = []
     for rows in _stretches(poses):
         clip, action = poses.clips[poses.clip[rows[0]]], poses.actions[poses.action[rows[0]]]
         subject = subjects[clip.name]
@@ -271,3 +283,31 @@ def _stretches(poses: Poses) -> list[NDArray[np.int64]]:
     """Rows of unbroken motion of one action."""
     parted = (np.diff(poses.clip) != 0) | (np.diff(poses.action) != 0) | (np.diff(poses.frame) != 1)
     return np.split(np.arange(len(poses)), np.flatnonzero(parted) + 1)
+
+
+def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:
+    """The tracks that show one of :data:`ACTIONS`, and their windows."""
+    shown = [track for track in tracks if track.action in ACTIONS and len(track.smoothed) > FPS]
+    parts = [
+        windows_of([
+            Measured.of(timestamp, smoothed)
+            for timestamp, smoothed in zip(
+                track.timestamps.tolist(), track.smoothed, strict=True
+            )
+        ])
+        for track in shown
+    ]  # fmt: skip
+    return shown, Windows(
+        np.concatenate(parts),
+        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+        tuple(track.action for track in shown),
+        tuple(track.subject for track in shown),
+    )
+
+
+def training_windows(shared: Path, tracks: Sequence[Track]) -> Windows:
+    """Windows of simulated skeletons, then those of tracks, which are few, three times."""
+    motion = shared / "mocap"
+    avatars = make_avatars(CALIBRATION_AVATARS, None)
+    simulated = make_windows(read_motions(motion, read_manifest(motion), avatars), COPIES, SEED)
+    return merged([simulated, *3 * [track_windows(tracks)[1]]])
