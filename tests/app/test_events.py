@@ -103,3 +103,8 @@ def test_another_posture_takes_over_within_the_window() -> None:
     changed = [answer.label for answer in answers].index("sitting")
     assert 12 <= changed <= 15
     assert answers[-1].probability == pytest.approx(0.8)
+
+
+def test_who_is_down_but_not_flat_fell() -> None:
+    events = watch([("walking", 3), ("crawling", 4)])
+    assert told(events) == [("fell", "begin")]
