@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from app.tracking.actions import LEAST_SHARE, ActionModel
 from app.tracking.events import EventDetector
-from app.tracking.postures import PostureFilter
 from descriptor.descriptor import DiagonalDescriptor
 from index.artefact import load_index
 from index.build.avatars import INDEX_AVATARS, make_avatars
@@ -117,10 +116,10 @@ def run(options: argparse.Namespace) -> None:
         *(f"### Confusions, {name}\n\n{confusion(a)}" for name, a in answers.items()),
         "## Postures",
         "Frames of the tracks from silhouettes whose posture (rules of docs/index.md, on the true "
-        "skeleton, with its true speed) is told: by a frame's hypotheses, by the smoother's "
-        "states, and by these over time (PostureFilter).",
+        "skeleton, with its true speed) is told: by a frame's hypotheses, and by the smoother's "
+        "states.",
         table(
-            ["posture", "frames", "frame (%)", "smoothed (%)", "over time (%)"],
+            ["posture", "frames", "frame (%)", "smoothed (%)"],
             [[name, str(count), *(percent(value) for value in values)]
              for name, (count, values) in postures.items()],
         ),
@@ -300,13 +299,11 @@ def confusion(answers: Answers) -> str:
 
 
 def told_postures(tracks: Sequence[Track]) -> dict[str, tuple[int, list[float]]]:
-    """Frames of each posture, and percent right by frame, smoothed, and over time."""
+    """Frames of each posture, and percent right by frame and smoothed."""
     truth, told = [], []
     for track in tracks:
-        over_time = PostureFilter()
         for row, (person, smoothed) in enumerate(zip(track.people, track.smoothed, strict=True)):
-            held = over_time.update(float(track.timestamps[row]), smoothed.posture)
-            labels = (person.posture, smoothed.posture, held)
+            labels = (person.posture, smoothed.posture)
             truth.append(track.posture[row])
             told.append([POSTURES.index(p.label) if p else -1 for p in labels])
     true = np.array(truth)

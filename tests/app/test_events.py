@@ -8,7 +8,6 @@ import pytest
 
 from app.posture import VotedPosture
 from app.tracking.events import STAYS_DOWN_S, EventDetector
-from app.tracking.postures import PostureFilter
 from app.tracking.results import Event
 from index.posture import Posture
 
@@ -82,27 +81,6 @@ def test_raised_arms_begin_and_end() -> None:
 
 def test_doubtful_postures_are_no_events() -> None:
     assert watch([("standing", 2), ("lying", 5)], probability=0.4) == []
-
-
-def test_a_posture_is_held_against_a_bad_frame() -> None:
-    postures = PostureFilter()
-    labels = [
-        postures.update(frame / FPS, VotedPosture("lying" if frame == 8 else "walking", 0.9)).label
-        for frame in range(16)
-    ]
-    assert labels == ["walking"] * 16
-
-
-def test_another_posture_takes_over_within_the_window() -> None:
-    postures = PostureFilter()
-    given: list[Posture] = ["standing"] * 10 + ["sitting"] * 10
-    answers = [
-        postures.update(frame / FPS, VotedPosture(posture, 0.8))
-        for frame, posture in enumerate(given)
-    ]
-    changed = [answer.label for answer in answers].index("sitting")
-    assert 12 <= changed <= 15
-    assert answers[-1].probability == pytest.approx(0.8)
 
 
 def test_who_is_down_but_not_flat_fell() -> None:
