@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,9 @@ from index.posture import camera_up
 
 WINDOW_S, LEAST_S = 3.0, 1.0
 """Seconds of motion that are looked at, and from which an action is told."""
+
+EVERY_S = 0.5
+"""Time from one answer to the next: what somebody does changes slowly."""
 
 MOST_GAP_S = 1.0
 """Longer without a pose, and the motion begins anew."""
@@ -109,6 +113,8 @@ class ActionRecogniser:
     def __init__(self, model: ActionModel | None = None) -> None:
         self._model = shipped_model() if model is None else model
         self._seen: deque[tuple[Measured, NDArray[np.float64]]] = deque()
+        self._told: RecognisedAction | None = None
+        self._told_at = -math.inf
 
     def update(
         self, timestamp: float, person: Person, smoothed: Smoothed
@@ -131,17 +137,22 @@ class ActionRecogniser:
         """
         if self._seen and timestamp - self._seen[-1][0].timestamp > MOST_GAP_S:
             self._seen.clear()
+            self._told = None
         measured = Measured.of(timestamp, smoothed)
         self._seen.append((measured, self._model.votes(person.hypotheses)))
         while timestamp - self._seen[0][0].timestamp > WINDOW_S:
             self._seen.popleft()
         if timestamp - self._seen[0][0].timestamp < LEAST_S:
             return None
+        if self._told is not None and timestamp - self._told_at < EVERY_S:
+            return self._told
         features = window_features([measured for measured, _ in self._seen])
         votes = np.mean([votes for _, votes in self._seen], axis=0)
         probabilities = self._model.probabilities(features, votes)
         best = int(probabilities.argmax())
-        return RecognisedAction(self._model.actions[best], float(probabilities[best]))
+        self._told_at = timestamp
+        self._told = RecognisedAction(self._model.actions[best], float(probabilities[best]))
+        return self._told
 
 
 def window_features(measured: Sequence[Measured]) -> NDArray[np.float64]:

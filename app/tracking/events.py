@@ -50,26 +50,21 @@ class _Evidence:
 
 
 class EventDetector:
-    """Watches the postures of one track.
+    """Watches the postures of one track."""
 
-    Parameters
-    ----------
-    track_id : int
-    """
-
-    def __init__(self, track_id: int) -> None:
-        self._track_id = track_id
+    def __init__(self) -> None:
         self._last: float | None = None
         self._lying, self._arms_raised = _Evidence(), _Evidence()
         self._down, self._upright = _Evidence(), _Evidence()
         self._upright_at: float | None = None
         self._fallen = False
 
-    def update(self, timestamp: float, posture: VotedPosture) -> tuple[Event, ...]:
+    def update(self, track_id: int, timestamp: float, posture: VotedPosture) -> tuple[Event, ...]:
         """Take in a frame of the track and return what begins or ends with it.
 
         Parameters
         ----------
+        track_id : int
         timestamp : float
             Seconds, after those of the frames before.
         posture : VotedPosture
@@ -80,7 +75,7 @@ class EventDetector:
         probability = posture.probability
 
         def happened(event: EventName, state: EventState | None, level: float) -> list[Event]:
-            return [Event(event, self._track_id, state, timestamp, level)] if state else []
+            return [Event(event, track_id, state, timestamp, level)] if state else []
 
         upright = probability if posture.label in UPRIGHT else 0.0
         self._upright.update(timestamp, upright, step)

@@ -29,8 +29,8 @@ from app.vision.segmentation.truncation import with_truncation
 SEARCH_EVERY_S = 2.0
 """Time between two searches of the whole frame."""
 
-NETWORK_CUTS = 2
-"""People whom the network cuts out on a frame that is not searched as a whole."""
+NETWORK_CUTS = 1
+"""People whom tracks expect and the network cuts out, on a frame not searched as a whole."""
 
 # Room about people in a part of the frame that is searched, as a share of their height.
 _ROOM = 0.25

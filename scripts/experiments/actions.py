@@ -335,13 +335,13 @@ def told_falls(tracks: Sequence[Track]) -> Falls:
     missed = []
     falls = [track for track in tracks if track.action == FALL]
     for track in tracks:
-        detector = EventDetector(1)
+        detector = EventDetector()
         events = [
             event
             for timestamp, smoothed in zip(
                 track.timestamps.tolist(), track.smoothed, strict=True
             )
-            for event in detector.update(timestamp, smoothed.posture)
+            for event in detector.update(1, timestamp, smoothed.posture)
             if event.event == "fell" and event.state == "begin"
         ]  # fmt: skip
         if track.action == FALL:

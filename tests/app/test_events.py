@@ -18,12 +18,12 @@ def watch(
     parts: Iterable[tuple[Posture, float]], fps: float = FPS, probability: float = 0.9
 ) -> list[Event]:
     """Events of somebody who is in each posture for some seconds."""
-    detector = EventDetector(7)
+    detector = EventDetector()
     events: list[Event] = []
     frame = 0
     for posture, seconds in parts:
         for _ in range(round(seconds * fps)):
-            events += detector.update(frame / fps, VotedPosture(posture, probability))
+            events += detector.update(7, frame / fps, VotedPosture(posture, probability))
             frame += 1
     return events
 
