@@ -86,7 +86,9 @@ class Action(Model):
 class TrackedPerson(Person):
     """One person of the frame, and the track they belong to.
 
-    `facing` and `posture` are those of the track; `hypotheses` are those of the frame alone.
+    `facing` and `posture` are those of the track; `hypotheses` are those of the frame alone, and
+    empty where poses of this person were not searched for: on a frame of a camera they are for a
+    few people, in turn.
     """
 
     track_id: int = Field(
@@ -96,7 +98,8 @@ class TrackedPerson(Person):
         ge=1, description="Frames since the track began, this one included.", examples=[41]
     )
     pose: SmoothedPose | None = Field(
-        description="Smoothed over the frames so far. Null until the person could be cut out once."
+        description="Smoothed over the frames so far. Null if the person could not be cut out for "
+        "a second."
     )
     action: Action | None = Field(description="Null until enough frames were seen.")
 

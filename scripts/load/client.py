@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import httpx
 
-_TEXT_FIELDS = ("api_key", "boxes", "min_confidence")
+_TEXT_FIELDS = ("api_key", "boxes", "min_confidence", "timestamp")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Call:
     @cached_property
     def message(self) -> tuple[bytes, dict[str, str]]:
         """Body and headers, encoded once."""
-        if self.method == "GET":
+        if not self.parts:
             return b"", self.headers
         files = {
             name: (None if name in _TEXT_FIELDS else "image", value)

@@ -64,6 +64,26 @@ def kinds(index: PoseIndex) -> list[Kind]:
         Kind("pose, people searched for", 0.02, post("/pose", [{"frame": f} for f in frames])),
         Kind("overlay", 0.03, post("/pose/overlay", pairs)),
         Kind("silhouette", 0.03, post("/silhouette", pairs)),
+        Kind(
+            "camera, people followed",
+            0.04,
+            [
+                Call("POST", f"/cameras/soak-{number}/frames", {"frame": frame})
+                for number, frame in enumerate(frames)
+            ],
+        ),
+        Kind(
+            "camera, frame of no use",
+            0.01,
+            post("/cameras/soak-0/frames", [{"frame": noise[0]}, {"frame": frames[0], "mask": small}]),
+        ),
+        Kind(
+            "camera, late frame",
+            0.01,
+            post("/cameras/soak-1/frames", [{"frame": frames[1], "timestamp": b"-1"}]),
+        ),
+        Kind("camera forgotten", 0.005, [Call("DELETE", "/cameras/soak-2")]),
+        Kind("cameras listed", 0.005, [Call("GET", "/cameras")]),
         Kind("deepstack", 0.02, post("/v1/vision/detection", [{"image": f} for f in frames])),
         Kind("entry", 0.06, [Call("GET", f"/index/entries/{e}") for e in range(8)]),
         Kind("undecodable", 0.04, post("/pose", [{"frame": data} for data in noise])),
