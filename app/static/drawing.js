@@ -177,8 +177,8 @@ export function drawTracks(canvas, { photo, answer, shown, chosen }) {
     const bone = boneWidth(box, line);
     if (shown.boxes) drawBox(context, box, personColour(id - 1), id === chosen ? 2 * line : line);
     const draw = (joints, plain) => drawFlat(context, joints, answer.keypoints, fromCorners, bone, plain);
-    if (shown.smoothed && pose) draw(pose.joints_2d);
     if (shown.raw && hypotheses.length) draw(hypotheses[0].joints_2d, shown.smoothed ? RAW : undefined);
+    if (shown.smoothed && pose) draw(pose.joints_2d);
   }
   for (const { box, track_id: id } of answer.persons) {
     drawLabel(context, box, String(id), personColour(id - 1), line);

@@ -18,7 +18,7 @@ const state = { upload: null, bitmap: null, answer: null, silhouettes: null, per
 let latest = null;
 let asking = null;
 
-const film = new SessionView({ options: () => options(), complain, tell });
+const film = new SessionView({ options: () => options(), complain, tell, bringIntoView });
 
 const options = () => ({
   count: Number($("count").value),
@@ -88,7 +88,7 @@ async function ask(upload) {
     const { bitmap, files, original } = await upload.prepared;
     const answered = await estimatePose(files, { ...chosen, signal });
     if (signal.aborted) return;
-    const isNew = upload !== state.upload && !upload.sameScene;
+    const isNew = upload !== state.upload;
     show(upload, bitmap, answered, original);
     $("curl").textContent = curlCommand(upload, chosen);
     if (!answered.persons.length) {
@@ -96,7 +96,7 @@ async function ask(upload) {
     }
     tell(notes);
     working(false);
-    if (isNew && answered.persons.length) bringIntoView();
+    if (isNew && answered.persons.length) bringIntoView($("result"));
   } catch (error) {
     if (signal.aborted) return;
     working(false);
@@ -132,9 +132,7 @@ function show(upload, bitmap, answered, original) {
   // As the command shown gives it, which asks for no silhouettes.
   for (const { silhouette } of answered.persons) if (silhouette) silhouette.rle = null;
   const answer = original ? inPixelsOf(original, answered) : answered;
-  const person = upload.sameScene
-    ? Math.min(state.person, Math.max(0, answer.persons.length - 1)) : largest(answer.persons);
-  Object.assign(state, { upload, bitmap, answer, silhouettes, person, hypothesis: 0 });
+  Object.assign(state, { upload, bitmap, answer, silhouettes, person: largest(answer.persons), hypothesis: 0 });
   state.sent = original && answered.image;
   $("result").hidden = false;
   document.body.classList.add("has-result");
@@ -149,10 +147,10 @@ function setStale(stale) {
 }
 
 /** On a narrow screen the result begins below what fits. */
-function bringIntoView() {
+function bringIntoView(result) {
   if (!matchMedia("(max-width: 44rem)").matches) return;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-  ($("note").hidden ? $("result") : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
+  ($("note").hidden ? result : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
 }
 
 /** Who to look at first: whoever stands nearest to the camera. */

@@ -53,6 +53,8 @@ export class Session {
     document.addEventListener("visibilitychange", look, { signal });
     addEventListener("pagehide", () => this.stop(), { signal });
     await this.#video.play();
+    // The first frame takes longest.
+    if (!this.live) this.#video.playbackRate = SLOWEST;
     this.#watch();
     while (await this.#nextFrame()) {
       const timestamp = this.#newest;
@@ -133,7 +135,7 @@ export class Session {
   }
 
   #keepPace(seconds) {
-    this.#interval = this.#interval ? 0.8 * this.#interval + 0.2 * seconds : seconds;
+    this.#interval = this.#interval ? 0.7 * this.#interval + 0.3 * seconds : seconds;
     if (!this.live) {
       const rate = Math.min(1, Math.max(SLOWEST, 1 / (LEAST_FPS * this.#interval)));
       this.#video.playbackRate = Math.round(rate * 20) / 20;

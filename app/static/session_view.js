@@ -9,7 +9,7 @@ const $ = (id) => document.getElementById(id);
 
 const MOST_EVENTS = 100;
 
-const percent = (share) => `${Math.round(share * 100)} %`;
+const percent = (share) => `${Math.round(share * 100)}\u00a0%`;
 
 const guess = (found) => found ? `${inWords(found.label)} ${percent(found.probability)}` : "–";
 
@@ -32,8 +32,11 @@ export class SessionView {
   #file = null;
   #shown = null;
   #chosen = null;
+  #restarted = "";
+  #refused = false;
 
-  /** @param page What the page lends: `options()`, `complain(error)`, `tell(notes)`. */
+  /** @param page What the page lends: `options()`, `complain(error)`, `tell(notes)` and
+   * `bringIntoView(element)`. */
   constructor(page) {
     this.#page = page;
     $("hold").addEventListener("click", () => this.#hold());
@@ -78,19 +81,23 @@ export class SessionView {
     await this.#play(true, "The camera has to stand still.", "Webcam");
   }
 
-  /** Once more with what the page now asks for, if the service refused it before. */
+  /** Once more with another API key, if the service wanted one. */
   async again() {
+    if (!this.#refused) return;
     if (this.#file) await this.playFile(this.#file);
+    else await this.playWebcam();
   }
 
   /** Stop what plays, and leave what was seen. */
   stop() {
     this.#session?.stop();
     this.#session = null;
+    this.#refused = false;
     this.#video.srcObject?.getTracks().forEach((track) => track.stop());
     if (this.#video.src) URL.revokeObjectURL(this.#video.src);
     this.#video.srcObject = null;
     this.#video.removeAttribute("src");
+    this.#video.load();
     this.#showButtons();
   }
 
@@ -102,10 +109,12 @@ export class SessionView {
   async #play(live, note, title) {
     const session = new Session(this.#video, { live, options: this.#page.options });
     this.#session = session;
+    this.#restarted = "";
     this.#begin();
     $("session").hidden = false;
     $("live").setAttribute("aria-label", `${title}, with the people found in it`);
     $("pace").textContent = "Looking for people …";
+    this.#page.complain(null);
     this.#page.tell([note]);
     this.#showButtons();
     try {
@@ -120,6 +129,9 @@ export class SessionView {
       if (session !== this.#session) return;
       $("pace").textContent = "";
       this.#page.complain(error.status === undefined ? this.#unplayable(error) : error);
+      this.stop();
+      this.#refused = error.status === 401;
+      return;
     }
     this.stop();
   }
@@ -135,25 +147,19 @@ export class SessionView {
     $("crowd").replaceChildren();
     $("events").replaceChildren();
     this.#shown = this.#chosen = null;
+    // Not known before it plays, nor of a webcam, nor of what a browser has recorded.
     const { duration } = this.#video;
     this.#timeline.clear(Number.isFinite(duration) ? duration : null);
   }
 
   #show(answer, photo, note) {
     const session = this.#session;
-    const notes = [note];
-    if (answer.session === "new" && this.#shown) {
-      this.#begin();
-      notes.push("The service had forgotten this camera: people are numbered anew.");
-    }
-    if (answer.frame_index === 0) {
-      const { duration } = this.#video;
-      this.#timeline.clear(Number.isFinite(duration) ? duration : null);
-    }
-    if (answer.reset) notes.push(`People are followed anew: ${answer.reset}.`);
-    if (answer.frame_index === 0 || answer.reset || !this.#quiet) this.#page.tell(notes);
-    this.#quiet = notes.length === 1;
-    this.#page.complain(null);
+    const afresh = answer.session === "new" && this.#shown;
+    if (afresh) this.#restarted = "The service had forgotten this camera: people are numbered anew.";
+    if (answer.reset) this.#restarted = `People are followed anew: ${answer.reset}.`;
+    if (answer.session === "new") this.#begin();
+    this.#page.tell([note, this.#restarted]);
+    const first = !this.#shown;
     this.#shown = { answer, photo };
     const ids = answer.persons.map(({ track_id: id }) => id);
     if (!ids.includes(this.#chosen)) this.#chosen = ids.length ? Math.min(...ids) : null;
@@ -161,10 +167,11 @@ export class SessionView {
     this.#showPeople(answer.persons);
     for (const event of answer.events) this.#tellEvent(event);
     const rate = session.live || this.#video.playbackRate === 1 ? ""
-      : `, played at ${this.#video.playbackRate.toFixed(2)} of its speed`;
+      : `, slowed down to ${percent(this.#video.playbackRate)}`;
     $("pace").textContent = `${clock(answer.timestamp)}, frame ${answer.frame_index + 1}: `
       + `${answer.timings_ms.total.toFixed(0)} ms, ${session.framesPerSecond.toFixed(1)} frames a second${rate}`;
     this.#draw();
+    if (first && !afresh) this.#page.bringIntoView($("session"));
   }
 
   #showPeople(persons) {
@@ -187,13 +194,13 @@ export class SessionView {
 
   #addRow(id) {
     const row = document.createElement("tr");
-    const label = element("label", { className: "choices" });
+    const label = document.createElement("label");
     const input = element("input", { type: "radio", name: "track", value: id });
     input.addEventListener("change", () => this.#choose(id));
     const chip = element("span", { className: "chip", textContent: id });
     chip.style.borderBottomColor = personColour(id - 1);
     label.append(input, chip);
-    const head = element("th", { scope: "row" });
+    const head = element("th", { scope: "row", className: "choices" });
     head.append(label);
     row.append(head, ...["posture", "action", "faces"].map(() => document.createElement("td")));
     this.#rows.set(id, row);
@@ -237,6 +244,7 @@ export class SessionView {
       smoothed: ["smoothed", "both"].includes(skeletons),
       raw: ["raw", "both"].includes(skeletons),
     };
+    $("alone").hidden = skeletons !== "both";
     drawTracks($("live"), { photo, answer, shown, chosen: this.#chosen });
     const person = answer.persons.find(({ track_id: id }) => id === this.#chosen);
     const pose = skeletons === "raw" ? person?.hypotheses[0] : person?.pose;
@@ -256,8 +264,6 @@ export class SessionView {
     $("hold").textContent = session ? (session.held ? "Go on" : "Pause") : "Play again";
     $("webcam").textContent = this.isLive ? "Stop the webcam" : "Use the webcam";
   }
-
-  #quiet = true;
 }
 
 /** A message as a sentence of its own. */

@@ -139,7 +139,7 @@ export class Timeline {
       context.fillRect(across(at), 0, 1, bottom + 4);
       context.globalAlpha = 1;
       context.fillText(`${Math.floor(at / 60)}:${String(at % 60).padStart(2, "0")}`,
-        Math.max(LEFT_PX, across(at)), bottom + AXIS_PX);
+        Math.min(width - 16, across(at)), bottom + AXIS_PX);
     }
   }
 
