@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,7 @@ class Source:
             self._number += 1
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """The service refuses a frame; the message says why.
 
     Parameters
@@ -161,7 +162,7 @@ class Camera:
 
         Raises
         ------
-        Refused, OSError, http.client.HTTPException
+        RefusedError, OSError, http.client.HTTPException
         """
         encoded = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
@@ -172,7 +173,7 @@ class Camera:
         """End the session."""
         try:
             self._send("DELETE", self._path)
-        except Refused as refusal:
+        except RefusedError as refusal:
             if refusal.status != 404:
                 raise
 
@@ -194,7 +195,7 @@ class Camera:
         except (ValueError, KeyError, TypeError):
             detail = response.reason
         after = response.headers.get("Retry-After", "")
-        raise Refused(
+        raise RefusedError(
             response.status, str(detail), float(after) if after.isdecimal() else RETRY_AFTER_S
         )
 
@@ -204,7 +205,7 @@ def watch(source: Source, camera: Camera, fps: float) -> None:
 
     Raises
     ------
-    Refused
+    RefusedError
         For what does not pass, such as a wrong API key.
     """
     answered = 0
@@ -217,7 +218,7 @@ def watch(source: Source, camera: Camera, fps: float) -> None:
             say(f"the service does not answer ({error}); trying again in {RETRY_AFTER_S:g} s")
             time.sleep(RETRY_AFTER_S)
             continue
-        except Refused as refusal:
+        except RefusedError as refusal:
             if refusal.status == 409:
                 # The session has frames of an earlier run, by a clock that was ahead of this one.
                 camera.forget()
@@ -268,19 +269,21 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=10.0, help="frames a second at most")
     parser.add_argument("--api-key")
     options = parser.parse_args()
+    source = str(options.source)
+    if not (source.isdecimal() or "://" in source or Path(source).is_file()):
+        parser.error(f"source: expected a file, a number or a URL, got {source}")
     # Streams over UDP lose parts of frames.
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "rtsp_transport;tcp")
     camera = Camera(options.url, options.camera_id, options.api_key)
     try:
-        watch(Source(options.source), camera, options.fps)
+        watch(Source(source), camera, options.fps)
         camera.forget()
     except KeyboardInterrupt:
         say("stopped")
-        try:
+        # Else it forgets a camera that sends nothing by itself.
+        with suppress(OSError, http.client.HTTPException, RefusedError):
             camera.forget()
-        except (OSError, http.client.HTTPException, Refused):
-            pass  # It forgets cameras that send nothing by itself.
-    except Refused as refusal:
+    except RefusedError as refusal:
         print(f"watch_camera: the service refuses: {refusal}", file=sys.stderr)
         return 1
     return 0
