@@ -14,7 +14,9 @@ from app.vision.people import Box, ObservedKeypoints, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
 
-Source = Literal["detector", "mask", "boxes", "background"]
+Source = Literal["detector", "mask", "boxes", "background", "track"]
+"""Who says that a person is there: the detector, the caller's mask or boxes, what differs from the
+background, or a track that expects them."""
 
 Evidence = Literal["photograph", "silhouette"]
 """What poses are estimated from: silhouette and keypoints, or the silhouette alone."""

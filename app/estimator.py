@@ -14,7 +14,7 @@ from app.finder import Check, PeopleFinder
 from app.hypotheses import fit_poses, set_upright
 from app.settings import Settings
 from app.stopwatch import Stopwatch
-from app.upload import Upload, UploadDecoder
+from app.upload import DecodedUpload, Upload, UploadDecoder
 from app.upright import UprightPerson
 from app.vision.detection.detector import Detector, HogDetector, NetworkDetector
 from app.vision.keypoints.movenet import MoveNet
@@ -24,7 +24,7 @@ from app.vision.segmentation.body_network import BodyNetwork
 from app.vision.segmentation.segment import NetworkSegmenter, Segmenter
 from app.vision.weights import network_path
 from index.artefact import load_index
-from index.matching import match
+from index.matching import CANDIDATES_PER_HYPOTHESIS, match
 from index.store import PoseIndex
 
 # Two threads share a pass of a network with little loss; more do not.
@@ -79,10 +79,8 @@ class Estimator:
         self.detector = detector
         self.segmenter = segmenter
         self._decoder = UploadDecoder(max_pixels, max_persons, map_parts)
-        self._finder = PeopleFinder(
-            detector, segmenter, keypoint_reader, min_person_px, max_persons
-        )
-        self._map = map_parts
+        self.finder = PeopleFinder(detector, segmenter, keypoint_reader, min_person_px, max_persons)
+        self.map_parts = map_parts
 
     @classmethod
     def load(cls, settings: Settings, map_parts: Map = map_serially) -> Estimator:
@@ -165,11 +163,15 @@ class Estimator:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
         check()
         with stopwatch.stage("decode"):
-            decoded = self._decoder.decode(upload)
+            decoded = self.decode(upload)
         check()
         reads = evidence == "photograph" and upload.frame is not None
-        people = self._finder.find(decoded, reads, check, stopwatch)
+        people = self.finder.find(decoded, reads, check, stopwatch)
         return Scene(decoded.frame, tuple(sorted(people, key=lambda person: person.box.x)))
+
+    def decode(self, upload: Upload) -> DecodedUpload:
+        """Decode the images of an upload; raises :class:`UploadError`."""
+        return self._decoder.decode(upload)
 
     def with_keypoints(self, scene: Scene, check: Check, stopwatch: Stopwatch) -> Scene:
         """Read the keypoints of people with silhouettes from the photograph."""
@@ -177,31 +179,39 @@ class Estimator:
         with stopwatch.stage("keypoints"):
             for person in scene.people:
                 check()
-                people.append(self._finder.with_keypoints(scene.frame, person))
+                people.append(self.finder.with_keypoints(scene.frame, person))
         return replace(scene, people=tuple(people))
 
     def with_hypotheses(
-        self, scene: Scene, n: int, check: Check, stopwatch: Stopwatch
+        self,
+        scene: Scene,
+        n: int,
+        check: Check,
+        stopwatch: Stopwatch,
+        candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
     ) -> tuple[Person, ...]:
-        """Find the poses that fit people's silhouettes and keypoints."""
+        """Find the poses that fit people's silhouettes and keypoints.
+
+        ``candidates_per_hypothesis`` is that of :func:`index.matching.match`.
+        """
 
         def fit(person: ObservedPerson, upright: UprightPerson | None) -> Person:
             check()
-            return fit_poses(self.index, person, upright, n)
+            return fit_poses(self.index, person, upright, n, candidates_per_hypothesis)
 
         with stopwatch.stage("describe"):
             upright = [set_upright(person) for person in scene.people]
         with stopwatch.stage("search"):
             pairs = zip(scene.people, upright, strict=True)
-            return tuple(self._map(lambda pair: fit(*pair), pairs))
+            return tuple(self.map_parts(lambda pair: fit(*pair), pairs))
 
     def detect(self, frame: bytes, check: Check) -> tuple[ObservedPerson, ...]:
         """Find the people of a frame by their boxes alone, the surest first."""
         check()
         pixels = self._decoder.decode_frame(frame)
         check()
-        return self._finder.detect(pixels)
+        return self.finder.detect(pixels)
 
     def read_keypoints(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
         """Read the keypoints of the upright person in a box, in pixels of the frame."""
-        return self._finder.reader.read(frame, box)
+        return self.finder.reader.read(frame, box)

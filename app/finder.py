@@ -119,7 +119,7 @@ class PeopleFinder:
             detections = detector.detect(frame)[: self.max_persons]
         check()
         with stopwatch.stage("segment"):
-            silhouettes = _segment_turned(
+            silhouettes = segment_turned(
                 segmenter,
                 frame,
                 [detection.box for detection in detections],
@@ -147,7 +147,7 @@ class PeopleFinder:
         with stopwatch.stage("segment"):
             # The difference from a background does not depend on the orientation.
             up = quarter_turns if segmenter is self.segmenter else [0] * len(quarter_turns)
-            silhouettes = _segment_turned(segmenter, frame, boxes, up)
+            silhouettes = segment_turned(segmenter, frame, boxes, up)
         return [
             ObservedPerson(box, "boxes", None, silhouette, quarter_turns=turn)
             for box, silhouette, turn in zip(boxes, silhouettes, quarter_turns, strict=True)
@@ -174,7 +174,7 @@ class PeopleFinder:
         return find_quarter_turns(self.reader.read(frame, box))
 
 
-def _segment_turned(
+def segment_turned(
     segmenter: Segmenter,
     frame: NDArray[np.uint8],
     boxes: Sequence[Box],

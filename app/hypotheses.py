@@ -10,7 +10,7 @@ from app.estimates import ObservedPerson, Person, PlacedHypothesis
 from app.posture import vote_posture
 from app.reranking import rank_by_keypoints, rank_by_silhouette
 from app.upright import UprightPerson
-from index.matching import Hypothesis, match
+from index.matching import CANDIDATES_PER_HYPOTHESIS, Hypothesis, match
 from index.store import Label, PoseIndex
 
 
@@ -22,7 +22,11 @@ def set_upright(person: ObservedPerson) -> UprightPerson | None:
 
 
 def fit_poses(
-    index: PoseIndex, observed: ObservedPerson, upright: UprightPerson | None, n: int
+    index: PoseIndex,
+    observed: ObservedPerson,
+    upright: UprightPerson | None,
+    n: int,
+    candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
 ) -> Person:
     """Find the ``n`` nearest distinct poses of a person.
 
@@ -33,11 +37,20 @@ def fit_poses(
     upright : UprightPerson or None
         The same person; None where there is no silhouette.
     n : int
+    candidates_per_hypothesis : int
+        See :func:`index.matching.match`.
     """
     if upright is None:
         return Person(observed, None, None, ())
     keypoints = upright.keypoints()
-    matched = match(index, upright.normalised, n, keypoints, roll_deg=upright.roll_deg).hypotheses
+    matched = match(
+        index,
+        upright.normalised,
+        n,
+        keypoints,
+        roll_deg=upright.roll_deg,
+        candidates_per_hypothesis=candidates_per_hypothesis,
+    ).hypotheses
     ranked = rank_by_silhouette(matched, n) if keypoints is None else rank_by_keypoints(matched, n)
     points_2d = upright.points_in_frame(
         np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses])

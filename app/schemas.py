@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 from index.posture import Posture as PostureLabel
 
 KeypointSetName = Literal["native", "coco17"]
-PersonSource = Literal["detector", "mask", "boxes", "background"]
+PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
 Evidence = Literal["photograph", "silhouette"]
 SilhouetteForm = Literal["none", "rle", "polygon"]
 JointForm = Literal["full", "compact", "none"]
@@ -330,7 +330,8 @@ class Person(Model):
     )
     source: PersonSource = Field(
         description="What found the person: the service's detector (`GET /index` names it), the "
-        "caller's mask or boxes, or the difference to the caller's background.",
+        "caller's mask or boxes, or the difference from the background. In camera sessions also "
+        "`track`: the person is expected there by what was seen before.",
         examples=["detector"],
     )
     silhouette: SilhouetteSummary | None = Field(

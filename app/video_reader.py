@@ -14,6 +14,7 @@ from typing import IO, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.decoding import video
 from app.vision.decoding.video import END, FRAME, HEADER, TOO_LARGE
 
 _FRAME_TIMEOUT_S = 20.0
@@ -85,8 +86,8 @@ async def open_video(
     file.flush()
     file.seek(0)
     process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        *("-m", "app.vision.decoding.video", f"/dev/fd/{file.fileno()}"),
+        # By its path, so that it is found wherever the service was started.
+        *(sys.executable, "-P", video.__file__, f"/dev/fd/{file.fileno()}"),
         *("--stride", str(stride), "--max-pixels", str(max_pixels)),
         *("--max-seconds", str(int(max_seconds) + 1)),
         stdin=asyncio.subprocess.DEVNULL,

@@ -125,6 +125,7 @@ def match(
     keypoints: Keypoints | None = None,
     *,
     roll_deg: float = 0.0,
+    candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
 ) -> Match:
     """Find distinct poses that fit a silhouette, and keypoints if there are any.
 
@@ -144,24 +145,27 @@ def match(
         Roll of the camera in the silhouette and the keypoints: not 0 where they were rotated
         because the silhouette is wider than high. Skeletons are returned as the camera sees them
         that is not rolled.
+    candidates_per_hypothesis : int
+        Fewer take less time where many hypotheses are wanted: each stands for fewer entries.
 
     Returns
     -------
     Match
     """
     rotations = usual_rotations(silhouette, roll_deg)
+    wanted = candidates_per_hypothesis * n
     if keypoints is None:
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        candidates, modes = _modes_of_silhouette(index, queries, n)
+        candidates, modes = _modes_of_silhouette(index, queries, n, wanted)
     else:
         nearest = index.keypoint_search.nearest(
-            keypoints.rotated(-roll_deg), _growth(n) * KEYPOINT_CANDIDATES
+            keypoints.rotated(-roll_deg), _growth(wanted) * KEYPOINT_CANDIDATES
         )
         nearest = seen_from(index, nearest, roll_deg)
         likely = [r for r in likely_rotations(nearest.roll_deg) if r not in rotations]
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in (*rotations, *likely)]
         by_keypoints = compare_rotated_entries(index, queries, nearest)
-        candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n)
+        candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n, wanted)
     modes = modes.nearest()
     centres = candidates.take(modes.centres)
     errors = _outline_errors(index, queries, centres)
@@ -214,10 +218,10 @@ def _postures(
 
 
 def _modes_of_silhouette(
-    index: PoseIndex, queries: Sequence[RotatedQuery], n: int
+    index: PoseIndex, queries: Sequence[RotatedQuery], n: int, wanted: int
 ) -> tuple[Candidates, Modes]:
     """Increase the number of candidates until they hold ``n`` modes or the index has no more."""
-    k = max(CANDIDATES, CANDIDATES_PER_HYPOTHESIS * n)
+    k = max(CANDIDATES, wanted)
     while True:
         candidates = find_rotated_candidates(index, queries, k)
         modes = find_modes(candidates, n + SPARE_MODES)
@@ -232,9 +236,10 @@ def _modes_of_both(
     by_keypoints: Candidates,
     keypoints: Keypoints,
     n: int,
+    wanted: int,
 ) -> tuple[Candidates, Modes]:
     """As :func:`_modes_of_silhouette`, with candidates near the keypoints as well."""
-    growth = _growth(n)
+    growth = _growth(wanted)
     while True:
         by_silhouette = find_rotated_candidates(index, queries, growth * SILHOUETTE_CANDIDATES)
         candidates = Candidates.merged([by_silhouette, by_keypoints]).unique()
@@ -250,9 +255,9 @@ def _modes_of_both(
         growth *= 2
 
 
-def _growth(n: int) -> int:
-    """Factor by which more candidates are needed for ``n`` hypotheses; at least 1."""
-    return max(1, -(-CANDIDATES_PER_HYPOTHESIS * n // SILHOUETTE_CANDIDATES))
+def _growth(wanted: int) -> int:
+    """Factor by which more candidates are needed than usual; at least 1."""
+    return max(1, -(-wanted // SILHOUETTE_CANDIDATES))
 
 
 def _outline_errors(

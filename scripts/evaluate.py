@@ -7,6 +7,7 @@
     python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate real         photographs and videos of ../shared/real
     python -m scripts.evaluate truncation   people cut by the edge of a photograph
+    python -m scripts.evaluate tracking     people followed over the frames of a fixed camera
 
 Without a name, all of them. Results and plots go to ``docs/results/``, each with its command.
 """
@@ -29,6 +30,7 @@ EXPERIMENTS = {
     "real": "scripts.experiments.real",
     "scales": "scripts.experiments.scales",
     "truncation": "scripts.experiments.truncation",
+    "tracking": "scripts.experiments.tracking",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 

@@ -26,7 +26,7 @@ from app.errors import (
 )
 from app.executor import OverloadedError
 from app.replies import ReplyForm
-from app.request_context import is_ending
+from app.request_context import is_ending, note_rejection
 from app.routes.forms import CheckQuery, check_fields
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
@@ -93,7 +93,11 @@ class LineStream(StreamingResponse):
                 await send(message)
 
         async with aclosing(self.body_iterator):  # type: ignore[type-var]
-            await super().__call__(scope, receive, send_soon)
+            try:
+                await super().__call__(scope, receive, send_soon)
+            except TimeoutError:
+                # The server closes the connection when the answer is not complete.
+                note_rejection(scope, "client_gone")
 
 
 @asynccontextmanager

@@ -77,6 +77,8 @@ class Clip:
         own, or its end site.
     rotations : (F, B, 3, 3) float64 array
         World rotation of each bone against the zero pose.
+    positions : (F, 3) float64 array
+        Path of the root, metres, y up.
     speeds : (F,) float64 array
         Horizontal speed of the pelvis, metres per second.
     broken : (F,) bool array
@@ -91,6 +93,7 @@ class Clip:
     offsets: NDArray[np.float64]
     tips: NDArray[np.float64]
     rotations: NDArray[np.float64]
+    positions: NDArray[np.float64]
     speeds: NDArray[np.float64]
     broken: NDArray[np.bool_]
     t_poses: int
@@ -174,6 +177,7 @@ def read_clip(file: Path) -> Clip:
     reliable = [b for b, name in enumerate(bones) if b and not _UNRELIABLE.search(name)]
     t_pose = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2)) < T_POSE_BELOW_DEG
     jump = _jumps(local[:, [0, *reliable]]) & ~t_pose
+    positions = METRES_PER_UNIT * np.asarray(bvh.root_pos, np.float64)
     return Clip(
         name=Path(file).stem,
         bones=bones,
@@ -181,7 +185,8 @@ def read_clip(file: Path) -> Clip:
         offsets=np.array([node.offset for node in nodes], np.float64),
         tips=np.array([_tip(node) for node in nodes], np.float64),
         rotations=rotations,
-        speeds=_speeds(bvh.root_pos, bvh.frame_time),
+        positions=positions,
+        speeds=_speeds(positions, bvh.frame_time),
         broken=t_pose | jump,
         t_poses=int(t_pose.sum()),
         jumps=int(jump.sum()),
@@ -189,11 +194,11 @@ def read_clip(file: Path) -> Clip:
 
 
 def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.float64]:
-    """Horizontal speed ``(F,)`` of a path ``(F, 3)`` in file units, y up."""
+    """Horizontal speed ``(F,)`` of a path ``(F, 3)`` in metres, y up."""
     frames = np.arange(len(positions))
     start = np.maximum(frames - SPEED_WINDOW, 0)
     end = np.minimum(frames + SPEED_WINDOW, len(positions) - 1)
-    path = METRES_PER_UNIT * np.asarray(positions)[:, (0, 2)]
+    path = positions[:, (0, 2)]
     lengths = np.linalg.norm(path[end] - path[start], axis=1)
     return np.asarray(lengths / (np.maximum(end - start, 1) * frame_time_s))
 

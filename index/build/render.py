@@ -90,10 +90,32 @@ def render(
         plane[v, 0] = (scale * plane[v, 0] + offset_x + 0.5) * SUPERSAMPLING - 0.5
         plane[v, 1] = (scale * plane[v, 1] + offset_y + 0.5) * SUPERSAMPLING - 0.5
     fine = np.zeros((HEIGHT * SUPERSAMPLING, WIDTH * SUPERSAMPLING), np.uint8)
-    for t in range(len(triangles)):
-        _fill(plane, triangles[t, 0], triangles[t, 1], triangles[t, 2], t < closed, fine)
+    fill_triangles(plane, triangles, closed, fine)
     _reduce(fine, silhouette)
     return scale, offset_x, offset_y
+
+
+@njit(nogil=True, cache=True)
+def fill_triangles(
+    plane: NDArray[np.float32],
+    triangles: NDArray[np.int32],
+    closed: int,
+    image: NDArray[np.uint8],
+) -> None:  # pragma: no cover - compiled
+    """Set the pixels of an image that triangles cover to 1.
+
+    Parameters
+    ----------
+    plane : (V, 2) float32 array
+        Projected vertices, pixels, x before y.
+    triangles : (T, 3) int32 array
+    closed : int
+        So many of the first triangles form closed surfaces, whose far side needs no drawing.
+    image : (H, W) uint8 array
+        Written.
+    """
+    for t in range(len(triangles)):
+        _fill(plane, triangles[t, 0], triangles[t, 1], triangles[t, 2], t < closed, image)
 
 
 @njit(nogil=True, cache=True)

@@ -33,6 +33,7 @@ from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.posture import LOW, POSTURES, classify
 from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
+from index.store import PoseIndex
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.strict_pictures import draw_hard_queries, draw_postures, plot_reliability
 
@@ -81,9 +82,9 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
         Size of the index; the shipped one by default.
     """
     motion, garments = shared / "mocap", shared / "garments"
-    kept, held = hold_out(read_manifest(motion))
+    _, held = hold_out(read_manifest(motion))
     plan = Plan(entries=entries)
-    index = build(motion, garments, plan, name="strict", segments=kept, progress=True, say=print)
+    index = build_strict(shared, plan)
     avatars = make_avatars(HELD_OUT_AVATARS, garments)
     simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)
     queries = Queries.of(simulated)
@@ -153,6 +154,13 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
     ]
     (out / "strict.md").write_text("\n".join(lines) + "\n")
     (out / "strict.json").write_text(json.dumps({"command": COMMAND, **results}, indent=1) + "\n")
+
+
+def build_strict(shared: Path, plan: Plan) -> PoseIndex:
+    """Build an index as the shipped one is, but without the held-out clips."""
+    motion, garments = shared / "mocap", shared / "garments"
+    kept, _ = hold_out(read_manifest(motion))
+    return build(motion, garments, plan, name="strict", segments=kept, progress=True, say=print)
 
 
 def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]:

@@ -58,20 +58,6 @@ class TestTrackFrame:
         assert person["track_id"] >= 1
         assert person["age_frames"] == 1
 
-    @pytest.mark.parametrize("form", ["full", "compact", "none"])
-    def test_joints_of_the_smoothed_pose_come_in_the_form_of_hypotheses(
-        self, client: TestClient, photo: Photo, form: str
-    ) -> None:
-        for _ in range(3):
-            answer = send(client, photo, query={"joints": form, "keypoints": "coco17"}).json()
-        (person,) = answer["persons"]
-        (hypothesis, pose) = person["hypotheses"][0], person["pose"]
-        for name in ("joints_3d", "joints_2d", "joints_3d_flat", "joints_2d_flat"):
-            shapes = [
-                None if value is None else len(value) for value in (pose[name], hypothesis[name])
-            ]
-            assert shapes[0] == shapes[1], name
-
     def test_the_next_frame_finds_the_session_warm(self, client: TestClient, photo: Photo) -> None:
         states = [send(client, photo).headers["x-session"] for _ in range(3)]
         assert states == ["new", "warm", "warm"]

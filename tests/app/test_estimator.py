@@ -92,7 +92,7 @@ def test_by_the_silhouette_alone_nothing_is_read(
     def fail(*_: object) -> None:
         raise AssertionError("expected nothing to be read, got a call of the reader")
 
-    monkeypatch.setattr(estimator._finder.reader, "read", fail)
+    monkeypatch.setattr(estimator.finder.reader, "read", fail)
     wide = (WALKER, Box(100, 150, 120, 100))
     empty = street.copy()
     empty[150:270, 120:185] = street[30:150, 60:125]

@@ -17,6 +17,7 @@ from starlette.types import Message
 
 from app.estimator import Estimator
 from app.main import create_app
+from app.request_context import NOTES
 from app.routes import sequence
 from app.settings import Settings
 from app.tracking.session import CameraSession
@@ -236,10 +237,12 @@ async def test_who_does_not_read_is_given_up(monkeypatch: pytest.MonkeyPatch) ->
         if message["type"] == "http.response.body":
             await anyio.sleep_forever()
 
-    scope = {"type": "http", "asgi": {"spec_version": "2.3"}}
-    with pytest.raises(TimeoutError):
+    notes: dict[str, str] = {}
+    scope = {"type": "http", "asgi": {"spec_version": "2.3"}, NOTES: notes}
+    with anyio.fail_after(5):
         await sequence.LineStream(lines())(scope, anyio.sleep_forever, send)
     assert closed == [True]
+    assert notes == {"rejected": "client_gone"}
 
 
 def children(server: Server) -> list[str]:

@@ -19,7 +19,7 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
         estimator.index,
         estimator.detector,
         estimator.segmenter,
-        estimator._finder.reader,
+        estimator.finder.reader,
         min_person_px=50,
         max_pixels=10**6,
         max_persons=2,

@@ -1,4 +1,4 @@
-"""The frames of a video, decoded in a process of its own: ``python -m app.vision.decoding.video``.
+"""The frames of a video, decoded in a process of its own, whose program this is.
 
 Videos are read by FFmpeg's parsers and decoders, which a hostile file can make hang, crash or fill
 the memory. In a process of their own they cannot harm the service, which kills them when they are

@@ -1,0 +1,88 @@
+"""Who is who: sightings of a frame to the tracks that expect them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import lap
+import numpy as np
+from numpy.typing import NDArray
+
+from app.tracking.track import Sighting, Track, clothes_distance
+from app.vision.people import Box
+
+# How far from the expected place somebody may be seen, in heights of the person: at once, for
+# each second since the last sighting, and at most.
+_NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
+# Largest ratio of two heights of one person.
+_GROWTH = 1.6
+# Weights of what speaks against a pair, each 0 to 1 within the gates.
+_PLACE, _OVERLAP, _SIZE, _CLOTHES = 0.4, 0.3, 0.2, 0.6
+_LARGEST_COST = 1.1
+
+
+def associate(
+    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
+) -> list[int | None]:
+    """Assign each sighting to a track so that the sum of what speaks against it is least.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+    sightings : sequence of Sighting
+    timestamp : float
+        Seconds, of the sightings.
+
+    Returns
+    -------
+    list of int or None
+        For each sighting the position of its track, None for a newcomer.
+    """
+    if not tracks or not sightings:
+        return [None] * len(sightings)
+    costs = association_costs(tracks, sightings, timestamp)
+    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=_LARGEST_COST)
+    return [int(row) if row >= 0 else None for row in assigned]
+
+
+def association_costs(
+    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
+) -> NDArray[np.float64]:
+    """What speaks against each pair.
+
+    Returns
+    -------
+    (T, S) float64 array
+        Above the largest allowed cost where the two cannot be the same person.
+    """
+    costs = np.full((len(tracks), len(sightings)), 10 * _LARGEST_COST)
+    for row, track in enumerate(tracks):
+        expected = track.motion.expect(timestamp)
+        reach = min(_FAR, _NEAR + _NEAR_PER_S * (timestamp - track.seen_at))
+        for column, sighting in enumerate(sightings):
+            box = sighting.observed.box
+            away = _distance(expected, box) / max(expected.height, box.height)
+            growth = abs(math.log(box.height / expected.height)) / math.log(_GROWTH)
+            if away > reach or growth > 1:
+                continue
+            clothes = (
+                0.3
+                if track.clothes is None or sighting.clothes is None
+                else clothes_distance(track.clothes, sighting.clothes)
+            )
+            costs[row, column] = (
+                _PLACE * away / reach
+                + _OVERLAP * (1 - expected.iou(box))
+                + _SIZE * growth
+                + _CLOTHES * clothes
+            )
+    return costs
+
+
+def _distance(first: Box, second: Box) -> float:
+    """Pixels between the middles of two boxes."""
+    return math.hypot(
+        first.x + first.width / 2 - second.x - second.width / 2,
+        first.y + first.height / 2 - second.y - second.height / 2,
+    )

@@ -1,0 +1,323 @@
+"""Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
+
+Moving from one pose to another costs what the joints have to move, and people mostly walk
+forwards, so the way they go over the ground tells front from back. The forward-backward algorithm
+weighs the states of the last frames by all frames so far. Poses near the most probable state are
+averaged by these weights, and a line is fitted to the averages of the last frames.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimates import Person
+from app.facing import Facing, azimuth_deg, faces_camera
+from app.posture import VotedPosture, vote_posture
+from app.tracking.ground import GroundMotion, GroundVelocity
+from app.tracking.results import SmoothedPose
+from index.posture import camera_up
+from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS
+
+STATES = 12
+"""Hypotheses of each frame that are states; with 7 tracks are less smooth, 30 are no better."""
+
+EVIDENCE_WEIGHT = 1.5
+"""Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
+
+COST_PER_M = 80.0
+"""Of the joints' mean way between frames, at ``RATE`` frames a second or more."""
+
+MOST_COST = 48.0
+"""Nothing is impossible: detection and identity may be wrong."""
+
+RATE = 10.0
+DIRECTION_WEIGHT = 2.0
+SLOWEST_M_S, SURELY_M_S = 0.5, 1.0
+"""Speed from which the way somebody goes counts, and from which it counts in full."""
+
+NEARBY_M = 0.25
+"""Poses at this mean distance of their joints from the most probable one weigh 60 % of it."""
+
+SHARPNESS = 0.5
+"""Exponent of the states' probabilities in the average: frames are no independent evidence."""
+
+LINE_FRAMES = 4
+"""Frames through whose averages a line is fitted."""
+
+CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.5, 0.87, 0.34
+"""Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and
+of the share of probability near it. Fitted by ``python -m scripts.evaluate tracking --fit``."""
+
+_LEFT, _RIGHT = (
+    [POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")]
+    for side in ("left", "right")
+)
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """A track's pose at its newest frame, and what follows from it.
+
+    Parameters
+    ----------
+    pose : SmoothedPose
+    facing : Facing
+    posture : VotedPosture
+        Of the states, by their probabilities.
+    velocity : GroundVelocity
+    elevation_deg : float
+        Of the camera above the person, averaged over the track.
+    confidence_features : (float, float)
+        Log odds, whose weighted sum gives the pose's confidence: of the hypotheses near the pose,
+        and of the share of probability near it.
+    """
+
+    pose: SmoothedPose
+    facing: Facing
+    posture: VotedPosture
+    velocity: GroundVelocity
+    elevation_deg: float
+    confidence_features: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _States:
+    """The states of a frame, and their evidence.
+
+    Parameters
+    ----------
+    timestamp : float
+    points_3d : (N, 24, 3) float64 array
+    confidences : (N,) float64 array
+    log_evidence : (N,) float64 array
+    log_forward : (N,) float64 array
+        Log probabilities given all frames up to this one, less a constant.
+    log_moves : (M, N) float64 array or None
+        From each state of the frame before; None for the first.
+    """
+
+    timestamp: float
+    points_3d: NDArray[np.float64]
+    confidences: NDArray[np.float64]
+    log_evidence: NDArray[np.float64]
+    log_forward: NDArray[np.float64]
+    log_moves: NDArray[np.float64] | None
+
+
+class PoseSmoother:
+    """Smooths the poses of one track, frame by frame."""
+
+    def __init__(self) -> None:
+        self._ground = GroundMotion()
+        self._frames: deque[_States] = deque(maxlen=LINE_FRAMES)
+
+    def update(self, person: Person, timestamp: float) -> Smoothed | None:
+        """Take in the track's next frame and return the pose at it.
+
+        Parameters
+        ----------
+        person : Person
+        timestamp : float
+            Seconds, later than the last one.
+
+        Returns
+        -------
+        Smoothed or None
+            None if the person has no hypotheses in this frame.
+        """
+        if not person.hypotheses or person.facing is None:
+            return None
+        hypotheses = person.hypotheses[:STATES]
+        points_3d = np.array([placed.hypothesis.points_3d for placed in hypotheses])
+        points_2d = np.array([placed.points_2d for placed in hypotheses])
+        confidences = np.array([placed.confidence for placed in hypotheses])
+        elevations_deg = np.array([placed.label.elevation_deg for placed in hypotheses])
+        weights = (confidences + 1e-6) / (confidences + 1e-6).sum()
+        silhouette = person.observed.silhouette
+        velocity = self._ground.update(
+            timestamp,
+            silhouette.box if silhouette is not None else person.observed.box,
+            float(weights @ _px_per_m(points_3d, points_2d)),
+            float(weights @ elevations_deg),
+        )
+        log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3)
+        if self._frames:
+            log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
+        going = min(1.0, (velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S))
+        if going > 0:
+            cosines = _cosines(points_3d, elevations_deg, velocity)
+            log_evidence = log_evidence + DIRECTION_WEIGHT * going * (cosines - 1) / 2
+        self._append(timestamp, points_3d, confidences, log_evidence)
+
+        log_probabilities = self._frames[-1].log_forward
+        probabilities = np.exp(log_probabilities)
+        probabilities /= probabilities.sum()
+        near = _weights_near_best(points_3d, log_probabilities)
+        smoothed_3d, odds = self._smoothed(timestamp)
+        agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
+        features = odds, _log_odds(agreement)
+        pose = SmoothedPose(
+            smoothed_3d,
+            np.einsum("n,npd->pd", near, points_2d),
+            _confidence(*features),
+            hypotheses[int(probabilities.argmax())].hypothesis.entry,
+        )
+        front = float(np.clip(probabilities @ faces_camera(azimuth_deg(points_3d)), 0, 1))
+        posture = vote_posture(
+            [placed.hypothesis.posture for placed in hypotheses], probabilities.tolist()
+        )
+        return Smoothed(
+            pose,
+            Facing(front, "motion" if going > 0 else person.facing.evidence),
+            posture,
+            velocity,
+            self._ground.elevation_deg,
+            features,
+        )
+
+    def _append(
+        self,
+        timestamp: float,
+        points_3d: NDArray[np.float64],
+        confidences: NDArray[np.float64],
+        log_evidence: NDArray[np.float64],
+    ) -> None:
+        """Add a frame's states: the forward step."""
+        log_moves, log_forward = None, log_evidence
+        if self._frames:
+            last = self._frames[-1]
+            log_moves = _log_moves(last.points_3d, points_3d, timestamp - last.timestamp)
+            log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
+        log_forward = log_forward - log_forward.max()
+        self._frames.append(
+            _States(timestamp, points_3d, confidences, log_evidence, log_forward, log_moves)
+        )
+
+    def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
+        """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.
+
+        And the log odds of the hypotheses near it, averaged over these frames.
+        """
+        log_backward = np.zeros(len(self._frames[-1].log_forward))
+        averages, lengths, odds = [], [], []
+        later: _States | None = None
+        for states in reversed(self._frames):
+            if later is not None and later.log_moves is not None:
+                log_backward = _log_sum_exp(
+                    later.log_moves + (later.log_evidence + log_backward)[None], axis=1
+                )
+                log_backward -= log_backward.max()
+            weights = _weights_near_best(states.points_3d, states.log_forward + log_backward)
+            averages.append(np.einsum("n,npd->pd", weights, states.points_3d))
+            lengths.append(weights @ _bone_lengths(states.points_3d))
+            odds.append(_log_odds(float(weights @ states.confidences)))
+            later = states
+        ages = timestamp - np.array([states.timestamp for states in reversed(self._frames)])
+        smoothed = _line_at_zero(ages, np.array(averages))
+        return _with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
+
+
+def _px_per_m(
+    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Scales ``(N,)`` at which skeletons appear in the picture."""
+    metres = points_3d[..., :2] - points_3d[..., :2].mean(axis=-2, keepdims=True)
+    pixels = points_2d - points_2d.mean(axis=-2, keepdims=True)
+    return np.asarray(
+        (metres * pixels).sum(axis=(-2, -1)) / np.maximum((metres**2).sum(axis=(-2, -1)), 1e-9)
+    )
+
+
+def _cosines(
+    points_3d: NDArray[np.float64], elevations_deg: NDArray[np.float64], velocity: GroundVelocity
+) -> NDArray[np.float64]:
+    """Cosines ``(N,)`` of the angle between where skeletons face and where they go."""
+    to_left = (points_3d[:, _LEFT] - points_3d[:, _RIGHT]).sum(axis=1)
+    up = camera_up(elevations_deg)
+    forward = np.cross(to_left, up)
+    # Along the ground, away from the camera.
+    away = np.cross(np.array([1.0, 0.0, 0.0]), up)
+    facing = np.stack([forward[:, 0], -(forward * away).sum(axis=1)], axis=1)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    going = np.array([velocity.right, velocity.away]) / velocity.speed
+    return np.asarray(facing @ going)
+
+
+def _log_moves(
+    before: NDArray[np.float64], after: NDArray[np.float64], seconds: float
+) -> NDArray[np.float64]:
+    """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
+    ways = np.linalg.norm(before[:, None, :JOINTS] - after[None, :, :JOINTS], axis=-1).mean(axis=-1)
+    cost_per_m = COST_PER_M * min(1.0, 1 / (RATE * seconds))
+    return np.asarray(-np.minimum(cost_per_m * ways, MOST_COST))
+
+
+def _weights_near_best(
+    points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
+    softened = np.exp(SHARPNESS * (log_probabilities - log_probabilities.max()))
+    weights = softened * _nearness(points_3d, log_probabilities)
+    return np.asarray(weights / weights.sum())
+
+
+def _nearness(
+    points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How near states ``(N,)`` are to the most probable one, 0 to 1."""
+    best = points_3d[log_probabilities.argmax()]
+    apart = np.linalg.norm(points_3d[:, :JOINTS] - best[:JOINTS], axis=-1).mean(axis=-1)
+    return np.asarray(np.exp(-((apart / NEARBY_M) ** 2) / 2))
+
+
+def _confidence(odds: float, agreement_odds: float) -> float:
+    """Probability that a smooth pose is right."""
+    total = CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds
+    return float(1 / (1 + np.exp(-total)))
+
+
+def _log_odds(probability: float) -> float:
+    return float(np.log((probability + 1e-3) / (1 - probability + 1e-3)))
+
+
+def _line_at_zero(ages: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Value at age 0 of the line through values ``(K, ...)``, of which the newest count most."""
+    weights = 1 - ages / (ages.max() + 1 / RATE)
+    weights /= weights.sum()
+    centre = weights @ ages
+    spread = weights @ (ages - centre) ** 2
+    mean = np.tensordot(weights, values, axes=1)
+    if spread <= 0:
+        return np.asarray(mean)
+    slope = np.tensordot(weights * (ages - centre), values, axes=1) / spread
+    return np.asarray(mean - slope * centre)
+
+
+def _bone_lengths(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths ``(..., B)`` of the bones of skeletons, in the order of ``NATIVE.bones``."""
+    parents, children = np.array(NATIVE.bones).T
+    return np.asarray(
+        np.linalg.norm(points_3d[..., children, :] - points_3d[..., parents, :], axis=-1)
+    )
+
+
+def _with_bone_lengths(
+    points_3d: NDArray[np.float64], lengths: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The skeleton ``(24, 3)`` with bones of these lengths, in the same directions."""
+    result = points_3d.copy()
+    for (parent, child), length in zip(NATIVE.bones, lengths, strict=True):
+        bone = points_3d[child] - points_3d[parent]
+        result[child] = result[parent] + bone * (length / max(float(np.linalg.norm(bone)), 1e-9))
+    head = POINT_NAMES.index("head")
+    result[JOINTS:POINTS] += result[head] - points_3d[head]
+    return result
+
+
+def _log_sum_exp(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    sums: NDArray[np.float64] = np.logaddexp.reduce(values, axis=axis)
+    return sums

@@ -1,0 +1,199 @@
+"""A person over time: where they are expected next, how they are dressed, when they were seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimates import ObservedPerson, Person
+from app.tracking.results import TrackedPerson
+from app.tracking.smoothing import PoseSmoother
+from app.vision.people import Box, Silhouette
+
+SURE_SCORE = 0.6
+"""Somebody detected with this probability, or named by the caller, is confirmed at once, ..."""
+
+CONFIRMING_SIGHTINGS = 3
+"""... others when they have been seen in as many frames."""
+
+# Shares of the difference between the expected and the seen place that correct place, velocity
+# and size.
+_PLACE_GAIN, _VELOCITY_GAIN, _SIZE_GAIN = 0.7, 0.3, 0.3
+# Seconds in which the velocity of somebody unseen falls to 1/e.
+_DRIFT_S = 1.0
+_CLOTHES_GAIN = 0.1
+_HUES, _SATURATIONS, _GREYS = 8, 4, 8
+
+
+class MotionFilter:
+    """Place and size of a person's box, at constant velocity.
+
+    The place is the middle of the lower edge, where the person stands.
+
+    Parameters
+    ----------
+    box : Box
+    timestamp : float
+        Seconds.
+    """
+
+    def __init__(self, box: Box, timestamp: float) -> None:
+        self._place = _foot(box)
+        self._size = np.array([box.width, box.height])
+        self.timestamp = timestamp
+        """Of the last correction, in seconds."""
+        self.velocity = np.zeros(2)
+        """Pixels a second, right and down."""
+
+    def expect(self, timestamp: float) -> Box:
+        """Box at a later time; it may lie outside the frame."""
+        place = self._expected_place(timestamp - self.timestamp)
+        width, height = self._size.tolist()
+        return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
+
+    def correct(self, box: Box, timestamp: float, *, whole: bool) -> None:
+        """Take in where the person was seen.
+
+        Parameters
+        ----------
+        box : Box
+        timestamp : float
+        whole : bool
+            Whether all of the person was seen; else the size does not shrink.
+        """
+        elapsed = timestamp - self.timestamp
+        expected = self._expected_place(elapsed)
+        growth = np.array([box.width, box.height]) - self._size
+        error = _foot(box) - expected
+        self._place = expected + _PLACE_GAIN * error
+        # The longer the gap, the more of the error is due to the velocity alone.
+        gain = _VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
+        self.velocity = self.velocity + gain * error
+        self._size = self._size + _SIZE_GAIN * (growth if whole else np.maximum(growth, 0))
+        self.timestamp = timestamp
+
+    def _expected_place(self, elapsed: float) -> NDArray[np.float64]:
+        travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))
+        return np.asarray(self._place + travel * self.velocity)
+
+
+def _foot(box: Box) -> NDArray[np.float64]:
+    return np.array([box.x + box.width / 2, box.bottom])
+
+
+def clothes_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
+    """Colours of a person's upper and lower half.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR.
+    silhouette : Silhouette
+
+    Returns
+    -------
+    (2 * 40,) float32 array
+        Hue by saturation, and brightness, of each half; sums to 1.
+    """
+    rows, columns = silhouette.crop.shape
+    left, top = silhouette.left, silhouette.top
+    crop = cv2.cvtColor(frame[top : top + rows, left : left + columns], cv2.COLOR_BGR2HSV)
+    mask = silhouette.crop.view(np.uint8)
+    parts = []
+    for half in (np.s_[: (rows + 1) // 2], np.s_[rows // 2 :]):
+        pixels, inside = crop[half], mask[half]
+        colour = cv2.calcHist([pixels], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
+        grey = cv2.calcHist([pixels], [2], inside, [_GREYS], [0, 256])
+        parts += [colour.ravel(), grey.ravel()]
+    histogram = np.concatenate(parts)
+    return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
+
+
+def clothes_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+    """Hellinger distance of two histograms, 0 to 1."""
+    return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
+
+
+@dataclass
+class Sighting:
+    """Where a person was seen in a frame, before it is known who it is.
+
+    Parameters
+    ----------
+    observed : ObservedPerson
+    clothes : (80,) float32 array or None
+        None where there is no silhouette.
+    """
+
+    observed: ObservedPerson
+    clothes: NDArray[np.float32] | None
+
+
+class Track:
+    """One person of a camera session.
+
+    Parameters
+    ----------
+    sighting : Sighting
+        The first.
+    timestamp : float
+        Seconds.
+    """
+
+    def __init__(self, sighting: Sighting, timestamp: float) -> None:
+        observed = sighting.observed
+        self.track_id: int | None = None
+        """None until the track is confirmed."""
+        self.motion = MotionFilter(observed.box, timestamp)
+        self.age_frames = 0
+        self.sightings = 0
+        self.score = 0.0
+        """Highest probability of the detector that this is a person; 1 if the caller said so."""
+        self.seen_at = self.found_at = self.searched_at = timestamp
+        """When the track was last seen, last found by more than its motion, last searched for."""
+        self.read_at = -math.inf
+        """When keypoints were last read."""
+        self.cut_at = -math.inf
+        """When the silhouette was last cut out."""
+        self.clothes = sighting.clothes
+        self._smoother = PoseSmoother()
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether enough speaks for a person."""
+        return self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
+
+    def see(self, sighting: Sighting, timestamp: float) -> None:
+        """Take in where the person is in this frame."""
+        observed = sighting.observed
+        if self.sightings and observed.source != "track":
+            whole = observed.silhouette is None or not observed.silhouette.truncated
+            self.motion.correct(observed.box, timestamp, whole=whole)
+        self.sightings += 1
+        self.seen_at = timestamp
+        if observed.source not in ("background", "track"):
+            score = 1.0 if observed.detection_score is None else observed.detection_score
+            self.score = max(self.score, score)
+            self.found_at = timestamp
+        if observed.silhouette is not None:
+            self.cut_at = timestamp
+        # People who overlap others in the picture would wear their clothes.
+        clear = observed.silhouette is not None and not observed.silhouette.truncated
+        if sighting.clothes is not None and self.clothes is None:
+            self.clothes = sighting.clothes
+        elif sighting.clothes is not None and self.clothes is not None and clear:
+            self.clothes = self.clothes + _CLOTHES_GAIN * (sighting.clothes - self.clothes)
+
+    def update(self, person: Person, timestamp: float) -> TrackedPerson:
+        """Take in the poses of this frame."""
+        if self.track_id is None:
+            raise ValueError("expected a confirmed track")
+        smoothed = self._smoother.update(person, timestamp)
+        if smoothed is None:
+            return TrackedPerson(person, self.track_id, self.age_frames, None, None)
+        person = replace(person, facing=smoothed.facing, posture=smoothed.posture)
+        return TrackedPerson(person, self.track_id, self.age_frames, smoothed.pose, None)

@@ -1,0 +1,209 @@
+"""The street video played to a camera session in process: times, memory, identities.
+
+Run with ``OPENBLAS_NUM_THREADS=1 python -m scripts.experiments.tracking_vtest VIDEO``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import resource
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimator import Estimator
+from app.executor import Item, Map, Result
+from app.process import configure_process
+from app.settings import Settings
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession
+from app.upload import Upload
+
+FRAMES_PER_S = 10.0
+CONTACT_EVERY, CONTACT_WIDTH, CONTACT_COLUMNS = 10, 512, 4
+
+
+def main() -> None:
+    """Play the video and print what it cost and found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("video", type=Path)
+    parser.add_argument("--frames", type=int, default=None, help="play only the first ones")
+    parser.add_argument("--rounds", type=int, default=1, help="play it several times over")
+    parser.add_argument("--n", type=int, default=7, help="hypotheses of each person")
+    parser.add_argument("--evidence", choices=("photograph", "silhouette"), default="photograph")
+    parser.add_argument("--sheets", type=Path, help="folder for annotated contact sheets")
+    parser.add_argument(
+        "--overlap",
+        type=int,
+        default=0,
+        metavar="EVERY",
+        help="compare silhouettes of every EVERY-th frame with the network's",
+    )
+    options = parser.parse_args()
+    configure_process()
+    estimator = Estimator.load(Settings(), two_threads())
+    estimator.warm_up()
+    session = CameraSession(estimator)
+    frames = 0
+    for number in range(options.rounds):
+        report = Report()
+        for shown, data in encoded_frames(options.video, options.frames):
+            result = session.process(
+                Upload(frame=data), frames / FRAMES_PER_S, options.n, lambda: None, options.evidence
+            )
+            frames += 1
+            report.add(shown, result, estimator if options.overlap else None, options.overlap)
+            if options.sheets and shown % CONTACT_EVERY == 0:
+                report.draw(result)
+        print(f"round {number}: {report.summary()}")
+        print(f"  resident {resident_mb():.0f} MB, session {session.memory_bytes / 1e6:.1f} MB")
+    if options.sheets:
+        report.save_sheets(options.sheets)
+
+
+def two_threads() -> Map:
+    """Work on the parts of a frame by this thread and a helper, as a quiet service does."""
+    helper = ThreadPoolExecutor(1)
+
+    def map_parts(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
+        waiting = list(enumerate(items))
+        results: dict[int, Result] = {}
+
+        def work() -> None:
+            while waiting:
+                try:
+                    place, item = waiting.pop(0)
+                except IndexError:  # The other thread took the last one.
+                    return
+                results[place] = function(item)
+
+        count = len(waiting)
+        helped = helper.submit(work)
+        work()
+        helped.result()
+        return [results[place] for place in range(count)]
+
+    return map_parts
+
+
+def encoded_frames(video: Path, limit: int | None) -> Iterator[tuple[int, bytes]]:
+    """Frames as a camera sends them, JPEG at quality 90."""
+    capture = cv2.VideoCapture(str(video))
+    number = 0
+    while (limit is None or number < limit) and (read := capture.read())[0]:
+        yield number, cv2.imencode(".jpg", read[1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+        number += 1
+
+
+class Report:
+    """What a round found and took."""
+
+    def __init__(self) -> None:
+        self.totals: list[float] = []
+        self.stages: dict[str, list[float]] = defaultdict(list)
+        self.people: list[int] = []
+        self.cut_by: dict[str, int] = defaultdict(int)
+        self.found_by: dict[str, int] = defaultdict(int)
+        self.tracks: dict[int, list[int]] = defaultdict(list)
+        self.overlaps: list[float] = []
+        self.pictures: list[NDArray[np.uint8]] = []
+
+    def add(
+        self, number: int, result: TrackedFrame, estimator: Estimator | None, every: int
+    ) -> None:
+        """Count a frame."""
+        self.totals.append(result.timings_ms["total"])
+        for stage, spent in result.timings_ms.items():
+            self.stages[stage].append(spent)
+        self.people.append(len(result.persons))
+        for tracked in result.persons:
+            observed = tracked.person.observed
+            self.tracks[tracked.track_id].append(number)
+            self.found_by[observed.source] += 1
+            self.cut_by[observed.silhouette.segmenter if observed.silhouette else "none"] += 1
+        if estimator is None or number % every:
+            return
+        for tracked in result.persons:
+            silhouette = tracked.person.observed.silhouette
+            if silhouette is None or silhouette.segmenter != "background":
+                continue
+            (by_network,) = estimator.segmenter.segment(result.frame, [silhouette.box])
+            if by_network is not None:
+                first = silhouette.mask(result.frame.shape)
+                second = by_network.mask(result.frame.shape)
+                self.overlaps.append(float((first & second).sum() / (first | second).sum()))
+
+    def summary(self) -> str:
+        """Figures of the round."""
+        totals = np.array(self.totals[15:])
+        lengths = sorted((len(frames) for frames in self.tracks.values()), reverse=True)
+        lines = [
+            f"{len(self.totals)} frames, {np.mean(self.people):.2f} people a frame; "
+            f"ms median {np.median(totals):.1f}, p90 {np.quantile(totals, 0.9):.1f}, "
+            f"max {totals.max():.0f}",
+            "  stages (median/p90): "
+            + ", ".join(
+                f"{stage} {np.median(spent):.1f}/{np.quantile(spent, 0.9):.1f}"
+                for stage, spent in self.stages.items()
+            ),
+            f"  found by {dict(self.found_by)}, cut out by {dict(self.cut_by)}",
+            f"  {len(lengths)} tracks, of lengths {lengths}",
+        ]
+        if self.overlaps:
+            lines.append(
+                f"  IoU of {len(self.overlaps)} background silhouettes with the network's: "
+                f"mean {np.mean(self.overlaps):.3f}, median {np.median(self.overlaps):.3f}"
+            )
+        return "\n".join(lines)
+
+    def draw(self, result: TrackedFrame) -> None:
+        """Keep an annotated frame."""
+        picture = result.frame.copy()
+        for tracked in result.persons:
+            observed = tracked.person.observed
+            colour = tuple(
+                int(c) for c in np.random.default_rng(tracked.track_id).integers(60, 255, 3)
+            )
+            left, top, right, bottom = observed.box.pixels()
+            cv2.rectangle(picture, (left, top), (right, bottom), colour, 2)
+            if observed.silhouette is not None:
+                mask = observed.silhouette.mask(picture.shape).view(np.uint8)
+                outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+                cv2.drawContours(picture, outlines, -1, (255, 255, 255), 1)
+            cut_by = observed.silhouette.segmenter[0] if observed.silhouette else "-"
+            text = f"{tracked.track_id}{observed.source[0]}{cut_by}"
+            cv2.putText(picture, text, (left, top - 4), 0, 0.7, (0, 0, 0), 4)
+            cv2.putText(picture, text, (left, top - 4), 0, 0.7, colour, 2)
+        cv2.putText(picture, f"{result.frame_index}", (5, 25), 0, 0.8, (255, 255, 255), 2)
+        height = round(picture.shape[0] * CONTACT_WIDTH / picture.shape[1])
+        self.pictures.append(cv2.resize(picture, (CONTACT_WIDTH, height)).astype(np.uint8))
+
+    def save_sheets(self, folder: Path) -> None:
+        """Write the kept frames, 16 to a sheet."""
+        folder.mkdir(parents=True, exist_ok=True)
+        per_sheet = CONTACT_COLUMNS**2
+        for start in range(0, len(self.pictures), per_sheet):
+            part = self.pictures[start : start + per_sheet]
+            part += [np.zeros_like(part[0])] * (-len(part) % CONTACT_COLUMNS)
+            rows = [
+                np.hstack(part[row : row + CONTACT_COLUMNS])
+                for row in range(0, len(part), CONTACT_COLUMNS)
+            ]
+            cv2.imwrite(str(folder / f"sheet-{start // per_sheet:02d}.png"), np.vstack(rows))
+
+
+def resident_mb() -> float:
+    """Memory of this process in use."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""People of chosen poses, as the estimator returns them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimates import ObservedPerson, Person, PlacedHypothesis
+from app.facing import Facing
+from app.posture import vote_posture
+from app.vision.people import Box
+from index.matching import Hypothesis
+from index.posture import Posture
+from index.skeleton import POINT_NAMES, POINTS, camera_rotation
+from index.store import Label
+
+PX_PER_M = 100.0
+
+_HEIGHTS = {
+    "pelvis": 0.0, "spine": 0.15, "chest": 0.3, "neck": 0.5, "head": 0.65, "shoulder": 0.45,
+    "elbow": 0.2, "wrist": -0.05, "hip": -0.05, "knee": -0.45, "ankle": -0.85, "toe": -0.9,
+    "nose": 0.65, "eye": 0.68, "ear": 0.68,
+}  # fmt: skip
+
+
+def standing_body() -> NDArray[np.float64]:
+    """A skeleton ``(24, 3)`` that faces +z: body axes, metres, pelvis at the origin."""
+    points = np.zeros((POINTS, 3))
+    for row, name in enumerate(POINT_NAMES):
+        side, _, joint = name.rpartition("_")
+        points[row, 1] = _HEIGHTS[joint]
+        # x to the person's left.
+        points[row, 0] = {"left": 0.2, "right": -0.2, "": 0.0}[side]
+        points[row, 2] = 0.1 if joint in ("toe", "nose") else 0.0
+    return points
+
+
+def seen_from(azimuth_deg: float, elevation_deg: float = 10.0) -> NDArray[np.float64]:
+    """The standing body ``(24, 3)`` in camera axes."""
+    return standing_body() @ camera_rotation(azimuth_deg, elevation_deg).T
+
+
+def person_of(
+    poses: Sequence[NDArray[np.float64]],
+    confidences: Sequence[float],
+    centre: tuple[float, float] = (200.0, 200.0),
+    *,
+    elevation_deg: float = 10.0,
+    postures: Sequence[Posture] | None = None,
+) -> Person:
+    """A person whose hypotheses are these poses, with the box about a point of the frame."""
+    hypotheses = []
+    for entry, (pose, confidence) in enumerate(zip(poses, confidences, strict=True)):
+        hypothesis = Hypothesis(
+            entry=entry, mirrored=False, distance=1.0, reprojection_error_px=1.0,
+            confidence=confidence, points_3d=pose, points_normalised=np.zeros((POINTS, 2)),
+            posture=postures[entry] if postures else "standing",
+        )  # fmt: skip
+        label = Label(entry, "walk", "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
+        points_2d = np.array(centre) + PX_PER_M * pose[:, :2]
+        hypotheses.append(PlacedHypothesis(hypothesis, 1.0, confidence, label, points_2d))
+    height = 1.7 * PX_PER_M
+    box = Box(centre[0] - 30, centre[1] - height / 2, 60, height)
+    posture = vote_posture([placed.hypothesis.posture for placed in hypotheses], confidences)
+    return Person(
+        ObservedPerson(box, "detector", 0.9, None), Facing(0.5, "none"), posture, tuple(hypotheses)
+    )

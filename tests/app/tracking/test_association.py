@@ -1,0 +1,118 @@
+"""Who is who, on boxes that move as people do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.estimates import ObservedPerson
+from app.tracking.association import associate
+from app.tracking.track import MotionFilter, Sighting, Track, clothes_distance, clothes_histogram
+from app.vision.people import Box, Silhouette
+
+RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
+
+
+def sighting(x: float, y: float = 100.0, clothes: NDArray[np.float32] | None = None) -> Sighting:
+    """Somebody 80 px tall."""
+    return Sighting(ObservedPerson(Box(x, y, 30, 80), "detector", 0.9, None), clothes)
+
+
+def walking(x: float, speed: float, clothes: NDArray[np.float32] | None = None) -> Track:
+    """A track seen for a second up to time 1, at ``x`` then, in pixels a second to the right."""
+    track = Track(sighting(x - speed, clothes=clothes), 0.0)
+    for step in range(11):
+        seen = sighting(x - speed + speed * step / 10, clothes=clothes)
+        if step:
+            track.see(seen, step / 10)
+    return track
+
+
+class TestMotionFilter:
+    def test_learns_the_velocity(self) -> None:
+        track = walking(200, 60)
+        assert track.motion.velocity[0] == pytest.approx(60, rel=0.15)
+        assert track.motion.velocity[1] == pytest.approx(0, abs=1e-9)
+        expected = track.motion.expect(1.1)
+        assert expected.x == pytest.approx(206, abs=2)
+        assert (expected.width, expected.height) == (30, 80)
+
+    def test_somebody_unseen_is_not_expected_ever_farther_away(self) -> None:
+        track = walking(200, 60)
+        assert track.motion.expect(100.0).x < 200 + 1.3 * 60
+
+    def test_the_size_does_not_shrink_where_a_part_is_hidden(self) -> None:
+        motion = MotionFilter(Box(100, 100, 30, 80), 0.0)
+        motion.correct(Box(100, 140, 30, 40), 0.1, whole=False)
+        assert motion.expect(0.1).height == 80
+        motion.correct(Box(100, 100, 30, 90), 0.2, whole=False)
+        assert 80 < motion.expect(0.2).height < 90
+
+    def test_frames_far_apart_do_not_overshoot(self) -> None:
+        motion = MotionFilter(Box(100, 100, 30, 80), 0.0)
+        motion.correct(Box(150, 100, 30, 80), 5.0, whole=True)
+        assert motion.velocity[0] == pytest.approx(10)
+
+
+class TestAssociate:
+    def test_nobody(self) -> None:
+        assert associate([], [], 1.0) == []
+        assert associate([], [sighting(10)], 1.0) == [None]
+        assert associate([walking(100, 0)], [], 1.0) == []
+
+    def test_each_goes_on_as_expected(self) -> None:
+        tracks = [walking(100, 50), walking(300, -50)]
+        assert associate(tracks, [sighting(295), sighting(105)], 1.1) == [1, 0]
+
+    def test_a_newcomer_is_nobody_yet(self) -> None:
+        assert associate([walking(100, 0)], [sighting(400), sighting(101)], 1.1) == [None, 0]
+
+    def test_nobody_grows_at_once(self) -> None:
+        child = Sighting(ObservedPerson(Box(108, 140, 14, 40), "detector", 0.9, None), None)
+        assert associate([walking(100, 0)], [child], 1.1) == [None]
+
+    def test_who_is_unseen_for_longer_may_be_farther_away(self) -> None:
+        assert associate([walking(100, 0)], [sighting(180)], 1.1) == [None]
+        assert associate([walking(100, 0)], [sighting(180)], 2.9) == [0]
+
+    def test_clothes_tell_who_is_who_where_places_do_not(self) -> None:
+        tracks = [walking(100, 0, RED), walking(110, 0, BLUE)]
+        assert associate(
+            tracks, [sighting(103, clothes=BLUE), sighting(107, clothes=RED)], 1.1
+        ) == [
+            1,
+            0,
+        ]
+
+    def test_two_who_cross_keep_their_identities(self) -> None:
+        tracks = [walking(100, 60), walking(160, -60)]
+        for step in range(1, 15):
+            time = 1 + step / 10
+            seen = [sighting(160 - 6 * step), sighting(100 + 6 * step)]
+            assert associate(tracks, seen, time) == [1, 0]
+            tracks[1].see(seen[0], time)
+            tracks[0].see(seen[1], time)
+
+
+class TestClothes:
+    def test_of_two_people(self) -> None:
+        frame = np.zeros((60, 80, 3), np.uint8)
+        frame[10:50, 10:30] = (20, 20, 200)
+        frame[10:50, 40:60] = (200, 20, 20)
+        crop = np.ones((40, 20), bool)
+        red, blue = (
+            clothes_histogram(frame, Silhouette(crop, left, 10, "network", False))
+            for left in (10, 40)
+        )
+        assert red.shape == (80,) and red.sum() == pytest.approx(1)
+        assert clothes_distance(red, red) == pytest.approx(0, abs=1e-3)
+        assert clothes_distance(red, blue) > 0.6
+
+    def test_upper_and_lower_half_are_told_apart(self) -> None:
+        frame = np.zeros((40, 20, 3), np.uint8)
+        frame[:20] = (20, 20, 200)
+        silhouette = Silhouette(np.ones((40, 20), bool), 0, 0, "network", False)
+        upright = clothes_histogram(frame, silhouette)
+        swapped = clothes_histogram(np.ascontiguousarray(frame[::-1]), silhouette)
+        assert clothes_distance(upright, swapped) > 0.9

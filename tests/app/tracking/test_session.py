@@ -1,0 +1,299 @@
+"""Camera sessions, on drawn people whom a detector finds by their colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.cancellation import DeadlineError
+from app.estimator import Estimator
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession, LateFrameError
+from app.upload import Upload, UploadError
+from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
+from tests.conftest import build_tiny_index, png
+
+ROWS, COLUMNS = 200, 320
+PERSON = 90
+COLOURS = ((40, 40, 220), (220, 60, 40), (40, 200, 60))
+
+
+class ColourDetector:
+    """Finds the drawn people, also those who touch, and counts how often it is asked."""
+
+    name = "network"
+
+    def __init__(self) -> None:
+        self.whole = 0
+        self.parts = 0
+
+    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
+        if frame.shape[:2] == (ROWS, COLUMNS):
+            self.whole += 1
+        else:
+            self.parts += 1
+        boxes = []
+        for colour in COLOURS:
+            mask = (np.abs(frame.astype(int) - colour).sum(axis=2) < 60).astype(np.uint8)
+            left, top, width, height = cv2.boundingRect(mask)
+            if height >= PERSON // 2:
+                boxes.append(Detection(Box(left - 0.5, top - 0.5, width, height), 0.9))
+        return boxes
+
+
+class ColourSegmenter:
+    """Cuts the drawn people out."""
+
+    name = "network"
+
+    def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
+        found = []
+        for box in boxes:
+            left, top, right, bottom = (max(0, side) for side in box.pixels())
+            part = frame[top:bottom, left:right].astype(int)
+            masks = [np.abs(part - colour).sum(axis=2) < 60 for colour in COLOURS]
+            found.append(
+                silhouette_from_mask(
+                    max(masks, key=np.count_nonzero),
+                    left=left,
+                    top=top,
+                    segmenter="network",
+                    truncated=False,
+                )
+            )
+        return found
+
+
+def draw(*people: tuple[int, int], seed: int = 0, columns: int = COLUMNS) -> bytes:
+    """An encoded frame of people given by colour and left edge, the last in front."""
+    rng = np.random.default_rng(seed)
+    frame = rng.normal(150, 2, (ROWS, columns, 3)).astype(np.uint8)
+    for colour, left in people:
+        cv2.rectangle(frame, (left, 60), (left + 29, 59 + PERSON), COLOURS[colour], -1)
+    return png(frame)
+
+
+@pytest.fixture(scope="module")
+def loaded(estimator: Estimator) -> Estimator:
+    """An estimator that finds the drawn people; nobody's keypoints are seen."""
+    index = build_tiny_index()
+    return Estimator(
+        index,
+        ColourDetector(),  # type: ignore[arg-type]
+        ColourSegmenter(),  # type: ignore[arg-type]
+        estimator.finder.reader,
+        min_person_px=50,
+        max_pixels=10**6,
+        max_persons=4,
+    )
+
+
+@pytest.fixture
+def detector(loaded: Estimator) -> ColourDetector:
+    detector = loaded.finder.detector
+    assert isinstance(detector, ColourDetector)
+    detector.whole = detector.parts = 0
+    return detector
+
+
+@pytest.fixture
+def session(loaded: Estimator) -> CameraSession:
+    return CameraSession(loaded)
+
+
+def send(
+    session: CameraSession, time: float | None, *people: tuple[int, int], columns: int = COLUMNS
+) -> TrackedFrame:
+    seed = session.frames
+    frame = draw(*people, seed=seed, columns=columns)
+    return session.process(Upload(frame), time, 3, lambda: None, "silhouette")
+
+
+def ids(result: TrackedFrame) -> list[int]:
+    return [tracked.track_id for tracked in result.persons]
+
+
+def learn(session: CameraSession, start: float = 0.0) -> float:
+    """Show the empty scene for two seconds."""
+    for step in range(20):
+        send(session, start + step / 10)
+    return start + 2.0
+
+
+def test_a_walker_keeps_an_identity_and_leaves(session: CameraSession) -> None:
+    time = learn(session)
+    events = []
+    for step in range(40):
+        result = send(session, time + step / 10, (0, 10 + 7 * step))
+        events += result.events
+        if step > 20:
+            assert ids(result) == [1]
+    for step in range(40, 65):
+        result = send(session, time + step / 10)
+        events += result.events
+    assert [(e.event, e.track_id, e.state) for e in events] == [
+        ("entered", 1, "begin"),
+        ("left", 1, "begin"),
+    ]
+    assert result.persons == ()
+    assert session.track_ids == ()
+
+
+def test_warm_frames_are_cut_out_by_the_background(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    time = learn(session)
+    whole = detector.whole
+    sources = []
+    for step in range(30):
+        result = send(session, time + step / 10, (0, 10 + 6 * step))
+        for tracked in result.persons:
+            observed = tracked.person.observed
+            assert observed.silhouette is not None
+            sources.append((observed.source, observed.silhouette.segmenter))
+            assert observed.silhouette.box.x == pytest.approx(9.5 + 6 * step, abs=2)
+            assert len(tracked.person.hypotheses) == 3
+    assert sources.count(("background", "background")) > 20
+    assert detector.whole - whole <= 2
+
+
+def test_one_who_stands_still_stays_known(session: CameraSession) -> None:
+    time = learn(session)
+    for step in range(80):
+        result = send(session, time + step, (0, 100))
+        assert ids(result) == [1], step
+        time += 0.0
+
+
+def test_who_is_there_from_the_start_is_known_at_once(session: CameraSession) -> None:
+    first = send(session, 0.0, (0, 50), (1, 200))
+    assert first.session == "new" and ids(first) == [1, 2]
+    assert [(e.event, e.track_id) for e in first.events] == [("entered", 1), ("entered", 2)]
+    second = send(session, 0.1, (0, 50), (1, 200))
+    assert second.session == "warm" and ids(second) == [1, 2] and second.events == ()
+    assert [tracked.age_frames for tracked in second.persons] == [2, 2]
+    assert second.frame_index == 1
+
+
+def test_two_who_cross_keep_their_identities(session: CameraSession) -> None:
+    time = learn(session)
+    for step in range(40):
+        people = (0, 20 + 6 * step), (1, 260 - 6 * step)
+        result = send(session, time + step / 10, *people)
+        by_id = {tracked.track_id: tracked.person.observed.box.x for tracked in result.persons}
+    assert by_id[1] == pytest.approx(20 + 6 * 39, abs=6)
+    assert by_id[2] == pytest.approx(260 - 6 * 39, abs=6)
+    assert set(by_id) == {1, 2}
+
+
+def test_identities_are_never_used_again(session: CameraSession) -> None:
+    time = learn(session)
+    seen = set()
+    for _ in range(3):
+        for step in range(15):
+            seen |= set(ids(send(session, time + step / 10, (2, 50 + 4 * step))))
+        for step in range(15, 45):
+            send(session, time + step / 10)
+        time += 4.5
+    assert seen == {1, 2, 3}
+
+
+def test_late_and_repeated_frames_are_refused_and_change_nothing(session: CameraSession) -> None:
+    send(session, 5.0, (0, 50))
+    for time in (5.0, 4.0, float("nan")):
+        with pytest.raises(LateFrameError, match="after 5 s"):
+            send(session, time, (0, 50))
+    assert session.frames == 1
+    assert ids(send(session, 5.1, (0, 50))) == [1]
+
+
+def test_without_timestamps_the_clock_counts(loaded: Estimator) -> None:
+    now = iter((100.0, 100.5, 100.5, 103.0))
+    session = CameraSession(loaded, clock=lambda: next(now))
+    times = [send(session, None).timestamp for _ in range(4)]
+    assert times == pytest.approx([0.0, 0.5, 0.501, 3.001])
+
+
+def test_another_size_begins_anew_and_says_so(session: CameraSession) -> None:
+    send(session, 0.0, (0, 50))
+    result = send(session, 0.1, (0, 50), columns=300)
+    assert result.reset is not None and "320x200" in result.reset and "300x200" in result.reset
+    assert result.session == "warm"
+    assert ids(result) == [2]
+    assert [(e.event, e.track_id) for e in result.events] == [("left", 1), ("entered", 2)]
+    assert send(session, 0.2, (0, 50), columns=300).reset is None
+
+
+def test_a_long_gap_begins_anew_and_says_so(session: CameraSession) -> None:
+    send(session, 0.0, (0, 50))
+    result = send(session, 11.0, (0, 50))
+    assert result.reset is not None and "11.0 s" in result.reset
+    assert ids(result) == [2]
+
+
+def test_a_cancelled_frame_loses_no_events(loaded: Estimator) -> None:
+    session = CameraSession(loaded)
+    calls = 0
+
+    def check() -> None:
+        nonlocal calls
+        calls += 1
+        if calls > 4:
+            raise DeadlineError("too late")
+
+    with pytest.raises(DeadlineError):
+        session.process(Upload(draw((0, 50))), 0.0, 3, check, "silhouette")
+    result = send(session, 0.1, (0, 50))
+    assert ids(result) == [1]
+    assert [event.event for event in result.events] == ["entered"]
+
+
+def test_a_broken_frame_changes_nothing(session: CameraSession) -> None:
+    send(session, 0.0, (0, 50))
+    with pytest.raises(UploadError):
+        session.process(Upload(b"no image"), 0.1, 3, lambda: None)
+    assert ids(send(session, 0.1, (0, 50))) == [1]
+
+
+@pytest.mark.parametrize("kind", ["mask", "boxes", "background", "mask alone"])
+def test_the_caller_may_say_who_is_there(session: CameraSession, kind: str) -> None:
+    results = []
+    for step in range(5):
+        left = 50 + 5 * step
+        labels = np.zeros((ROWS, COLUMNS), np.uint8)
+        labels[60 : 60 + PERSON, left : left + 30] = 1
+        frame = draw((0, left), seed=step)
+        upload = {
+            "mask": Upload(frame, mask=png(labels)),
+            "boxes": Upload(frame, boxes=(Box(left - 0.5, 59.5, 30, PERSON),)),
+            "background": Upload(frame, background=draw(seed=99)),
+            "mask alone": Upload(mask=png(labels)),
+        }[kind]
+        results.append(session.process(upload, step / 10, 3, lambda: None, "silhouette"))
+    last = results[-1]
+    assert ids(last) == [1]
+    assert last.persons[0].person.observed.source == kind.split()[0]
+    assert [ids(result) for result in results].count([1]) >= 3
+
+
+def test_memory_is_bounded(session: CameraSession) -> None:
+    """However many people come and go."""
+    rng = np.random.default_rng(0)
+    sizes = []
+    for step in range(60):
+        lefts = rng.integers(0, COLUMNS - 30, 3)
+        people = [(colour, int(left)) for colour, left in enumerate(lefts)]
+        send(session, step / 2, *people)
+        sizes.append(session.memory_bytes)
+    assert len(session.track_ids) <= 8
+    assert max(sizes) < 60 * ROWS * COLUMNS + 8 * 2000
+
+
+def test_at_most_the_hypotheses_asked_for(session: CameraSession) -> None:
+    result = send(session, 0.0, (0, 50))
+    hypotheses = result.persons[0].person.hypotheses
+    assert len(hypotheses) == 3

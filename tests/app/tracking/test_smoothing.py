@@ -1,0 +1,129 @@
+"""Smooth poses of tracks: ambiguities resolved by motion, bones of constant length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.estimates import Person
+from app.facing import azimuth_deg
+from app.tracking.smoothing import PoseSmoother, Smoothed, _line_at_zero
+from index.skeleton import NATIVE, wrap_degrees
+from tests.app.tracking.people import PX_PER_M, person_of, seen_from
+
+ELEVATION_DEG = 20.0
+
+
+def follow(people: list[Person], step_s: float = 0.1) -> list[Smoothed]:
+    smoother = PoseSmoother()
+    updates = [smoother.update(person, step_s * frame) for frame, person in enumerate(people)]
+    assert all(update is not None for update in updates)
+    return [update for update in updates if update is not None]
+
+
+def walkers(right_m_s: float, away_m_s: float, azimuths_deg: list[float]) -> list[Person]:
+    """Frames of somebody who walks, each with the same equally confident hypotheses."""
+    poses = [seen_from(azimuth, ELEVATION_DEG) for azimuth in azimuths_deg]
+    rise = np.sin(np.deg2rad(ELEVATION_DEG))
+    return [
+        person_of(
+            poses,
+            [0.5] * len(poses),
+            (200 + PX_PER_M * right_m_s * t, 200 - PX_PER_M * away_m_s * rise * t),
+            elevation_deg=ELEVATION_DEG,
+        )
+        for t in np.arange(0, 2, 0.1).tolist()
+    ]
+
+
+@pytest.mark.parametrize(
+    ("right_m_s", "away_m_s", "facing_deg"),
+    [(0.0, -1.2, 0.0), (0.0, 1.2, 180.0), (1.2, 0.0, -90.0), (-1.2, 0.0, 90.0), (0.9, 0.9, -135.0)],
+)
+def test_people_face_where_they_go(right_m_s: float, away_m_s: float, facing_deg: float) -> None:
+    candidates = [facing_deg, facing_deg + 180.0, 180.0 - facing_deg + 1e-3]
+    last = follow(walkers(right_m_s, away_m_s, candidates))[-1]
+    turned = wrap_degrees(azimuth_deg(last.pose.points_3d[None])[0] - facing_deg)
+    assert abs(float(turned)) < 30
+    assert last.facing.evidence == "motion"
+
+
+def test_who_stands_is_no_evidence_of_facing() -> None:
+    last = follow(walkers(0.0, 0.0, [0.0, 180.0]))[-1]
+    assert last.facing.evidence == "none"
+    assert last.facing.front_probability == pytest.approx(0.5)
+
+
+def test_a_single_frame_flipped_by_mistake_changes_nothing() -> None:
+    front, back = seen_from(0.0), seen_from(180.0)
+    people = [person_of([front, back], [0.7, 0.4]) for _ in range(10)]
+    people[6] = person_of([back, front], [0.75, 0.4])
+    assert all(update.facing.front_probability > 0.6 for update in follow(people))
+
+
+def test_a_lasting_change_is_followed() -> None:
+    front, side = seen_from(0.0), seen_from(60.0)
+    people = [person_of([front, side], [0.9, 0.1])] * 5 + [
+        person_of([side, front], [0.9, 0.1])
+    ] * 30
+    last = follow(people)[-1]
+    assert np.linalg.norm(last.pose.points_3d - side, axis=-1).mean() < 0.05
+
+
+def test_a_steady_pose_stays_as_it_is() -> None:
+    pose = seen_from(30.0)
+    for update in follow([person_of([pose], [0.8]) for _ in range(8)]):
+        np.testing.assert_allclose(update.pose.points_3d, pose, atol=1e-9)
+        assert update.pose.entry == 0
+
+
+def test_bones_keep_their_lengths() -> None:
+    """Averages of turned bodies would shrink."""
+    parents, children = np.array(NATIVE.bones).T
+    people = [
+        person_of([seen_from(azimuth), seen_from(azimuth + 15)], [0.6, 0.5])
+        for azimuth in np.linspace(0, 80, 20)
+    ]
+
+    def lengths(points: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.norm(points[children] - points[parents], axis=-1))
+
+    for update in follow(people):
+        np.testing.assert_allclose(lengths(update.pose.points_3d), lengths(seen_from(0)), rtol=1e-6)
+
+
+def test_noise_is_smoothed_away() -> None:
+    rng = np.random.default_rng(0)
+    pose = seen_from(40.0)
+    noisy = [[pose + rng.normal(0, 0.05, pose.shape) for _ in range(6)] for _ in range(20)]
+    updates = follow([person_of(poses, [0.5] * 6) for poses in noisy])
+    smooth = np.array([update.pose.points_3d for update in updates])
+    raw = np.array([poses[0] for poses in noisy])
+    assert np.abs(smooth - pose).mean() < 0.9 * np.abs(raw - pose).mean()
+    assert np.abs(np.diff(smooth, axis=0)).mean() < 0.7 * np.abs(np.diff(raw, axis=0)).mean()
+
+
+def test_more_confident_hypotheses_make_a_more_confident_pose() -> None:
+    sure, unsure = (
+        follow([person_of([seen_from(0.0)], [confidence])] * 4)[-1].pose.confidence
+        for confidence in (0.9, 0.2)
+    )
+    assert 0 < unsure < sure < 1
+
+
+def test_without_hypotheses_there_is_no_pose() -> None:
+    person = person_of([seen_from(0.0)], [0.5])
+    hidden = Person(person.observed, None, None, ())
+    smoother = PoseSmoother()
+    assert smoother.update(person, 0.0) is not None
+    assert smoother.update(hidden, 0.1) is None
+    assert smoother.update(person, 0.2) is not None
+
+
+@given(offset=st.floats(-5, 5), slope=st.floats(-5, 5), step=st.floats(0.01, 2))
+def test_a_line_is_continued_exactly(offset: float, slope: float, step: float) -> None:
+    ages = step * np.arange(4)
+    values = (offset - slope * ages)[:, None, None] * np.ones((1, 2, 3))
+    np.testing.assert_allclose(_line_at_zero(ages, values), offset, atol=1e-6)
