@@ -36,16 +36,17 @@ from index.skeleton import NATIVE
 from index.store import DEFAULT_PATH
 
 HYPOTHESES = 7
-SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 560
+SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 600
 EVENT_SHOWN_S = 2.0
 _USUAL_FPS = 25.0
+_WHITE = (255, 255, 255)
 _DECODING_S = 24 * 3600.0
 
 Picture = NDArray[np.uint8]
 
 
 class Annotator:
-    """Draws tracked people; events stay on show for :data:`EVENT_SHOWN_S`."""
+    """Draws tracked people; what happens to them stays on show for :data:`EVENT_SHOWN_S`."""
 
     def __init__(self) -> None:
         self._events: list[Event] = []
@@ -59,19 +60,18 @@ class Annotator:
             BGR.
         """
         picture = frame.frame.copy()
-        letter = max(11, max(picture.shape[:2]) // 50)
+        letter = max(14, max(picture.shape[:2]) // 40)
         for tracked in frame.persons:
             _draw_skeleton_and_box(picture, tracked)
-        # Afterwards, so that nobody covers another one's caption.
+        # Afterwards, so that nobody covers another one's captions.
         for tracked in frame.persons:
-            _draw_caption(picture, tracked, letter)
-        white = (255, 255, 255)
-        corner = (letter, 2 * letter)
-        write_text(picture, f"{frame.timestamp:.1f} s", corner, letter, white)
+            _draw_captions(picture, tracked, letter)
+        write_text(picture, f"{frame.timestamp:.1f} s", (letter, 2 * letter), letter, _WHITE)
         self._events = [
             event
             for event in (*self._events, *frame.events)
             if event.timestamp > frame.timestamp - EVENT_SHOWN_S
+            and event.event not in ("entered", "left")
         ]
         for line, event in enumerate(reversed(self._events)):
             corner = (letter, picture.shape[0] - letter - line * 3 * letter // 2)
@@ -90,17 +90,16 @@ def _draw_skeleton_and_box(picture: Picture, tracked: TrackedPerson) -> None:
         draw_skeleton(picture, tracked.pose.points_2d[list(NATIVE.indices)], NATIVE, bone)
 
 
-def _draw_caption(picture: Picture, tracked: TrackedPerson, letter: int) -> None:
-    """Write the track's number and posture above the box, and the action below that."""
+def _draw_captions(picture: Picture, tracked: TrackedPerson, letter: int) -> None:
+    """Write the track's number above the box, posture and action below it."""
     box, posture, action = tracked.person.observed.box, tracked.person.posture, tracked.action
-    lines = [f"{tracked.track_id} {_words(posture.label) if posture else ''}".rstrip()]
-    if action is not None:
-        lines.append(f"{_words(action.label)} {action.probability:.0%}")
-    left = max(0, min(round(box.x), picture.shape[1] - 6 * letter))
-    bottom = max(letter * len(lines) * 4 // 3, round(box.y) - 3)
-    for line, text in enumerate(reversed(lines)):
-        corner = (left, bottom - line * letter * 4 // 3)
-        write_text(picture, text, corner, letter, _colour(tracked.track_id))
+    left, small = max(0, round(box.x)), letter * 2 // 3
+    corner = (left, max(letter + 2, round(box.y) - 4))
+    write_text(picture, str(tracked.track_id), corner, letter, _colour(tracked.track_id))
+    lines = [_words(guess.label) for guess in (posture, action) if guess is not None]
+    for line, text in enumerate(dict.fromkeys(lines), start=1):
+        bottom = min(picture.shape[0] - 3, round(box.bottom) + line * small * 4 // 3)
+        write_text(picture, text, (min(left, picture.shape[1] - 5 * small), bottom), small, _WHITE)
 
 
 def _colour(track_id: int) -> tuple[int, int, int]:

@@ -5,7 +5,7 @@ import { personColour } from "./drawing.js";
 const POSTURES = {
   standing: "#8aa0a6", walking: "#3fae6b", running: "#a5c93a", arms_raised: "#e8c21c",
   bending: "#f0913a", sitting: "#5b8fe0", kneeling: "#9277d6", crouching: "#c56fc9",
-  crawling: "#9a6b45", lying: "#dd4b4b",
+  crawling: "#9a6b45", lying: "#dd4b4b", unclear: "#c9d2d2",
 };
 
 const MARKS = { entered: "+", left: "×", fell: "▼", lying: "■", arms_raised: "▲" };
@@ -54,7 +54,7 @@ export class Timeline {
     for (const { track_id: id, posture } of persons) {
       const { spans } = this.#track(id);
       const last = spans.at(-1);
-      const label = posture?.label ?? null;
+      const label = posture?.label ?? "unclear";
       const known = last && timestamp - last.to <= GAP_S;
       if (known) last.to = timestamp;
       if (!known || last.label !== label) spans.push({ label, from: timestamp, to: timestamp });
@@ -64,7 +64,7 @@ export class Timeline {
     this.draw();
   }
 
-  /** What is shown of the tracks, for tests and the curious. */
+  /** Tracks in the order of their numbers. */
   get rows() {
     return [...this.#tracks].sort(([a], [b]) => a - b).map(([id, track]) => ({ id, ...track }));
   }
@@ -107,7 +107,7 @@ export class Timeline {
       context.fillStyle = ink;
       context.fillText(id, LEFT_PX - 16, top + ROW_PX / 2);
       for (const { label, from, to } of spans) {
-        context.fillStyle = POSTURES[label] ?? "#b9c4c4";
+        context.fillStyle = POSTURES[label];
         context.fillRect(across(from), top + 3, Math.max(2, across(to) - across(from)), ROW_PX - 6);
       }
       context.textAlign = "center";
