@@ -86,7 +86,7 @@ def _draw_skeleton_and_box(picture: Picture, tracked: TrackedPerson) -> None:
     colour = _colour(tracked.track_id)
     cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2)
     if tracked.pose is not None:
-        bone = min(3, max(1, round(box.height / 60)))
+        bone = min(4, max(2, round(box.height / 50)))
         draw_skeleton(picture, tracked.pose.points_2d[list(NATIVE.indices)], NATIVE, bone)
 
 
@@ -177,7 +177,13 @@ async def track(
     max_frames: int | None,
     progress: tqdm[None],
 ) -> None:
-    """Work on the frames of a video, and write them with a last line."""
+    """Work on the frames of a video, and write them with a last line.
+
+    Raises
+    ------
+    VideoError
+        If the rest of the video, or all of it, cannot be read; the last line says so as well.
+    """
     session, summary = CameraSession(estimator), SequenceSummary()
 
     def end(reason: SequenceEndReason, detail: str) -> None:
@@ -186,7 +192,8 @@ async def track(
     try:
         while (frame := await reader.next()) is not None:
             if summary.frames == max_frames:
-                return end("max_frames", f"there are more than {max_frames} frames")
+                end("max_frames", f"there are more than {max_frames} frames")
+                return
             tracked = session.process(
                 Upload(frame.pixels), frame.timestamp, HYPOTHESES, lambda: None
             )
@@ -195,7 +202,8 @@ async def track(
             outputs.add(tracked, sequence_line(reply))
             progress.update()
     except VideoError as error:
-        return end("broken", str(error))
+        end("broken", str(error))
+        raise
     end("complete", f"the video ended after {summary.frames} frames")
 
 
@@ -244,7 +252,11 @@ def main() -> int:
         parser.error(f"video: expected a file, got {options.video}")
     if options.stride < 1 or (options.max_frames is not None and options.max_frames < 1):
         parser.error("--stride and --max-frames: expected at least 1")
-    asyncio.run(track_file(options, Settings(index=options.index)))
+    try:
+        asyncio.run(track_file(options, Settings(index=options.index)))
+    except VideoError as error:
+        print(f"track_video: {error}", file=sys.stderr)
+        return 1
     return 0
 
 
