@@ -34,6 +34,8 @@ export class SessionView {
   #chosen = null;
   #restarted = "";
   #refused = false;
+  #asked = null;
+  #told = null;
 
   /** @param page What the page lends: `options()`, `complain(error)`, `tell(notes)` and
    * `bringIntoView(element)`. */
@@ -71,13 +73,21 @@ export class SessionView {
       this.#page.complain(new Error("Browsers lend the webcam only to pages over HTTPS or on localhost."));
       return;
     }
+    const asked = this.#asked = {};
+    let stream;
     try {
-      this.#video.srcObject = await navigator.mediaDevices.getUserMedia(
+      stream = await navigator.mediaDevices.getUserMedia(
         { video: { width: 640, height: 480, facingMode: "environment" } });
     } catch (error) {
-      this.#page.complain(new Error(`The webcam cannot be used: ${error.message || error}`));
+      if (asked === this.#asked) this.#page.complain(this.#unplayable(error));
       return;
     }
+    if (asked !== this.#asked) {
+      // Meanwhile something else was chosen.
+      stream.getTracks().forEach((track) => track.stop());
+      return;
+    }
+    this.#video.srcObject = stream;
     await this.#play(true, "The camera has to stand still.", "Webcam");
   }
 
@@ -91,7 +101,7 @@ export class SessionView {
   /** Stop what plays, and leave what was seen. */
   stop() {
     this.#session?.stop();
-    this.#session = null;
+    this.#session = this.#asked = null;
     this.#refused = false;
     this.#video.srcObject?.getTracks().forEach((track) => track.stop());
     if (this.#video.src) URL.revokeObjectURL(this.#video.src);
@@ -110,17 +120,18 @@ export class SessionView {
     const session = new Session(this.#video, { live, options: this.#page.options });
     this.#session = session;
     this.#restarted = "";
-    this.#begin();
     $("session").hidden = false;
+    this.#begin();
     $("live").setAttribute("aria-label", `${title}, with the people found in it`);
     $("pace").textContent = "Looking for people …";
     this.#page.complain(null);
-    this.#page.tell([note]);
+    this.#told = null;
+    this.#tell(note);
     this.#showButtons();
     try {
       for await (const { answer, photo, trouble } of session.answers()) {
         if (session !== this.#session) return;
-        if (trouble) this.#page.tell([`${sentence(trouble.message)} Trying again …`]);
+        if (trouble) this.#tell(`${sentence(trouble.message)} Trying again …`);
         else this.#show(answer, photo, note);
       }
       if (session !== this.#session) return;
@@ -134,6 +145,12 @@ export class SessionView {
       return;
     }
     this.stop();
+  }
+
+  /** Say it once: a screen reader would say it again with each frame. */
+  #tell(text) {
+    if (text !== this.#told) this.#page.tell([text]);
+    this.#told = text;
   }
 
   #unplayable(error) {
@@ -158,7 +175,7 @@ export class SessionView {
     if (afresh) this.#restarted = "The service had forgotten this camera: people are numbered anew.";
     if (answer.reset) this.#restarted = `People are followed anew: ${answer.reset}.`;
     if (answer.session === "new") this.#begin();
-    this.#page.tell([note, this.#restarted]);
+    this.#tell(`${note} ${this.#restarted}`.trim());
     const first = !this.#shown;
     this.#shown = { answer, photo };
     const ids = answer.persons.map(({ track_id: id }) => id);
