@@ -169,7 +169,7 @@ def test_a_large_photograph_is_sent_small_and_shown_in_its_own_pixels(
     assert max(sent["image"].values()) == 2560
     assert re.search("sent at 2384 . 2560", page.locator("#timings").inner_text())
     tallest = max((person["box"] for person in sent["persons"]), key=lambda box: box["height"])
-    size = page.locator("#facts dd").nth(1).inner_text()
+    size = page.locator("#facts dt:text('Size') + dd").inner_text()
     shown = [int(number) for number in re.findall(r"\d+", size)[:2]]
     factor = 10 * height / 2560
     assert shown == pytest.approx([tallest["width"] * factor, tallest["height"] * factor], abs=1)
