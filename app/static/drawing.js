@@ -1,7 +1,10 @@
 // Drawing on canvases: the photograph with what was found, and skeletons in two and three
 // dimensions. Nothing here knows the service.
 
-export const PEOPLE = ["#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4"];
+export const PEOPLE = [
+  "#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4",
+  "#ff5c8a", "#9d7bff", "#b4dd3c", "#c98a5a", "#8fb8ff", "#ff9fd0",
+];
 
 const SIDES = { left: "#ff8a3c", right: "#3c9dff", middle: "#9fb3b8" };
 
