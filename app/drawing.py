@@ -10,8 +10,9 @@ from app.estimates import Estimate, Person, Scene
 from index.skeleton import KeypointSet
 
 PEOPLE = (
-    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224), (25, 195, 224), (196, 196, 35),
-    (138, 92, 255), (255, 123, 157), (60, 221, 180), (90, 138, 201), (255, 184, 143), (208, 159, 255),
+    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224),
+    (25, 195, 224), (196, 196, 35), (138, 92, 255), (255, 123, 157),
+    (60, 221, 180), (90, 138, 201), (255, 184, 143), (208, 159, 255),
 )  # fmt: skip
 """Colours of people, BGR, as on the debug page; bright enough for night, dark enough for snow."""
 
