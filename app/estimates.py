@@ -48,6 +48,11 @@ class ObservedPerson:
     keypoints: ObservedKeypoints | None = None
     quarter_turns: int = 0
 
+    @property
+    def whole_box(self) -> Box:
+        """The silhouette's box, the detection's where there is no silhouette."""
+        return self.box if self.silhouette is None else self.silhouette.box
+
 
 @dataclass(frozen=True)
 class Scene:

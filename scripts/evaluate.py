@@ -6,6 +6,7 @@
     python -m scripts.evaluate growth       the same as the index grows
     python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate real         photographs and videos of ../shared/real
+    python -m scripts.evaluate actions      actions, postures and falls of tracks; Weizmann
     python -m scripts.evaluate truncation   people cut by the edge of a photograph
     python -m scripts.evaluate tracking     people followed over the frames of a fixed camera
 
@@ -29,6 +30,7 @@ EXPERIMENTS = {
     "sizing": "scripts.experiments.sizing",
     "real": "scripts.experiments.real",
     "scales": "scripts.experiments.scales",
+    "actions": "scripts.experiments.actions",
     "truncation": "scripts.experiments.truncation",
     "tracking": "scripts.experiments.tracking",
 }

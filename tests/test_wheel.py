@@ -80,6 +80,7 @@ def test_it_holds_all_that_serving_needs_and_no_more(wheel: Path) -> None:
     assert licences == {"LICENSE", "NOTICE"}
     networks = {model["file"] for model in json.loads(MODELS.read_text()).values()}
     needed = {f"app/vision/weights/{file}" for file in (*networks, "models.json", "fitted.json")}
+    needed.add("app/tracking/weights/actions.json")
     needed |= {f"index/data/{path.name}" for path in DEFAULT_PATH.iterdir()}
     needed |= {f"app/static/{path.name}" for path in (ROOT / "app" / "static").iterdir()}
     assert needed <= names

@@ -13,8 +13,9 @@ WINDOW_S = 1.0
 FEWEST = 3
 """Frames from which a velocity is computed."""
 
-LEAST_ELEVATION_DEG = 6.0
-"""Seen from lower, moving away hardly changes the height in the picture: noise would count most."""
+LEAST_ELEVATION_DEG, SURE_ELEVATION_DEG = 6.0, 20.0
+"""Seen from lower, moving away hardly changes the height in the picture: noise would count most.
+The direction bears more of it than the speed."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,13 @@ class GroundVelocity:
         Towards the right of the picture.
     away : float
         Away from the camera.
+    sure_speed : float
+        The speed, of which little is noise: from a low camera, steps away count less.
     """
 
     right: float
     away: float
+    sure_speed: float
 
     @property
     def speed(self) -> float:
@@ -38,7 +42,7 @@ class GroundVelocity:
         return float(np.hypot(self.right, self.away))
 
 
-STILL = GroundVelocity(0.0, 0.0)
+STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 
 class GroundMotion:
@@ -88,6 +92,6 @@ class GroundMotion:
         rise = np.sin(np.deg2rad(self.elevation_deg))
         least = np.sin(np.deg2rad(LEAST_ELEVATION_DEG))
         rise = np.copysign(max(abs(rise), least), rise)
-        return GroundVelocity(
-            float(times @ x * metres_per_px), float(-(times @ y) * metres_per_px / rise)
-        )
+        right, away = times @ x * metres_per_px, -(times @ y) * metres_per_px / rise
+        sure = min(1.0, abs(rise) / np.sin(np.deg2rad(SURE_ELEVATION_DEG)))
+        return GroundVelocity(float(right), float(away), float(np.hypot(right, sure * away)))

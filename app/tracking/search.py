@@ -29,8 +29,8 @@ from app.vision.segmentation.truncation import with_truncation
 SEARCH_EVERY_S = 2.0
 """Time between two searches of the whole frame."""
 
-NETWORK_CUTS = 2
-"""People whom the network cuts out on a frame that is not searched as a whole."""
+NETWORK_CUTS = 1
+"""People whom tracks expect and the network cuts out, on a frame not searched as a whole."""
 
 # Room about people in a part of the frame that is searched, as a share of their height.
 _ROOM = 0.25
@@ -41,8 +41,6 @@ _LEAST_HEIGHT = 0.8
 # Somebody slower than this, in heights a second, with less than this share of the box moving,
 # stands where they stood.
 _STILL_SPEED, _STILL_SHARE = 0.3, 0.1
-# How long somebody who stands still is believed to stand there: the detector may miss them twice.
-_RESTING_S = 2.5 * SEARCH_EVERY_S
 # How much of somebody has to be inside the frame.
 _MOSTLY = 0.7
 # How long somebody is believed to move on as expected while others hide who is who.
@@ -172,7 +170,7 @@ class PeopleSearch:
             (track, box)
             for track, box in unclear
             if all(box.iou(detection.box) < SAME_PERSON for detection in detections)
-            and _is_believed(track, box, moving, timestamp)
+            and self._is_believed(track, box, moving, timestamp)
         ]
         expected.sort(key=lambda pair: pair[0].cut_at)
         looked_at = [
@@ -207,6 +205,17 @@ class PeopleSearch:
             silhouette = by_network[place] if place < len(by_network) else None
             people.append((ObservedPerson(box, "track", None, silhouette), track))
         return people
+
+    def _is_believed(self, track: Track, box: Box, moving: MovingRegions, timestamp: float) -> bool:
+        """Whether somebody is where they are expected although nothing shows them clearly."""
+        # Somebody who has all but left the frame has left it.
+        if not track.is_confirmed or box.area < _MOSTLY * track.motion.expect(timestamp).area:
+            return False
+        if _is_still(track, box, moving):
+            # The last search of the whole frame found them, or they came to rest after it.
+            return track.motion.timestamp >= self._searched_at
+        recent = timestamp - track.motion.timestamp <= _BELIEVED_S
+        return recent and moving.moving_share(box) >= _STILL_SHARE
 
     def _next_part(
         self,
@@ -298,19 +307,6 @@ def _detected(
 def _is_still(track: Track, box: Box, moving: MovingRegions) -> bool:
     speed = float(np.hypot(*track.motion.velocity)) / box.height
     return speed < _STILL_SPEED and moving.moving_share(box) < _STILL_SHARE
-
-
-def _is_believed(track: Track, box: Box, moving: MovingRegions, timestamp: float) -> bool:
-    """Whether somebody is where they are expected although nothing shows them clearly."""
-    if not track.is_confirmed:
-        return False
-    # Somebody who has all but left the frame has left it.
-    if box.area < _MOSTLY * track.motion.expect(timestamp).area:
-        return False
-    unseen = timestamp - track.motion.timestamp
-    if _is_still(track, box, moving):
-        return unseen <= _RESTING_S
-    return unseen <= _BELIEVED_S and moving.moving_share(box) >= _STILL_SHARE
 
 
 def _is_cut(box: Box, part: Box, frame_shape: tuple[int, ...]) -> bool:

@@ -16,7 +16,7 @@ from app.estimator import Estimator
 from app.finder import Check
 from app.stopwatch import Stopwatch
 from app.tracking.association import associate
-from app.tracking.results import Event, TrackedFrame
+from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.search import PeopleSearch
 from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
@@ -35,9 +35,12 @@ FOUND_WITHIN_S = 8.0
 """A track that neither detector nor keypoints show to be a person for this long is dropped: what
 moves may be a car, or a curtain."""
 
-READ_PER_FRAME, READ_EVERY_S = 1, 0.5
-"""People whose keypoints are read on a frame: those whose last ones are oldest. Nobody's are read
-on frames on which the detector looks, unless this long ago any were read."""
+READ_PER_FRAME, READ_EVERY_S = 1, 0.25
+"""People whose keypoints are read at a time, those whose last ones are oldest, and how often."""
+
+POSES_PER_FRAME, LEAST_SHARE_OF_POSES = 3, 0.25
+"""People whose poses are searched for on a live frame, or this share of all if that is more: those
+whose last ones are oldest. The others keep theirs, at the place where they are now."""
 
 # People expected this near to the frame's edge leave it.
 _EDGE_PX = 3.0
@@ -58,11 +61,21 @@ class CameraSession:
     estimator : Estimator
     clock : callable
         Seconds, for frames without a timestamp.
+    live : bool
+        Whether frames have to be kept up with: poses are then searched for a few people a frame,
+        see :data:`POSES_PER_FRAME`, else for all.
     """
 
-    def __init__(self, estimator: Estimator, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        estimator: Estimator,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        live: bool = True,
+    ) -> None:
         self._estimator = estimator
         self._clock = clock
+        self._live = live
         self._search = PeopleSearch(estimator.finder, estimator.map_parts)
         self._tracks: list[Track] = []
         self._given_ids = 0
@@ -140,18 +153,9 @@ class CameraSession:
             found = [(person, None) for person in people]
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
-        looked = self._search.detected_at == timestamp
-        if reads and (not looked or timestamp - self._read_at >= READ_EVERY_S):
+        if reads and timestamp - self._read_at >= READ_EVERY_S:
             seen = self._with_keypoints(seen, frame, timestamp, check, stopwatch)
-        scene = Scene(frame, tuple(person for person, _ in seen))
-        persons = self._estimator.with_hypotheses(
-            scene, max(n, STATES), check, stopwatch, CANDIDATES_PER_HYPOTHESIS
-        )
-        tracked = []
-        for person, (_, track) in zip(persons, seen, strict=True):
-            result = track.update(person, timestamp)
-            shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
-            tracked.append(replace(result, person=shown))
+        tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
         return TrackedFrame(
@@ -160,7 +164,7 @@ class CameraSession:
             timestamp,
             "new" if self._frames == 1 else "warm",
             reset,
-            tuple(tracked),
+            tracked,
             events,
             {**stopwatch.milliseconds, "total": stopwatch.total()},
         )
@@ -291,6 +295,39 @@ class CameraSession:
                     track.found_at = timestamp
                 result[i] = person, track
         return result
+
+    def _with_poses(
+        self,
+        seen: list[tuple[ObservedPerson, Track]],
+        frame: NDArray[np.uint8],
+        timestamp: float,
+        n: int,
+        check: Check,
+        stopwatch: Stopwatch,
+    ) -> tuple[TrackedPerson, ...]:
+        """Search for the poses of those whose last ones are oldest; the others keep theirs."""
+        searched = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
+        if self._live:
+            most = max(POSES_PER_FRAME, math.ceil(LEAST_SHARE_OF_POSES * len(seen)))
+            # Keypoints that have just been read come first.
+            searched.sort(key=lambda i: (seen[i][0].keypoints is None, seen[i][1].posed_at))
+            searched = sorted(searched[:most])
+        scene = Scene(frame, tuple(seen[i][0] for i in searched))
+        persons = self._estimator.with_hypotheses(
+            scene, max(n, STATES), check, stopwatch, CANDIDATES_PER_HYPOTHESIS
+        )
+        found = dict(zip(searched, persons, strict=True))
+        tracked = []
+        for i, (observed, track) in enumerate(seen):
+            result = (
+                track.update(found[i], timestamp)
+                if i in found
+                else track.carry(observed, timestamp)
+            )
+            self._events += track.take_events()
+            shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
+            tracked.append(replace(result, person=shown))
+        return tuple(tracked)
 
     def _tell(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
         if track.track_id is not None:

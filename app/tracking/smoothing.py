@@ -9,7 +9,7 @@ averaged by these weights, and a line is fitted to the averages of the last fram
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ from app.facing import Facing, azimuth_deg, faces_camera
 from app.posture import VotedPosture, vote_posture
 from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
-from index.posture import camera_up
+from app.vision.people import Box
+from index.posture import RUNNING_FROM, WALKING_FROM, Posture, camera_up
 from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS
 
 STATES = 12
@@ -44,6 +45,9 @@ NEARBY_M = 0.25
 
 SHARPNESS = 0.5
 """Exponent of the states' probabilities in the average: frames are no independent evidence."""
+
+CARRIED_S = 1.0
+"""How long a pose is kept where the person is seen but not searched for."""
 
 LINE_FRAMES = 4
 """Frames through whose averages a line is fitted."""
@@ -114,6 +118,7 @@ class PoseSmoother:
     def __init__(self) -> None:
         self._ground = GroundMotion()
         self._frames: deque[_States] = deque(maxlen=LINE_FRAMES)
+        self._last: tuple[SmoothedPose, Box] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
         """Take in the track's next frame and return the pose at it.
@@ -137,10 +142,10 @@ class PoseSmoother:
         confidences = np.array([placed.confidence for placed in hypotheses])
         elevations_deg = np.array([placed.label.elevation_deg for placed in hypotheses])
         weights = (confidences + 1e-6) / (confidences + 1e-6).sum()
-        silhouette = person.observed.silhouette
+        box = person.observed.whole_box
         velocity = self._ground.update(
             timestamp,
-            silhouette.box if silhouette is not None else person.observed.box,
+            box,
             float(weights @ _px_per_m(points_3d, points_2d)),
             float(weights @ elevations_deg),
         )
@@ -166,9 +171,11 @@ class PoseSmoother:
             _confidence(*features),
             hypotheses[int(probabilities.argmax())].hypothesis.entry,
         )
+        self._last = pose, box
         front = float(np.clip(probabilities @ faces_camera(azimuth_deg(points_3d)), 0, 1))
         posture = vote_posture(
-            [placed.hypothesis.posture for placed in hypotheses], probabilities.tolist()
+            [_posture(placed.hypothesis.posture, velocity) for placed in hypotheses],
+            probabilities.tolist(),
         )
         return Smoothed(
             pose,
@@ -178,6 +185,28 @@ class PoseSmoother:
             self._ground.elevation_deg,
             features,
         )
+
+    def carried(self, box: Box, timestamp: float) -> SmoothedPose | None:
+        """The last pose, moved to where the person is in a later frame that was not searched.
+
+        Parameters
+        ----------
+        box : Box
+            Of the person in that frame.
+        timestamp : float
+            Seconds.
+
+        Returns
+        -------
+        SmoothedPose or None
+            None if the last pose is older than :data:`CARRIED_S`, or there is none.
+        """
+        if self._last is None or timestamp - self._frames[-1].timestamp > CARRIED_S:
+            return None
+        pose, before = self._last
+        moved = np.array([box.x + box.width / 2, box.bottom])
+        moved -= np.array([before.x + before.width / 2, before.bottom])
+        return replace(pose, points_2d=pose.points_2d + moved)
 
     def _append(
         self,
@@ -219,6 +248,15 @@ class PoseSmoother:
         ages = timestamp - np.array([states.timestamp for states in reversed(self._frames)])
         smoothed = _line_at_zero(ages, np.array(averages))
         return _with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
+
+
+def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
+    """The posture of a state; how fast somebody goes is seen rather than taken from its clip."""
+    if posture not in ("standing", "walking", "running"):
+        return posture
+    if velocity.sure_speed >= RUNNING_FROM:
+        return "running"
+    return "walking" if velocity.sure_speed >= WALKING_FROM else "standing"
 
 
 def _px_per_m(

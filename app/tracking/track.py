@@ -10,7 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person
-from app.tracking.results import TrackedPerson
+from app.facing import Facing
+from app.posture import VotedPosture
+from app.tracking.actions import ActionRecogniser
+from app.tracking.events import EventDetector
+from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
 from app.vision.people import Box, Silhouette
 
@@ -160,7 +164,15 @@ class Track:
         self.cut_at = -math.inf
         """When the silhouette was last cut out."""
         self.clothes = sighting.clothes
+        self.posed_at = -math.inf
+        """When poses were last searched for."""
         self._smoother = PoseSmoother()
+        self._recogniser = ActionRecogniser()
+        self._detector = EventDetector()
+        self._facing: Facing | None = None
+        self._posture: VotedPosture | None = None
+        self._action: RecognisedAction | None = None
+        self._events: list[Event] = []
 
     @property
     def is_confirmed(self) -> bool:
@@ -190,10 +202,30 @@ class Track:
 
     def update(self, person: Person, timestamp: float) -> TrackedPerson:
         """Take in the poses of this frame."""
-        if self.track_id is None:
-            raise ValueError("expected a confirmed track")
+        self.posed_at = timestamp
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
-            return TrackedPerson(person, self.track_id, self.age_frames, None, None)
+            return self.carry(person.observed, timestamp)
+        self._facing, self._posture = smoothed.facing, smoothed.posture
+        self._action = self._recogniser.update(timestamp, person, smoothed)
+        if self.track_id is not None:
+            self._events += self._detector.update(self.track_id, timestamp, smoothed.posture)
         person = replace(person, facing=smoothed.facing, posture=smoothed.posture)
-        return TrackedPerson(person, self.track_id, self.age_frames, smoothed.pose, None)
+        return self._tracked(person, smoothed.pose)
+
+    def carry(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
+        """Keep the pose of the last frames, at the place where the person is now."""
+        pose = self._smoother.carried(observed.whole_box, timestamp)
+        if pose is None:
+            return self._tracked(Person(observed, None, None, ()), None)
+        return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
+
+    def take_events(self) -> list[Event]:
+        """Return what began or ended since this was called last."""
+        events, self._events = self._events, []
+        return events
+
+    def _tracked(self, person: Person, pose: SmoothedPose | None) -> TrackedPerson:
+        if self.track_id is None:
+            raise ValueError("expected a confirmed track")
+        return TrackedPerson(person, self.track_id, self.age_frames, pose, self._action)

@@ -114,7 +114,9 @@ def film(
         for _ in range(views):
             avatar = avatars[len(filmed) % len(avatars)]
             filmed.append(
-                _film(clip, action, subjects[clip.name], poses.frame[rows], avatar, generator)
+                film_stretch(
+                    clip, action, subjects[clip.name], poses.frame[rows], avatar, generator
+                )
             )
     return filmed
 
@@ -132,7 +134,7 @@ def _stretches(poses: Poses, step: int) -> list[NDArray[np.int64]]:
     return [piece[::step] for piece in pieces if len(piece) >= LEAST_S * CLIP_FPS]
 
 
-def _film(
+def film_stretch(
     clip: Clip,
     action: str,
     subject: str,
@@ -143,8 +145,7 @@ def _film(
     """Film one stretch from one camera."""
     transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[frames])
     points = posed_points(avatar, transforms)
-    path = clip.positions[frames] * _leg_length(points[0]) / _clip_leg_length(clip)
-    path[:, 1] += _ground_gap(points, path)
+    path = on_ground(clip, frames, points)
     world = points + path[:, None]
     centre = (world.max(axis=(0, 1)) + world.min(axis=(0, 1))) / 2
     radius = float(np.linalg.norm(world - centre, axis=-1).max())
@@ -184,6 +185,15 @@ def _film(
         speeds=clip.speeds[frames],
         elevation_deg=elevation_deg,
     )
+
+
+def on_ground(
+    clip: Clip, frames: NDArray[np.int64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Way of the pelvis ``(F, 3)`` of a body ``(F, 24, 3)`` that stands on the ground."""
+    path = clip.positions[frames] * _leg_length(points[0]) / _clip_leg_length(clip)
+    path[:, 1] += _ground_gap(points, path)
+    return path
 
 
 def _draw(plane: NDArray[np.float64], avatar: Avatar) -> Silhouette:

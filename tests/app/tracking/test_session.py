@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from app.cancellation import DeadlineError
 from app.estimator import Estimator
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession, LateFrameError
+from app.tracking.session import POSES_PER_FRAME, CameraSession, LateFrameError
 from app.upload import Upload, UploadError
 from app.vision.people import Box, Detection, Silhouette, silhouette_from_mask
 from tests.conftest import build_tiny_index, png
 
 ROWS, COLUMNS = 200, 320
 PERSON = 90
-COLOURS = ((40, 40, 220), (220, 60, 40), (40, 200, 60))
+COLOURS = ((40, 40, 220), (220, 60, 40), (40, 200, 60), (40, 210, 230))
 
 
 class ColourDetector:
@@ -297,3 +297,23 @@ def test_at_most_the_hypotheses_asked_for(session: CameraSession) -> None:
     result = send(session, 0.0, (0, 50))
     hypotheses = result.persons[0].person.hypotheses
     assert len(hypotheses) == 3
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_live_frames_search_for_the_poses_of_a_few_people_in_turn(
+    loaded: Estimator, live: bool
+) -> None:
+    session = CameraSession(loaded, live=live)
+    people = [(colour, 15 + 60 * colour) for colour in range(4)]
+    counts = []
+    searched: set[int] = set()
+    for step in range(6):
+        result = send(session, step / 10, *people)
+        assert len(result.persons) == 4
+        new = {t.track_id for t in result.persons if t.person.hypotheses}
+        counts.append(len(new))
+        searched |= new
+        if step:  # Whoever was not searched for keeps the pose.
+            assert all(tracked.pose is not None for tracked in result.persons)
+    assert searched == {1, 2, 3, 4}
+    assert counts == ([POSES_PER_FRAME] * 6 if live else [4] * 6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +11,8 @@ from hypothesis import strategies as st
 
 from app.estimates import Person
 from app.facing import azimuth_deg
-from app.tracking.smoothing import PoseSmoother, Smoothed, _line_at_zero
-from index.skeleton import NATIVE, wrap_degrees
+from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed, _line_at_zero
+from index.skeleton import NATIVE, POINTS, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
 ELEVATION_DEG = 20.0
@@ -127,3 +129,34 @@ def test_a_line_is_continued_exactly(offset: float, slope: float, step: float) -
     ages = step * np.arange(4)
     values = (offset - slope * ages)[:, None, None] * np.ones((1, 2, 3))
     np.testing.assert_allclose(_line_at_zero(ages, values), offset, atol=1e-6)
+
+
+def test_a_pose_is_carried_along_with_the_person_for_a_second() -> None:
+    smoother = PoseSmoother()
+    person = person_of([seen_from(0.0)], [0.5])
+    assert smoother.carried(person.observed.box, 0.0) is None
+    before = smoother.update(person, 0.0)
+    assert before is not None
+    box = person.observed.box
+    carried = smoother.carried(replace(box, x=box.x + 8, y=box.y - 3), CARRIED_S)
+    assert carried is not None
+    np.testing.assert_allclose(carried.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
+    np.testing.assert_array_equal(carried.points_3d, before.pose.points_3d)
+    assert smoother.carried(box, CARRIED_S + 0.1) is None
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "posture"), [(0.0, "standing"), (1.2, "walking"), (3.5, "running")]
+)
+def test_how_fast_somebody_goes_is_seen_rather_than_taken_from_a_clip(
+    speed_m_s: float, posture: str
+) -> None:
+    assert follow(walkers(speed_m_s, 0.0, [-90.0]))[-1].posture.label == posture
+
+
+def test_who_sits_does_not_walk_however_fast_the_chair() -> None:
+    people = [
+        person_of([seen_from(-90.0)], [0.5], (200 + 20 * frame, 200.0), postures=["sitting"])
+        for frame in range(20)
+    ]
+    assert follow(people)[-1].posture.label == "sitting"

@@ -1,0 +1,108 @@
+"""What happens to a tracked person: they lie, they fell, they raise both arms."""
+
+from __future__ import annotations
+
+import math
+
+from app.posture import VotedPosture
+from app.tracking.results import Event, EventName, EventState
+from index.posture import Posture
+
+SETTLING_S = 0.5
+"""Time constant with which the evidence follows the frames."""
+
+BEGINS_FROM, ENDS_BELOW = 0.5, 0.2
+"""Evidence at which something begins, and at which it ends."""
+
+MOST_STEP_S = 0.2
+"""A frame stands for no more than this, however long none came: a single one decides nothing."""
+
+DOWN_WITHIN_S = 4.0
+"""From the last moment upright to the ground; who takes longer lay down."""
+
+STAYS_DOWN_S = 1.5
+"""Seconds on the ground after which somebody fell."""
+
+UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
+DOWN: tuple[Posture, ...] = ("lying", "crawling")
+"""Who fell need not lie flat."""
+
+
+class _Evidence:
+    """How much the last frames speak for something, from 0 to 1, and whether it holds."""
+
+    def __init__(self) -> None:
+        self.level = 0.0
+        self.holds = False
+        self.since = 0.0
+
+    def update(self, timestamp: float, probability: float, seconds: float) -> EventState | None:
+        """Take in a frame that stands for some seconds; return what changed."""
+        kept = math.exp(-seconds / SETTLING_S)
+        self.level = kept * self.level + (1 - kept) * probability
+        if not self.holds and self.level >= BEGINS_FROM:
+            self.holds, self.since = True, timestamp
+            return "begin"
+        if self.holds and self.level < ENDS_BELOW:
+            self.holds = False
+            return "end"
+        return None
+
+
+class EventDetector:
+    """Watches the postures of one track."""
+
+    def __init__(self) -> None:
+        self._last: float | None = None
+        self._lying, self._arms_raised = _Evidence(), _Evidence()
+        self._down, self._upright = _Evidence(), _Evidence()
+        self._upright_at: float | None = None
+        self._fallen = False
+
+    def update(self, track_id: int, timestamp: float, posture: VotedPosture) -> tuple[Event, ...]:
+        """Take in a frame of the track and return what begins or ends with it.
+
+        Parameters
+        ----------
+        track_id : int
+        timestamp : float
+            Seconds, after those of the frames before.
+        posture : VotedPosture
+            Of this frame.
+        """
+        step = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
+        self._last = timestamp
+        probability = posture.probability
+
+        def happened(event: EventName, state: EventState | None, level: float) -> list[Event]:
+            return [Event(event, track_id, state, timestamp, level)] if state else []
+
+        upright = probability if posture.label in UPRIGHT else 0.0
+        self._upright.update(timestamp, upright, step)
+        if self._upright.holds and upright:
+            self._upright_at = timestamp
+        raised = probability if posture.label == "arms_raised" else 0.0
+        events = happened(
+            "arms_raised",
+            self._arms_raised.update(timestamp, raised, step),
+            self._arms_raised.level,
+        )
+        lies = probability if posture.label == "lying" else 0.0
+        state = self._lying.update(timestamp, lies, step)
+        events += happened("lying", state, self._lying.level)
+        self._down.update(timestamp, probability if posture.label in DOWN else 0.0, step)
+        return (*events, *happened("fell", self._fell(timestamp), self._down.level))
+
+    def _fell(self, timestamp: float) -> EventState | None:
+        """Whether a fall begins or ends at this frame."""
+        down = self._down
+        if self._fallen and not down.holds:
+            self._fallen = False
+            return "end"
+        if self._fallen or not down.holds or self._upright_at is None:
+            return None
+        suddenly = 0 <= down.since - self._upright_at <= DOWN_WITHIN_S
+        if suddenly and timestamp - down.since >= STAYS_DOWN_S:
+            self._fallen = True
+            return "begin"
+        return None

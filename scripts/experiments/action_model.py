@@ -1,0 +1,343 @@
+"""How the actions of tracks are learned: motion clips as cameras and hypotheses would show them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.tracking.actions import WINDOW_S, ActionModel, window_features
+from app.tracking.measures import Measured
+from index.build.body import Avatar, pose_transforms, posed_points, retarget
+from index.build.motion import Segment
+from index.build.poses import read_poses
+from index.skeleton import JOINT_NAMES, POINT_NAMES, camera_rotation
+from scripts.experiments.sequences import CLIP_FPS, on_ground
+
+ACTIONS = (
+    "arm-circle", "jump", "jumping-jack", "knee-raise", "lie", "punch",
+    "run", "sit", "squat", "stand", "twist", "walk",
+)  # fmt: skip
+"""What is told apart: actions that two subjects or more do, each in the same sense.
+
+Not: bend, duck and kick, which mean another motion for each subject (reaching down or sideways;
+creeping or a leap from a run; football or karate); sit-down and roll, of which the second subject
+shows less than two seconds; and what one subject alone does, which nobody else can be tried on.
+"""
+
+SEVERAL_ACTIONS = ("127_25", "127_27", "127_33", "127_35")
+"""Clips under one label that show two: people run, jump once and run on."""
+
+SHORTEST_S, LONGEST_S = 1.2, 20.0
+"""Shorter stretches are left out, longer ones cut."""
+
+IDLE_BELOW = 0.3
+"""Mean speed of limbs and pelvis, metres a second, below which a person only stands.
+
+Many clips begin and end with a person who waits; these parts are learned as standing.
+"""
+
+STILL_ACTIONS = ("lie", "sit", "stand")
+
+FRAME_RATES = (5, 6, 10, 15, 30)
+TEMPO = (0.8, 1.25)
+ELEVATIONS_DEG = (2.0, 40.0)
+ELEVATION_ERROR_DEG = (-4.0, 9.0)
+"""Mean and deviation of what hypotheses take a camera's elevation for."""
+
+NOISE_M = (0.02, 0.07)
+"""Deviation of a joint's place, of which half stays and half changes within a second."""
+
+NOISE_OF_AXIS = (0.6, 0.6, 1.3)
+"""Depth is known least."""
+
+SHRINKAGE = 0.4
+"""Of the covariance towards a multiple of the identity; more than half of the features'
+dimensions are noise to a handful of subjects."""
+
+VOTE_WEIGHT = 0.15
+HOP_S = 0.5
+TEMPERATURES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+COPIES, SEED = 4, 20
+
+_PIXELS_PER_METRE = 100.0
+_LIMBS = [
+    JOINT_NAMES.index(f"{side}_{name}")
+    for side in ("left", "right")
+    for name in ("elbow", "wrist", "knee", "ankle")
+] + [0]
+_NOISE_OF_POINT = np.array([
+    1.5 if name.endswith(("wrist", "ankle", "toe"))
+    else 0.5 if name.endswith(("pelvis", "spine", "chest", "hip", "shoulder"))
+    else 1.0
+    for name in POINT_NAMES
+])[:, None]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Somebody who does one action.
+
+    Parameters
+    ----------
+    clip, subject, action : str
+    start : int
+        First frame of the clip.
+    world : (F, 24, 3) float64 array
+        World axes, metres, y up, 30 frames a second.
+    """
+
+    clip: str
+    subject: str
+    action: str
+    start: int
+    world: NDArray[np.float64]
+
+
+def read_motions(
+    folder: Path, segments: Sequence[Segment], avatars: Sequence[Avatar]
+) -> list[Motion]:
+    """Every unbroken stretch of one of :data:`ACTIONS`, on avatars in turn.
+
+    Waiting before and after is cut off and comes as standing of its own; standing comes once more,
+    laid down.
+    """
+    wanted = [s for s in segments if s.action in ACTIONS and s.clip not in SEVERAL_ACTIONS]
+    subjects = {segment.clip: segment.subject for segment in wanted}
+    poses, _ = read_poses(folder, wanted)
+    parted = (np.diff(poses.clip) != 0) | (np.diff(poses.action) != 0) | (np.diff(poses.frame) != 1)
+    bounds = [0, *(np.flatnonzero(parted) + 1).tolist(), len(poses)]
+    motions: list[Motion] = []
+    for number, (first, end) in enumerate(pairwise(bounds)):
+        clip, frames = poses.clips[poses.clip[first]], poses.frame[first:end]
+        avatar = avatars[number % len(avatars)]
+        transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[frames])
+        points = posed_points(avatar, transforms)
+        world = points + on_ground(clip, frames, points)[:, None]
+        action = poses.actions[poses.action[first]]
+        whole = Motion(clip.name, subjects[clip.name], action, int(frames[0]), world)
+        motions += _without_waiting(whole)
+    motions += [laid_down(m, turn) for m in motions if m.action == "stand" for turn in (0, 1)]
+    return [
+        piece
+        for motion in motions
+        for piece in _pieces(motion, round(LONGEST_S * CLIP_FPS))
+        if len(piece.world) >= SHORTEST_S * CLIP_FPS
+    ]
+
+
+def laid_down(motion: Motion, quarter_turns: int) -> Motion:
+    """The same on the back, turned about the body's long axis by quarters."""
+    pelvis = motion.world[:, :1]
+    angle = np.pi / 2 * quarter_turns
+    about_axis = np.array([
+        [np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)],
+    ])  # fmt: skip
+    onto_back = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    lying = (motion.world - pelvis) @ (onto_back @ about_axis).T
+    lying += pelvis * (1.0, 0.0, 1.0)
+    lying[..., 1] -= lying[..., 1].min(axis=1, keepdims=True)
+    return replace(motion, action="lie", world=lying)
+
+
+def _without_waiting(motion: Motion) -> list[Motion]:
+    """The part between waiting at the start and at the end, and both as standing."""
+    if motion.action in STILL_ACTIONS or len(motion.world) < CLIP_FPS:
+        return [motion]
+    steps = np.linalg.norm(np.diff(motion.world[:, _LIMBS], axis=0), axis=-1).mean(axis=1)
+    half = CLIP_FPS // 4
+    speeds = np.convolve(np.pad(steps, half, mode="edge"), np.ones(2 * half + 1), "valid")
+    busy = np.flatnonzero(speeds * CLIP_FPS / (2 * half + 1) > IDLE_BELOW)
+    if len(busy) == 0:
+        return [replace(motion, action="stand")]
+    first, end = int(busy[0]), int(busy[-1]) + 2
+    return [
+        replace(motion, action="stand", world=motion.world[:first]),
+        replace(motion, start=motion.start + first, world=motion.world[first:end]),
+        replace(motion, action="stand", start=motion.start + end, world=motion.world[end:]),
+    ]
+
+
+def _pieces(motion: Motion, most: int) -> list[Motion]:
+    return [
+        replace(motion, start=motion.start + first, world=motion.world[first : first + most])
+        for first in range(0, len(motion.world), most)
+    ]
+
+
+def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
+    """A motion as a camera by chance and its hypotheses would show it."""
+    tempo = generator.uniform(*TEMPO) * CLIP_FPS
+    rate = float(generator.choice(FRAME_RATES))
+    frames = np.arange(0, len(motion.world) - 1, tempo / rate)
+    before = frames.astype(int)
+    share = (frames - before)[:, None, None]
+    world = (1 - share) * motion.world[before] + share * motion.world[before + 1]
+    elevation_deg = generator.uniform(*ELEVATIONS_DEG)
+    rotation = camera_rotation(generator.uniform(0, 360), elevation_deg)
+    in_camera = world @ rotation.T
+    noise_m = generator.uniform(*NOISE_M)
+    noise = noise_m * _wandering(len(world), rate, generator)
+    points = in_camera - in_camera[:, :1] + noise * _NOISE_OF_POINT * NOISE_OF_AXIS
+    jitter = generator.normal(0, 0.3 * noise_m, (len(world), 2))
+    taken_for = max(elevation_deg + generator.normal(*ELEVATION_ERROR_DEG), 0.0)
+    return [
+        Measured(
+            number / rate,
+            points[number] - points[number, :1],
+            _PIXELS_PER_METRE * (in_camera[number, 0, :2] + jitter[number]),
+            _PIXELS_PER_METRE,
+            taken_for,
+        )
+        for number in range(len(world))
+    ]
+
+
+def _wandering(count: int, rate: float, generator: np.random.Generator) -> NDArray[np.float64]:
+    """Errors ``(count, 24, 3)`` of deviation 1.4: half constant, half forgotten in a second."""
+    kept = 0.1 ** (1 / rate)
+    errors = np.empty((count, len(POINT_NAMES), 3))
+    errors[0] = generator.normal(size=errors.shape[1:])
+    for number in range(1, count):
+        fresh = generator.normal(size=errors.shape[1:])
+        errors[number] = kept * errors[number - 1] + np.sqrt(1 - kept**2) * fresh
+    return np.asarray(errors + generator.normal(size=errors.shape[1:]))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Features of the last seconds before moments of motions.
+
+    Parameters
+    ----------
+    features : (W, D) float64 array
+    motion : (W,) int64 array
+        Which motion, as it was seen once.
+    actions, subjects : tuple of str
+        Of each of these motions.
+    """
+
+    features: NDArray[np.float64]
+    motion: NDArray[np.int64]
+    actions: tuple[str, ...]
+    subjects: tuple[str, ...]
+
+    @property
+    def labels(self) -> NDArray[np.str_]:
+        """Action ``(W,)`` of each window."""
+        return np.array(self.actions)[self.motion]
+
+    def of_subject(self, subject: str) -> NDArray[np.bool_]:
+        """Which windows ``(W,)`` show somebody."""
+        return np.asarray((np.array(self.subjects) == subject)[self.motion])
+
+
+def merged(parts: Sequence[Windows]) -> Windows:
+    """Windows of several sources together."""
+    firsts = np.cumsum([0, *(len(part.actions) for part in parts[:-1])])
+    return Windows(
+        np.concatenate([part.features for part in parts]),
+        np.concatenate([part.motion + first for part, first in zip(parts, firsts, strict=True)]),
+        tuple(action for part in parts for action in part.actions),
+        tuple(subject for part in parts for subject in part.subjects),
+    )
+
+
+def make_windows(motions: Sequence[Motion], copies: int, seed: int) -> Windows:
+    """See every motion some times and take windows from it, ``HOP_S`` apart."""
+    generator = np.random.default_rng(seed)
+    shown = [motion for motion in motions for _ in range(copies)]
+    parts = [windows_of(seen(motion, generator)) for motion in shown]
+    return Windows(
+        np.concatenate(parts),
+        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+        tuple(motion.action for motion in shown),
+        tuple(motion.subject for motion in shown),
+    )
+
+
+def windows_of(measured: Sequence[Measured]) -> NDArray[np.float64]:
+    """Features ``(W, D)`` of windows that end ``HOP_S`` apart, the last at the last pose."""
+    times = np.array([m.timestamp for m in measured])
+    ends = np.arange(times[-1], min(WINDOW_S, times[-1]) - 1e-9, -HOP_S)
+    return np.stack([
+        window_features([m for m in measured if end - WINDOW_S <= m.timestamp <= end + 1e-9])
+        for end in ends
+    ])  # fmt: skip
+
+
+def fit(windows: Windows, rows: NDArray[np.bool_], vote_weight: float = VOTE_WEIGHT) -> ActionModel:
+    """Learn linear discriminants from some windows."""
+    from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+
+    features, labels = windows.features[rows], windows.labels[rows]
+    mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-6
+    names, counts = np.unique(labels, return_counts=True)
+    # Between what the clips hold and all alike: people walk more than they squat.
+    priors = np.sqrt(counts) / np.sqrt(counts).sum()
+    model = LinearDiscriminantAnalysis(solver="lsqr", shrinkage=SHRINKAGE, priors=priors)
+    model.fit((features - mean) / spread, labels)
+    weights = model.coef_ / spread
+    return ActionModel(
+        tuple(names.tolist()), weights, model.intercept_ - weights @ mean, vote_weight
+    )
+
+
+def at_temperature(model: ActionModel, temperature: float) -> ActionModel:
+    """The same answers, less sure of them where the temperature is above 1."""
+    return replace(model, weights=model.weights / temperature, offsets=model.offsets / temperature)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """What models say of subjects whom they were not trained on.
+
+    Parameters
+    ----------
+    rows : (U,) int64 array
+        Windows whose action somebody else does as well.
+    odds : (U, A) float64 array
+        Log odds of :data:`ACTIONS`; those that the model was not taught are at -inf.
+    truth : (U,) int64 array
+    """
+
+    rows: NDArray[np.int64]
+    odds: NDArray[np.float64]
+    truth: NDArray[np.int64]
+
+    def probabilities(self, temperature: float) -> NDArray[np.float64]:
+        """Probabilities ``(U, A)``."""
+        odds = self.odds / temperature
+        odds = np.exp(odds - odds.max(axis=1, keepdims=True))
+        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
+
+
+def leave_subjects_out(windows: Windows) -> Unseen:
+    """Ask about each subject a model that was trained on all others."""
+    rows, odds = [], []
+    for subject in sorted(set(windows.subjects)):
+        held = windows.of_subject(subject)
+        model = fit(windows, ~held)
+        asked = np.flatnonzero(held & np.isin(windows.labels, model.actions))
+        answers = np.full((len(asked), len(ACTIONS)), -np.inf)
+        columns = [ACTIONS.index(action) for action in model.actions]
+        answers[:, columns] = windows.features[asked] @ model.weights.T + model.offsets
+        rows.append(asked)
+        odds.append(answers)
+    together = np.concatenate(rows)
+    truth = np.array([ACTIONS.index(label) for label in windows.labels[together]])
+    return Unseen(together, np.concatenate(odds), truth)
+
+
+def best_temperature(unseen: Unseen, candidates: Iterable[float]) -> float:
+    """The temperature at which unseen subjects' actions are likeliest."""
+
+    def loss(temperature: float) -> float:
+        given = unseen.probabilities(temperature)[np.arange(len(unseen.truth)), unseen.truth]
+        return -float(np.log(given + 1e-9).mean())
+
+    return min(candidates, key=loss)

@@ -1,0 +1,88 @@
+"""Events of a track, from the postures of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+
+from app.posture import VotedPosture
+from app.tracking.events import STAYS_DOWN_S, EventDetector
+from app.tracking.results import Event
+from index.posture import Posture
+
+FPS = 10
+
+
+def watch(
+    parts: Iterable[tuple[Posture, float]], fps: float = FPS, probability: float = 0.9
+) -> list[Event]:
+    """Events of somebody who is in each posture for some seconds."""
+    detector = EventDetector()
+    events: list[Event] = []
+    frame = 0
+    for posture, seconds in parts:
+        for _ in range(round(seconds * fps)):
+            events += detector.update(7, frame / fps, VotedPosture(posture, probability))
+            frame += 1
+    return events
+
+
+def told(events: Iterable[Event]) -> list[tuple[str, str]]:
+    return [(event.event, event.state) for event in events]
+
+
+@pytest.mark.parametrize("fps", [5, 10, 30])
+def test_who_falls_and_stays_down_fell(fps: float) -> None:
+    events = watch([("walking", 3), ("bending", 0.6), ("lying", 5)], fps)
+    assert told(events) == [("lying", "begin"), ("fell", "begin")]
+    lying, fell = events
+    assert 3.6 < lying.timestamp < 4.5
+    assert lying.timestamp + STAYS_DOWN_S <= fell.timestamp < lying.timestamp + STAYS_DOWN_S + 0.3
+    assert all(event.track_id == 7 and 0.5 <= event.probability <= 1 for event in events)
+
+
+def test_a_fall_ends_when_the_person_is_up_again() -> None:
+    events = watch([("standing", 2), ("lying", 4), ("kneeling", 1), ("standing", 3)])
+    assert told(events)[2:] == [("lying", "end"), ("fell", "end")]
+
+
+def test_who_lies_down_slowly_did_not_fall() -> None:
+    events = watch([("standing", 3), ("sitting", 6), ("lying", 5)])
+    assert told(events) == [("lying", "begin")]
+
+
+def test_who_was_never_seen_upright_did_not_fall() -> None:
+    assert told(watch([("lying", 8)])) == [("lying", "begin")]
+
+
+def test_who_gets_up_at_once_did_not_fall() -> None:
+    events = watch([("standing", 3), ("lying", 1), ("standing", 3)])
+    assert told(events) == [("lying", "begin"), ("lying", "end")]
+
+
+@pytest.mark.parametrize("posture", ["lying", "arms_raised"])
+def test_a_single_frame_begins_nothing(posture: Posture) -> None:
+    assert watch([("standing", 2), (posture, 1 / FPS), ("standing", 2)]) == []
+    # Nor at a frame every five seconds.
+    assert watch([("standing", 20), (posture, 5), ("standing", 20)], fps=0.2) == []
+
+
+def test_a_single_frame_ends_nothing() -> None:
+    events = watch([("standing", 2), ("lying", 3), ("standing", 1 / FPS), ("lying", 3)])
+    assert told(events) == [("lying", "begin"), ("fell", "begin")]
+
+
+def test_raised_arms_begin_and_end() -> None:
+    events = watch([("walking", 2), ("arms_raised", 2), ("walking", 2)])
+    assert told(events) == [("arms_raised", "begin"), ("arms_raised", "end")]
+    assert 2.2 < events[0].timestamp < 3 and 4.2 < events[1].timestamp < 5.2
+
+
+def test_doubtful_postures_are_no_events() -> None:
+    assert watch([("standing", 2), ("lying", 5)], probability=0.4) == []
+
+
+def test_who_is_down_but_not_flat_fell() -> None:
+    events = watch([("walking", 3), ("crawling", 4)])
+    assert told(events) == [("fell", "begin")]
