@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.drawing import PEOPLE, draw_skeleton, encode_png, write_text
+from app.drawing import PEOPLE, draw_skeleton, write_text
 from app.estimator import Estimator
 from app.replies import ReplyForm
 from app.settings import Settings
@@ -36,7 +36,7 @@ from index.skeleton import NATIVE
 from index.store import DEFAULT_PATH
 
 HYPOTHESES = 7
-SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 600
+SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
 EVENT_SHOWN_S = 2.0
 _USUAL_FPS = 25.0
 _WHITE = (255, 255, 255)
@@ -96,8 +96,11 @@ def _draw_captions(picture: Picture, tracked: TrackedPerson, letter: int) -> Non
     left, small = max(0, round(box.x)), letter * 2 // 3
     corner = (left, max(letter + 2, round(box.y) - 4))
     write_text(picture, str(tracked.track_id), corner, letter, _colour(tracked.track_id))
-    lines = [_words(guess.label) for guess in (posture, action) if guess is not None]
-    for line, text in enumerate(dict.fromkeys(lines), start=1):
+    lines = [_words(posture.label)] if posture else []
+    # Who walks need not be said to be walking as well.
+    if action is not None and not (posture and posture.label.startswith(action.label)):
+        lines.append(_words(action.label))
+    for line, text in enumerate(lines, start=1):
         bottom = min(picture.shape[0] - 3, round(box.bottom) + line * small * 4 // 3)
         write_text(picture, text, (min(left, picture.shape[1] - 5 * small), bottom), small, _WHITE)
 
@@ -184,7 +187,7 @@ async def track(
     VideoError
         If the rest of the video, or all of it, cannot be read; the last line says so as well.
     """
-    session, summary = CameraSession(estimator), SequenceSummary()
+    session, summary = CameraSession(estimator, live=False), SequenceSummary()
 
     def end(reason: SequenceEndReason, detail: str) -> None:
         lines.write(sequence_line(sequence_end_reply(summary, reason, detail)))
@@ -226,7 +229,8 @@ async def track_file(options: argparse.Namespace, settings: Settings) -> None:
         async with open_video(file, options.stride, settings.max_pixels, _DECODING_S) as reader:
             await track(reader, estimator, outputs, lines, options.max_frames, progress)
     if options.sheet and outputs.cells:
-        options.sheet.write_bytes(encode_png(contact_sheet(outputs.cells)))
+        sheet = contact_sheet(outputs.cells)
+        cv2.imwrite(str(options.sheet), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
 def _announced(video: Path) -> tuple[int, float]:

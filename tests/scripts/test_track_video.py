@@ -71,7 +71,7 @@ def test_a_video_is_tracked_annotated_and_summarised(
     assert changed[rows, columns].mean() > 5 * changed[500:, 500:].mean()
     picture = cv2.imread(str(sheet))
     assert picture is not None
-    assert picture.shape == (450, 3 * track_video.CELL_PX, 3)
+    assert picture.shape == (300, 3 * track_video.CELL_PX, 3)
 
 
 def test_what_is_no_video_is_told(
