@@ -10,7 +10,9 @@ from app.estimates import Estimate, Person, Scene
 from index.skeleton import KeypointSet
 
 PEOPLE = (
-    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224), (25, 195, 224), (196, 196, 35),
+    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224),
+    (25, 195, 224), (196, 196, 35), (138, 92, 255), (255, 123, 157),
+    (60, 221, 180), (90, 138, 201), (255, 184, 143), (208, 159, 255),
 )  # fmt: skip
 """Colours of people, BGR, as on the debug page; bright enough for night, dark enough for snow."""
 
@@ -54,7 +56,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
         width = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0]
         left = max(0, min(round(box.x), picture.shape[1] - width))
         corner = left, max(letter + 2, round(box.y) - 2 - line)
-        _write(picture, text, corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
+        write_text(picture, text, corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
     return np.vstack([picture, _legend(picture.shape[1], letter)])
 
 
@@ -94,19 +96,34 @@ def _legend(width: int, letter: int) -> NDArray[np.uint8]:
     left = letter
     for name, colour in LEGEND:
         cv2.line(strip, (left, 3 * letter // 2), (left + letter, 3 * letter // 2), colour, 3)
-        left = _write(strip, name, (left + 3 * letter // 2, 2 * letter), letter, (235, 235, 235))
+        left = write_text(
+            strip, name, (left + 3 * letter // 2, 2 * letter), letter, (235, 235, 235)
+        )
         left += letter
     return strip
 
 
-def _write(
+def write_text(
     picture: NDArray[np.uint8],
     text: str,
     corner: tuple[int, int],
     letter: int,
     colour: tuple[int, int, int],
 ) -> int:
-    """Write with a dark outline from the bottom left corner; return the column where it ends."""
+    """Write with a dark outline from the bottom left corner; return the column where it ends.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 array
+        Changed.
+    text : str
+    corner : (int, int)
+        Column and row, pixels.
+    letter : int
+        Height of a capital letter, pixels.
+    colour : (int, int, int)
+        BGR.
+    """
     scale, line = letter / _FONT_PX, max(1, letter // 9)
     for width, paint in ((line + 2, (0, 0, 0)), (line, colour)):
         cv2.putText(picture, text, corner, _FONT, scale, paint, width, cv2.LINE_AA)

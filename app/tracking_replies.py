@@ -46,6 +46,11 @@ def sequence_end_reply(
     )
 
 
+def sequence_line(reply: schemas.SequenceLine) -> bytes:
+    """Write a line of the answer to a video."""
+    return reply.model_dump_json().encode() + b"\n"
+
+
 def camera_reply(camera: CameraSummary) -> schemas.CameraState:
     """Describe a camera session."""
     return schemas.CameraState(

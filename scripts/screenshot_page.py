@@ -1,9 +1,10 @@
-"""Screenshots of the debug page with a real result, on a desktop and on a phone.
+"""Screenshots of the debug page with real results, on a desktop and on a phone.
 
     python -m scripts.screenshot_page [--shared ../shared] [--frame 540] [--output docs]
 
-Needs the extra ``browser`` and Debian's Chromium. The frame shown is one of the PETS 2009 scene
-``vtest.avi`` that OpenCV ships (Apache-2.0); the pictures may be passed on.
+Needs the extra ``browser`` and Debian's Chromium. Shown are a frame of the PETS 2009 scene
+``vtest.avi`` that OpenCV ships (Apache-2.0), and the seconds after it as a video; the pictures may
+be passed on.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ import argparse
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from index.store import DEFAULT_PATH
 from scripts.load.server import ServerProcess
@@ -23,6 +26,7 @@ from scripts.load.server import ServerProcess
 SCREENS = {"desktop": (1280, 900), "phone": (390, 844)}
 FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
 SLOWEST_MS = 120_000
+VIDEO_FRAMES = 80
 
 
 def save_frame(video: Path, number: int, path: Path) -> None:
@@ -35,8 +39,27 @@ def save_frame(video: Path, number: int, path: Path) -> None:
     cv2.imwrite(str(path), frame)
 
 
-def photograph(browser: Browser, url: str, frame: Path, screen: tuple[int, int], out: Path) -> None:
-    """Give the page a frame, wait for the result and save a screenshot."""
+def save_video(video: Path, number: int, path: Path) -> None:
+    """Write some frames of a video in a format that browsers play."""
+    capture = cv2.VideoCapture(str(video))
+    capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+    size = (
+        int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+        int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+    )
+    codec = cv2.VideoWriter.fourcc(*"VP80")
+    writer = cv2.VideoWriter(str(path), codec, capture.get(cv2.CAP_PROP_FPS), size)
+    for _ in range(VIDEO_FRAMES):
+        found, frame = capture.read()
+        if not found:
+            raise SystemExit(f"screenshot_page: {video} has no {VIDEO_FRAMES} frames from {number}")
+        writer.write(frame)
+    writer.release()
+
+
+@contextmanager
+def open_page(browser: Browser, url: str, screen: tuple[int, int]) -> Iterator[Page]:
+    """Open the page as a desktop or a phone shows it."""
     width, height = screen
     phone = width < 600
     context = browser.new_context(
@@ -47,16 +70,31 @@ def photograph(browser: Browser, url: str, frame: Path, screen: tuple[int, int],
     )
     page = context.new_page()
     page.goto(url)
-    page.set_input_files("#file", str(frame))
-    page.locator("#hypotheses .card").first.wait_for(timeout=SLOWEST_MS)
-    page.wait_for_load_state("networkidle")
-    # Seen a little from the side, a skeleton shows that it has depth.
-    page.locator("#solid").focus()
+    yield page
+    context.close()
+
+
+def turn_a_little(page: Page, skeleton: str) -> None:
+    """Turn a skeleton: seen a little from the side, it shows that it has depth."""
+    page.locator(skeleton).focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
     page.evaluate("document.activeElement.blur()")
-    page.screenshot(path=out, full_page=True)
-    context.close()
+
+
+def show_photograph(page: Page, frame: Path) -> None:
+    """Give the page a frame and wait for the result."""
+    page.set_input_files("#file", str(frame))
+    page.locator("#hypotheses .card").first.wait_for(timeout=SLOWEST_MS)
+    page.wait_for_load_state("networkidle")
+    turn_a_little(page, "#solid")
+
+
+def show_video(page: Page, video: Path) -> None:
+    """Give the page a video and wait until it has been played."""
+    page.set_input_files("#file", str(video))
+    page.get_by_text("The end, after").wait_for(timeout=SLOWEST_MS)
+    turn_a_little(page, "#live-solid")
 
 
 def main() -> int:
@@ -71,15 +109,24 @@ def main() -> int:
     if chromium is None:
         raise SystemExit("screenshot_page: needs Chromium: apt-get install chromium")
     with tempfile.TemporaryDirectory() as folder, ServerProcess(options.index) as server:
+        source = options.shared / "real" / "vtest" / "vtest.avi"
         frame = Path(folder) / f"street-{options.frame}.jpg"
-        save_frame(options.shared / "real" / "vtest" / "vtest.avi", options.frame, frame)
+        video = Path(folder) / "street.webm"
+        save_frame(source, options.frame, frame)
+        save_video(source, options.frame, video)
         server.wait_until_ready()
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
             for name, screen in SCREENS.items():
-                out = options.output / f"page-{name}.png"
-                photograph(browser, server.url, frame, screen, out)
-                print(out)
+                for kind, show, file in (
+                    ("", show_photograph, frame),
+                    ("-video", show_video, video),
+                ):
+                    out = options.output / f"page{kind}-{name}.png"
+                    with open_page(browser, server.url, screen) as page:
+                        show(page, file)
+                        page.screenshot(path=out, full_page=True)
+                    print(out)
             browser.close()
     return 0
 

@@ -40,7 +40,7 @@ from app.schemas import Evidence
 from app.tracking.results import TrackedFrame
 from app.tracking.sequence import SequenceSummary
 from app.tracking.session import CameraSession
-from app.tracking_replies import sequence_end_reply, sequence_frame_reply
+from app.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
 from app.upload import Upload
 from app.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
@@ -267,7 +267,7 @@ class _Sequence:
             self._runtime.metrics.observe_stages(tracked.timings_ms)
             self._runtime.metrics.observe_persons(person.person for person in tracked.persons)
             reply = sequence_frame_reply(tracked, frame.number, self._estimator.index, self._form)
-            return tracked, _line(reply)
+            return tracked, sequence_line(reply)
 
         while True:
             try:
@@ -281,13 +281,9 @@ class _Sequence:
                 return line
 
     def _end(self, reason: SequenceEndReason, detail: str) -> bytes:
-        return _line(sequence_end_reply(self._summary, reason, detail))
+        return sequence_line(sequence_end_reply(self._summary, reason, detail))
 
 
 async def _until_cancelled() -> None:
     """Wait: if the client hangs up, the whole answer is cancelled."""
     await asyncio.Event().wait()
-
-
-def _line(line: SequenceLine) -> bytes:
-    return line.model_dump_json().encode() + b"\n"

@@ -1,11 +1,17 @@
 // Drawing on canvases: the photograph with what was found, and skeletons in two and three
 // dimensions. Nothing here knows the service.
 
-export const PEOPLE = ["#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4"];
+export const PEOPLE = [
+  "#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4",
+  "#ff5c8a", "#9d7bff", "#b4dd3c", "#c98a5a", "#8fb8ff", "#ff9fd0",
+];
 
 const SIDES = { left: "#ff8a3c", right: "#3c9dff", middle: "#9fb3b8" };
 
 const OBSERVED = "#ffffff";
+
+/** Skeletons of a single frame, beside smoothed ones. */
+const RAW = "#ffffff";
 
 export const personColour = (number) => PEOPLE[number % PEOPLE.length];
 
@@ -22,13 +28,14 @@ function bones(keypoints) {
   });
 }
 
-/** A skeleton flat on a canvas; `place` takes a joint to canvas pixels. */
-export function drawFlat(context, joints, keypoints, place, width) {
+/** A skeleton flat on a canvas; `place` takes a joint to canvas pixels; `plain` is a colour for all
+ * bones. */
+export function drawFlat(context, joints, keypoints, place, width, plain = null) {
   context.lineCap = "round";
   for (const pass of ["edge", "bone"]) {
     for (const { parent, child, colour } of bones(keypoints)) {
       if (!joints[parent] || !joints[child]) continue;
-      context.strokeStyle = pass === "edge" ? "rgb(0 0 0 / 0.75)" : colour;
+      context.strokeStyle = pass === "edge" ? "rgb(0 0 0 / 0.75)" : plain ?? colour;
       context.lineWidth = pass === "edge" ? width * 1.8 : width;
       context.beginPath();
       context.moveTo(...place(joints[parent]));
@@ -101,35 +108,43 @@ function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, s
   if (shown.silhouettes && silhouettes) context.drawImage(silhouettes, 0, 0, width, height);
   answer.persons.forEach((found, number) => {
     const chosen = number === person;
-    // Lines that can be seen, but do not hide somebody small.
-    const bone = Math.max(Math.min(2 * line, found.box.height / 30), found.box.height / 70);
-    if (shown.boxes) {
-      // The service counts from pixel centres, a canvas from pixel corners.
-      const { x, y, width: w, height: h } = found.box;
-      context.strokeStyle = personColour(number);
-      context.lineWidth = chosen ? line * 2 : line;
-      context.strokeRect(x + 0.5, y + 0.5, w, h);
-    }
+    const bone = boneWidth(found.box, line);
+    if (shown.boxes) drawBox(context, found.box, personColour(number), chosen ? line * 2 : line);
     const pose = found.hypotheses[chosen ? hypothesis : 0];
     if (shown.skeleton && pose) {
-      drawFlat(context, pose.joints_2d, answer.keypoints, ({ x, y }) => [x + 0.5, y + 0.5], bone);
+      drawFlat(context, pose.joints_2d, answer.keypoints, fromCorners, bone);
     }
     if (shown.observed) drawObserved(context, found.observed_keypoints, 0.8 * bone);
   });
-  if (shown.numbers) answer.persons.forEach((found, number) => drawNumber(context, found.box, number, line));
+  if (!shown.numbers) return;
+  answer.persons.forEach(({ box }, number) => {
+    drawLabel(context, box, String(number + 1), personColour(number), line);
+  });
 }
 
-/** A person's number above the box, or inside where the frame ends. */
-function drawNumber(context, { x, y }, number, line) {
+/** Text about a person above the box, or inside where the frame ends. */
+function drawLabel(context, { x, y }, text, colour, line) {
   context.font = `700 ${line * 9}px system-ui, sans-serif`;
   context.lineJoin = "round";
   context.lineWidth = line * 2.5;
   context.strokeStyle = "rgb(0 0 0 / 0.8)";
-  context.fillStyle = personColour(number);
-  const label = [String(number + 1), x + 0.5, Math.max(y - line * 2, line * 8)];
+  context.fillStyle = colour;
+  const label = [text, x + 0.5, Math.max(y - line * 2, line * 8)];
   context.strokeText(...label);
   context.fillText(...label);
 }
+
+function drawBox(context, { x, y, width, height }, colour, line) {
+  context.strokeStyle = colour;
+  context.lineWidth = line;
+  // The service counts from pixel centres, a canvas from pixel corners.
+  context.strokeRect(x + 0.5, y + 0.5, width, height);
+}
+
+const fromCorners = ({ x, y }) => [x + 0.5, y + 0.5];
+
+/** How wide bones are that can be seen, but do not hide somebody small. */
+const boneWidth = (box, line) => Math.max(Math.min(2 * line, box.height / 30), box.height / 70);
 
 /** Where a canvas shows an image that it holds whole: pixels of the screen for one of the image,
  * and the edges of the image. */
@@ -152,6 +167,25 @@ export function drawStage(canvas, scene) {
   const context = canvas.getContext("2d");
   context.setTransform(scale, 0, 0, scale, 0, 0);
   drawLayers(context, scene, 1.6 / fitted(canvas, scene.answer.image).scale);
+}
+
+/** A frame of a camera with its tracks: boxes, and smoothed skeletons, those of the frame or both. */
+export function drawTracks(canvas, { photo, answer, shown, chosen }) {
+  const { width, height } = answer.image;
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  const context = canvas.getContext("2d");
+  context.drawImage(photo, 0, 0, width, height);
+  const line = 1.6 / fitted(canvas, answer.image).scale;
+  for (const { box, track_id: id, pose, hypotheses } of answer.persons) {
+    const bone = boneWidth(box, line);
+    if (shown.boxes) drawBox(context, box, personColour(id - 1), id === chosen ? 2 * line : line);
+    const draw = (joints, plain) => drawFlat(context, joints, answer.keypoints, fromCorners, bone, plain);
+    if (shown.raw && hypotheses.length) draw(hypotheses[0].joints_2d, shown.smoothed ? RAW : undefined);
+    if (shown.smoothed && pose) draw(pose.joints_2d);
+  }
+  for (const { box, track_id: id } of answer.persons) {
+    drawLabel(context, box, String(id), personColour(id - 1), line);
+  }
 }
 
 /** The chosen person, filling the canvas: in a street they are small. */

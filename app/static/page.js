@@ -1,4 +1,4 @@
-// The debug page: a photograph in, what the service made of it out.
+// The debug page: a photograph or a video in, what the service made of it out.
 
 import {
   drawCloseUp, drawStage, drawThumbnail, fitted, personColour, Solid, tint,
@@ -7,6 +7,7 @@ import { inPixelsOf, prepare } from "./photograph.js";
 import {
   curlCommand, describeEntry, describeIndex, entrySilhouette, estimatePose,
 } from "./service.js";
+import { SessionView } from "./session_view.js";
 
 const $ = (id) => document.getElementById(id);
 const solid = new Solid($("solid"));
@@ -16,7 +17,8 @@ const state = { upload: null, bitmap: null, answer: null, silhouettes: null, per
 // The upload last asked about, and how to stop asking.
 let latest = null;
 let asking = null;
-let webcam = null;
+
+const film = new SessionView({ options: () => options(), complain, tell, bringIntoView });
 
 const options = () => ({
   count: Number($("count").value),
@@ -75,6 +77,7 @@ async function ask(upload) {
   asking = new AbortController();
   const { signal } = asking;
   latest = upload;
+  showFilm(false);
   const notes = [upload.note, limitCount()];
   const chosen = options();
   complain(null);
@@ -85,7 +88,7 @@ async function ask(upload) {
     const { bitmap, files, original } = await upload.prepared;
     const answered = await estimatePose(files, { ...chosen, signal });
     if (signal.aborted) return;
-    const isNew = upload !== state.upload && !upload.sameScene;
+    const isNew = upload !== state.upload;
     show(upload, bitmap, answered, original);
     $("curl").textContent = curlCommand(upload, chosen);
     if (!answered.persons.length) {
@@ -93,7 +96,7 @@ async function ask(upload) {
     }
     tell(notes);
     working(false);
-    if (isNew && answered.persons.length) bringIntoView();
+    if (isNew && answered.persons.length) bringIntoView($("result"));
   } catch (error) {
     if (signal.aborted) return;
     working(false);
@@ -103,9 +106,24 @@ async function ask(upload) {
   }
 }
 
+/** Show the session of a video rather than a photograph, or the other way round. */
+function showFilm(whether) {
+  $("count-label").hidden = whether;
+  if (!whether) {
+    film.hide();
+    return;
+  }
+  asking?.abort();
+  latest = null;
+  complain(null);
+  working(false);
+  $("result").hidden = true;
+  document.body.classList.add("has-result");
+}
+
 function working(whether) {
   $("result").classList.toggle("busy", whether);
-  $("busy").hidden = !whether || Boolean(webcam);
+  $("busy").hidden = !whether;
 }
 
 /** Show an answer, in pixels of the photograph even if that was sent smaller. */
@@ -114,9 +132,7 @@ function show(upload, bitmap, answered, original) {
   // As the command shown gives it, which asks for no silhouettes.
   for (const { silhouette } of answered.persons) if (silhouette) silhouette.rle = null;
   const answer = original ? inPixelsOf(original, answered) : answered;
-  const person = upload.sameScene
-    ? Math.min(state.person, Math.max(0, answer.persons.length - 1)) : largest(answer.persons);
-  Object.assign(state, { upload, bitmap, answer, silhouettes, person, hypothesis: 0 });
+  Object.assign(state, { upload, bitmap, answer, silhouettes, person: largest(answer.persons), hypothesis: 0 });
   state.sent = original && answered.image;
   $("result").hidden = false;
   document.body.classList.add("has-result");
@@ -131,10 +147,10 @@ function setStale(stale) {
 }
 
 /** On a narrow screen the result begins below what fits. */
-function bringIntoView() {
+function bringIntoView(result) {
   if (!matchMedia("(max-width: 44rem)").matches) return;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-  ($("note").hidden ? $("result") : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
+  ($("note").hidden ? result : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
 }
 
 /** Who to look at first: whoever stands nearest to the camera. */
@@ -303,34 +319,6 @@ function draw() {
   drawCloseUp($("close-up"), { ...scene, shown: { ...scene.shown, boxes: false, numbers: false } });
 }
 
-/** Frames from the webcam, one after another, as fast as they are answered. */
-async function toggleWebcam() {
-  if (webcam) {
-    webcam.getTracks().forEach((track) => track.stop());
-    webcam = null;
-    $("webcam").textContent = "Use the webcam";
-    return;
-  }
-  try {
-    webcam = await navigator.mediaDevices.getUserMedia({ video: { width: 640, height: 480 } });
-  } catch (error) {
-    complain(new Error(`The webcam cannot be used: ${error.message || error}`));
-    return;
-  }
-  $("webcam").textContent = "Stop the webcam";
-  const video = $("video");
-  video.srcObject = webcam;
-  await video.play();
-  const shot = document.createElement("canvas");
-  while (webcam) {
-    Object.assign(shot, { width: video.videoWidth, height: video.videoHeight });
-    shot.getContext("2d").drawImage(video, 0, 0);
-    const blob = await new Promise((done) => shot.toBlob(done, "image/jpeg", 0.9));
-    await ask({ frame: new File([blob], "webcam.jpg", { type: "image/jpeg" }), sameScene: true });
-    await new Promise((wake) => setTimeout(wake, 150));
-  }
-}
-
 async function copy(text, what) {
   try {
     await navigator.clipboard.writeText(text);
@@ -342,9 +330,24 @@ async function copy(text, what) {
   }
 }
 
-/** What was dropped, pasted or chosen: a photograph, and what other files are named for. */
+const isVideo = ({ type, name }) => type.startsWith("video/")
+  || (!type && /\.(avi|flv|m4v|mkv|mov|mp4|mpe?g|ogv|ts|webm|wmv)$/i.test(name));
+
+const leftOut = (files, shown) => {
+  const names = [...files].filter((file) => !shown.includes(file)).map(({ name }) => name);
+  return names.length
+    ? `One photograph or video at a time: ${shown[0].name} is shown, ${names.join(", ")} left out.` : "";
+};
+
+/** What was dropped, pasted or chosen: a video, or a photograph and what other files are named for. */
 function take(files) {
   if (!files.length) return;
+  const video = [...files].find(isVideo);
+  if (video) {
+    showFilm(true);
+    film.playFile(video, leftOut(files, [video]));
+    return;
+  }
   const images = [...files].filter((file) => file.type.startsWith("image/") || !file.type);
   const named = (word) => images.length > 1 ? images.find((file) => word.test(file.name)) : undefined;
   const mask = named(/mask/i);
@@ -352,18 +355,12 @@ function take(files) {
   const frame = images.find((file) => file !== mask && file !== plate);
   if (!frame) {
     complain(new Error(images.length
-      ? "A photograph of people is missing beside the mask or background." : "That is no picture file."));
+      ? "A photograph of people is missing beside the mask or background." : "That is neither a picture nor a video."));
     return;
   }
-  if (webcam) toggleWebcam();
   // A mask says where people are, and leaves a background nothing to say.
   const background = mask ? undefined : plate;
-  const used = [frame, mask, background];
-  const left = [...files].filter((file) => !used.includes(file)).map((file) => file.name);
-  ask({
-    frame, mask, background,
-    note: left.length ? `One photograph at a time: ${frame.name} is shown, ${left.join(", ")} left out.` : "",
-  });
+  ask({ frame, mask, background, note: leftOut(files, [frame, mask, background]) });
 }
 
 $("file").addEventListener("change", () => {
@@ -402,6 +399,7 @@ $("key").addEventListener("change", () => {
   complain(null);
   untilReady();
   if (latest) ask(latest);
+  else film.again();
 });
 for (const id of ["show-boxes", "show-silhouettes", "show-skeleton", "show-observed"]) {
   $(id).addEventListener("change", draw);
@@ -417,7 +415,14 @@ $("stage").addEventListener("click", (event) => {
     showPersons();
   }
 });
-$("webcam").addEventListener("click", toggleWebcam);
+$("webcam").addEventListener("click", () => {
+  if (film.isLive) {
+    film.stop();
+  } else {
+    showFilm(true);
+    film.playWebcam();
+  }
+});
 $("straight").addEventListener("click", () => {
   $("spin").checked = false;
   solid.straighten();

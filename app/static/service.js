@@ -1,9 +1,10 @@
 // Calls to the service. Paths are relative, so the page also works behind a proxy's prefix.
 
 export class Problem extends Error {
-  constructor(problem) {
+  constructor(problem, retryAfterS = 0) {
     super(problem.detail || problem.title);
     this.status = problem.status;
+    this.retryAfterS = retryAfterS;
   }
 }
 
@@ -21,7 +22,7 @@ async function answer(path, options = {}, key = "") {
   try {
     problem = { ...problem, ...await response.json() };
   } catch { /* Something between here and the service has answered. */ }
-  throw new Problem(problem);
+  throw new Problem(problem, Number(response.headers.get("Retry-After")) || 0);
 }
 
 function form({ frame, mask, background }) {
@@ -36,15 +37,29 @@ export async function describeIndex(key) {
   return (await answer("index", {}, key)).json();
 }
 
-function posePath({ count, keypoints, evidence }) {
+function query({ count, keypoints, evidence }) {
   const chosen = evidence === "photograph" ? "" : `&evidence=${evidence}`;
-  return `pose?n=${count}&keypoints=${keypoints}${chosen}`;
+  return `n=${count}&keypoints=${keypoints}${chosen}`;
 }
+
+const posePath = (chosen) => `pose?${query(chosen)}`;
 
 /** The answer, each person with a silhouette as COCO's run lengths. */
 export async function estimatePose(files, { key, signal, ...chosen }) {
   const path = `${posePath(chosen)}&silhouettes=rle`;
   return (await answer(path, { method: "POST", body: form(files), signal }, key)).json();
+}
+
+/** The answer to a frame of a camera; `session` is `new` where the camera starts afresh with it. */
+export async function trackFrame(camera, jpeg, timestamp, { key, signal, ...chosen }) {
+  const path = `cameras/${camera}/frames?timestamp=${timestamp}&${query({ ...chosen, count: 1 })}`;
+  const response = await answer(path, { method: "POST", body: jpeg, signal }, key);
+  return { ...await response.json(), session: response.headers.get("X-Session") };
+}
+
+/** End a camera session, even while the page is being left. */
+export async function forgetCamera(camera, key) {
+  await answer(`cameras/${camera}`, { method: "DELETE", keepalive: true }, key).catch(() => {});
 }
 
 export async function describeEntry(entry, key) {
@@ -60,4 +75,9 @@ export function curlCommand({ frame, mask, background }, { keyed, ...chosen }) {
   const part = (field, file) => `-F '${`${field}=@${file.name || "photo.jpg"}`.replaceAll("'", "'\\''")}' `;
   return `curl ${keyed ? "-H \"X-API-Key: $KEY\" " : ""}${part("frame", frame)}`
     + `${mask ? part("mask", mask) : ""}${background ? part("background", background) : ""}'${url}'`;
+}
+
+export function videoCommand({ name }) {
+  const url = new URL("sequence", document.baseURI);
+  return `curl -N -F 'video=@${name.replaceAll("'", "'\\''")}' '${url}'`;
 }

@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from app.estimator import Estimator
 from app.executor import Item, Map, Result
+from app.facing import azimuth_deg
 from app.process import configure_process
 from app.settings import Settings
-from app.tracking.results import TrackedFrame
+from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.upload import Upload
+from index.skeleton import JOINTS, wrap_degrees
 
 FRAMES_PER_S = 10.0
 CONTACT_EVERY, CONTACT_WIDTH, CONTACT_COLUMNS = 10, 512, 4
@@ -36,6 +38,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=None, help="play only the first ones")
     parser.add_argument("--rounds", type=int, default=1, help="play it several times over")
     parser.add_argument("--n", type=int, default=7, help="hypotheses of each person")
+    parser.add_argument("--all", action="store_true", help="poses of all on every frame, as videos")
     parser.add_argument("--evidence", choices=("photograph", "silhouette"), default="photograph")
     parser.add_argument("--sheets", type=Path, help="folder for annotated contact sheets")
     parser.add_argument(
@@ -49,7 +52,7 @@ def main() -> None:
     configure_process()
     estimator = Estimator.load(Settings(), two_threads())
     estimator.warm_up()
-    session = CameraSession(estimator)
+    session = CameraSession(estimator, live=not options.all)
     frames = 0
     for number in range(options.rounds):
         report = Report()
@@ -112,6 +115,9 @@ class Report:
         self.found_by: dict[str, int] = defaultdict(int)
         self.tracks: dict[int, list[int]] = defaultdict(list)
         self.overlaps: list[float] = []
+        self.changes_m: dict[str, list[float]] = {"alone": [], "smooth": []}
+        self.flips: dict[str, list[bool]] = {"alone": [], "smooth": []}
+        self._last: dict[tuple[str, int], NDArray[np.float64]] = {}
         self.pictures: list[NDArray[np.uint8]] = []
 
     def add(
@@ -126,6 +132,7 @@ class Report:
             observed = tracked.person.observed
             self.tracks[tracked.track_id].append(number)
             self.found_by[observed.source] += 1
+            self._compare(tracked)
             self.cut_by[observed.silhouette.segmenter if observed.silhouette else "none"] += 1
         if estimator is None or number % every:
             return
@@ -138,6 +145,22 @@ class Report:
                 first = silhouette.mask(result.frame.shape)
                 second = by_network.mask(result.frame.shape)
                 self.overlaps.append(float((first & second).sum() / (first | second).sum()))
+
+    def _compare(self, tracked: TrackedPerson) -> None:
+        """Compare a person's poses with the last ones: how far joints moved, who turned round."""
+        poses = {}
+        if tracked.person.hypotheses:
+            poses["alone"] = tracked.person.hypotheses[0].hypothesis.points_3d
+        if tracked.pose is not None:
+            poses["smooth"] = tracked.pose.points_3d
+        for kind, pose in poses.items():
+            before = self._last.get((kind, tracked.track_id))
+            self._last[kind, tracked.track_id] = pose
+            if before is not None:
+                ways = np.linalg.norm(pose[:JOINTS] - before[:JOINTS], axis=1)
+                self.changes_m[kind].append(float(ways.mean()))
+                turned = wrap_degrees(azimuth_deg(pose) - azimuth_deg(before))
+                self.flips[kind].append(bool(np.abs(turned) > 90))
 
     def summary(self) -> str:
         """Figures of the round."""
@@ -154,6 +177,13 @@ class Report:
             ),
             f"  found by {dict(self.found_by)}, cut out by {dict(self.cut_by)}",
             f"  {len(lengths)} tracks, of lengths {lengths}",
+        ]
+        lines += [
+            f"  {kind}: 3D change from pose to pose mean {1000 * np.mean(changes):.0f} mm, median "
+            f"{1000 * np.median(changes):.0f} mm; front/back flips {100 * np.mean(flips):.1f} %"
+            for (kind, changes), flips in zip(
+                self.changes_m.items(), self.flips.values(), strict=True
+            )
         ]
         if self.overlaps:
             lines.append(

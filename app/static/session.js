@@ -1,0 +1,156 @@
+// A video or a webcam as a camera session: its frames go to the service one after another, at the
+// pace at which they are answered.
+
+import { forgetCamera, trackFrame } from "./service.js";
+
+/** The service looks for people in no more pixels than this. */
+const LONGEST_PX = 1280;
+
+/** A file is slowed down so that at least this many frames of each of its seconds are sent. */
+const LEAST_FPS = 8;
+const SLOWEST = 0.1;
+
+const RETRY_S = 1;
+
+/** Answers that a later attempt may improve: no answer at all, too slow, too much to do. */
+const PASSING = [0, 408, 429, 502, 503, 504];
+
+const newCameraId = () => "page-"
+  + [...crypto.getRandomValues(new Uint8Array(6))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+
+export class Session {
+  #video;
+  #options;
+  #leaving = new AbortController();
+  #wake = () => {};
+  #started = performance.now();
+  #newest = -1;
+  #sent = -1;
+  #held = false;
+  #interval = 0;
+
+  /**
+   * @param video The element that plays; its source is set.
+   * @param live Whether it is a webcam, which cannot be slowed down.
+   * @param options Returns what to ask for, and the API key.
+   */
+  constructor(video, { live, options }) {
+    this.#video = video;
+    this.#options = options;
+    this.live = live;
+    this.camera = newCameraId();
+  }
+
+  /** Play and yield `{answer, photo, seconds}` of each frame or `{trouble}` that may pass; throws
+   * what does not pass. */
+  async* answers() {
+    const { signal } = this.#leaving;
+    // Two in turns: one is on show while the other is on its way.
+    const shots = [new OffscreenCanvas(1, 1), new OffscreenCanvas(1, 1)];
+    const wake = () => this.#wake();
+    const look = () => this.#playOrPause();
+    this.#video.addEventListener("ended", wake, { signal });
+    document.addEventListener("visibilitychange", look, { signal });
+    addEventListener("pagehide", () => this.stop(), { signal });
+    await this.#video.play();
+    // The first frame takes longest.
+    if (!this.live) this.#video.playbackRate = SLOWEST;
+    this.#watch();
+    while (await this.#nextFrame()) {
+      const timestamp = this.#newest;
+      const begun = performance.now();
+      try {
+        const photo = shots[0];
+        const jpeg = await this.#capture(photo);
+        const answer = await trackFrame(this.camera, jpeg, timestamp.toFixed(4), { ...this.#options(), signal });
+        this.#sent = timestamp;
+        shots.reverse();
+        this.#keepPace((performance.now() - begun) / 1000);
+        yield { answer, photo };
+      } catch (error) {
+        if (signal.aborted) break;
+        if (!PASSING.includes(error.status)) throw error;
+        yield { trouble: error };
+        await this.#pause(error.retryAfterS || RETRY_S);
+      }
+    }
+  }
+
+  get held() {
+    return this.#held;
+  }
+
+  /** Stop at a frame for a while, or go on. */
+  hold(whether) {
+    this.#held = whether;
+    this.#playOrPause();
+  }
+
+  /** Frames answered in a second of the clock on the wall. */
+  get framesPerSecond() {
+    return this.#interval ? 1 / this.#interval : 0;
+  }
+
+  /** End it, and have the service forget it. */
+  stop() {
+    if (this.#leaving.signal.aborted) return;
+    this.#leaving.abort();
+    this.#video.pause();
+    this.#wake();
+    forgetCamera(this.camera, this.#options().key);
+  }
+
+  /** Know the time of the frame on show, in seconds. */
+  #watch() {
+    const note = (_, frame) => {
+      if (this.#leaving.signal.aborted) return;
+      // Webcams count from anywhere, and some not at all.
+      this.#newest = this.live ? (performance.now() - this.#started) / 1000
+        : frame?.mediaTime ?? this.#video.currentTime;
+      this.#wake();
+      next();
+    };
+    const next = () => this.#video.requestVideoFrameCallback?.(note) ?? setTimeout(note, 30);
+    note();
+  }
+
+  /** Wait for a frame that has not been sent; false at the end. */
+  async #nextFrame() {
+    while (!this.#leaving.signal.aborted) {
+      if (this.#newest > this.#sent && !this.#held) return true;
+      if (this.#video.ended) return false;
+      await new Promise((wake) => { this.#wake = wake; });
+    }
+    return false;
+  }
+
+  /** Draw the frame on show on a canvas, and return it as JPEG. */
+  #capture(canvas) {
+    const { videoWidth, videoHeight } = this.#video;
+    const scale = Math.min(1, LONGEST_PX / Math.max(videoWidth, videoHeight));
+    const [width, height] = [Math.round(videoWidth * scale), Math.round(videoHeight * scale)];
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    canvas.getContext("2d").drawImage(this.#video, 0, 0, width, height);
+    return canvas.convertToBlob({ type: "image/jpeg", quality: 0.85 });
+  }
+
+  #keepPace(seconds) {
+    this.#interval = this.#interval ? 0.7 * this.#interval + 0.3 * seconds : seconds;
+    if (!this.live) {
+      const rate = Math.min(1, Math.max(SLOWEST, 1 / (LEAST_FPS * this.#interval)));
+      this.#video.playbackRate = Math.round(rate * 20) / 20;
+    }
+  }
+
+  #playOrPause() {
+    if (this.#held || (document.hidden && !this.live)) this.#video.pause();
+    else this.#video.play().catch(() => {});
+    this.#wake();
+  }
+
+  async #pause(seconds) {
+    if (!this.live) this.#video.pause();
+    await new Promise((wake) => { setTimeout(wake, 1000 * seconds); });
+    if (!this.#leaving.signal.aborted) this.#playOrPause();
+  }
+}
