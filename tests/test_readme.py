@@ -148,4 +148,4 @@ def test_it_works(command: str, service: Server, folder: Path) -> None:
     elif content_type.startswith("application/json") and "|" not in command:
         json.loads(content)
     else:
-        assert content
+        assert bool(content) == (status != "204")

@@ -75,7 +75,9 @@ def kinds(index: PoseIndex) -> list[Kind]:
         Kind(
             "camera, frame of no use",
             0.01,
-            post("/cameras/soak-0/frames", [{"frame": noise[0]}, {"frame": frames[0], "mask": small}]),
+            post(
+                "/cameras/soak-0/frames", [{"frame": noise[0]}, {"frame": frames[0], "mask": small}]
+            ),
         ),
         Kind(
             "camera, late frame",
