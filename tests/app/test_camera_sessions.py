@@ -217,6 +217,7 @@ class TestState:
         assert yard.memory_bytes > 0
         response = client.delete("/cameras/yard")
         assert (response.status_code, response.content) == (204, b"")
+        assert "content-type" not in response.headers
         assert send(client, photo, "yard").headers["x-session"] == "new"
 
     def test_unknown_cameras_are_told(self, client: TestClient) -> None:
