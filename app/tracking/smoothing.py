@@ -113,11 +113,29 @@ class _States:
 
 
 class PoseSmoother:
-    """Smooths the poses of one track, frame by frame."""
+    """Smooths the poses of one track, frame by frame.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    states : int
+        See :data:`STATES`, as the others by their names.
+    cost_per_m, direction_weight : float
+    line_frames : int
+    """
+
+    def __init__(
+        self,
+        *,
+        states: int = STATES,
+        cost_per_m: float = COST_PER_M,
+        direction_weight: float = DIRECTION_WEIGHT,
+        line_frames: int = LINE_FRAMES,
+    ) -> None:
+        self._states = states
+        self._cost_per_m = cost_per_m
+        self._direction_weight = direction_weight
         self._ground = GroundMotion()
-        self._frames: deque[_States] = deque(maxlen=LINE_FRAMES)
+        self._frames: deque[_States] = deque(maxlen=line_frames)
         self._last: tuple[SmoothedPose, Box] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
@@ -136,7 +154,7 @@ class PoseSmoother:
         """
         if not person.hypotheses or person.facing is None:
             return None
-        hypotheses = person.hypotheses[:STATES]
+        hypotheses = person.hypotheses[: self._states]
         points_3d = np.array([placed.hypothesis.points_3d for placed in hypotheses])
         points_2d = np.array([placed.points_2d for placed in hypotheses])
         confidences = np.array([placed.confidence for placed in hypotheses])
@@ -155,7 +173,7 @@ class PoseSmoother:
         going = min(1.0, (velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S))
         if going > 0:
             cosines = _cosines(points_3d, elevations_deg, velocity)
-            log_evidence = log_evidence + DIRECTION_WEIGHT * going * (cosines - 1) / 2
+            log_evidence = log_evidence + self._direction_weight * going * (cosines - 1) / 2
         self._append(timestamp, points_3d, confidences, log_evidence)
 
         log_probabilities = self._frames[-1].log_forward
@@ -219,7 +237,8 @@ class PoseSmoother:
         log_moves, log_forward = None, log_evidence
         if self._frames:
             last = self._frames[-1]
-            log_moves = _log_moves(last.points_3d, points_3d, timestamp - last.timestamp)
+            cost_per_m = self._cost_per_m * min(1.0, 1 / (RATE * (timestamp - last.timestamp)))
+            log_moves = _log_moves(last.points_3d, points_3d, cost_per_m)
             log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
         self._frames.append(
@@ -286,11 +305,10 @@ def _cosines(
 
 
 def _log_moves(
-    before: NDArray[np.float64], after: NDArray[np.float64], seconds: float
+    before: NDArray[np.float64], after: NDArray[np.float64], cost_per_m: float
 ) -> NDArray[np.float64]:
     """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
     ways = np.linalg.norm(before[:, None, :JOINTS] - after[None, :, :JOINTS], axis=-1).mean(axis=-1)
-    cost_per_m = COST_PER_M * min(1.0, 1 / (RATE * seconds))
     return np.asarray(-np.minimum(cost_per_m * ways, MOST_COST))
 
 
