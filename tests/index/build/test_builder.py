@@ -28,6 +28,7 @@ from index.build.builder import (
     split_by_clip,
     spread,
 )
+from index.build.lying import SIDES
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import Poses, joints_of, read_poses
 from index.posture import LOW, POSTURES, classify
@@ -226,7 +227,8 @@ def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> 
     one, two = (load_index(tmp_path / name) for name in ("one", "two"))
     assert one.version == two.version
     assert len(one) == 480
-    assert set(one.actions) == {"basketball", "jump", "walk"}
+    laid_down = {f"lie-on-{side}" for side in SIDES}
+    assert set(one.actions) == {"basketball", "jump", "walk"} | laid_down
     for file in (tmp_path / "one").iterdir():
         assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
 
