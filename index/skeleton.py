@@ -155,6 +155,17 @@ def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17)}
 
 
+def mean_joint_distance(
+    points: NDArray[np.float64], others: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mean distances ``(...)`` between the joints of skeletons ``(..., P, D)``, broadcast.
+
+    Points beyond the 19 joints are left out.
+    """
+    joints = np.s_[..., :JOINTS, :]
+    return np.asarray(np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1))
+
+
 def wrap_degrees(angle_deg: ArrayLike) -> NDArray[np.float64]:
     """The same angles from -180 up to 180 degrees."""
     return np.asarray((np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0)

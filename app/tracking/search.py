@@ -178,11 +178,12 @@ class PeopleSearch:
             *(Detection(box, 0.0) for _, box in expected[: max(0, NETWORK_CUTS - len(detections))]),
         ]
         with stopwatch.stage("segment"):
-            found = moving.silhouettes([*(d.box for d in detections), *(s.box for s in clear)])
+            found: list[Silhouette | None] = []
+            if detections:
+                boxes = [*(d.box for d in detections), *(s.box for s in clear)]
+                found = moving.silhouettes(boxes)[: len(detections)]
             cuts = self._cut_out(
-                frame,
-                looked_at,
-                [*found[: len(detections)], *[None] * (len(looked_at) - len(detections))],
+                frame, looked_at, [*found, *[None] * (len(looked_at) - len(detections))]
             )
         flagged = with_truncation(
             [*clear, *cuts],

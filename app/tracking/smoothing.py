@@ -21,7 +21,7 @@ from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
 from app.vision.people import Box
 from index.posture import RUNNING_FROM, WALKING_FROM, Posture, camera_up
-from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS
+from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS, mean_joint_distance
 
 STATES = 12
 """Hypotheses of each frame that are states; with 7 tracks are less smooth, 30 are no better."""
@@ -222,9 +222,7 @@ class PoseSmoother:
         if self._last is None or timestamp - self._frames[-1].timestamp > CARRIED_S:
             return None
         pose, before = self._last
-        moved = np.array([box.x + box.width / 2, box.bottom])
-        moved -= np.array([before.x + before.width / 2, before.bottom])
-        return replace(pose, points_2d=pose.points_2d + moved)
+        return replace(pose, points_2d=pose.points_2d + (box.foot - before.foot))
 
     def _append(
         self,
@@ -308,7 +306,7 @@ def _log_moves(
     before: NDArray[np.float64], after: NDArray[np.float64], cost_per_m: float
 ) -> NDArray[np.float64]:
     """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
-    ways = np.linalg.norm(before[:, None, :JOINTS] - after[None, :, :JOINTS], axis=-1).mean(axis=-1)
+    ways = mean_joint_distance(before[:, None], after[None])
     return np.asarray(-np.minimum(cost_per_m * ways, MOST_COST))
 
 
@@ -325,8 +323,7 @@ def _nearness(
     points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """How near states ``(N,)`` are to the most probable one, 0 to 1."""
-    best = points_3d[log_probabilities.argmax()]
-    apart = np.linalg.norm(points_3d[:, :JOINTS] - best[:JOINTS], axis=-1).mean(axis=-1)
+    apart = mean_joint_distance(points_3d, points_3d[log_probabilities.argmax()])
     return np.asarray(np.exp(-((apart / NEARBY_M) ** 2) / 2))
 
 

@@ -46,7 +46,7 @@ class MotionFilter:
     """
 
     def __init__(self, box: Box, timestamp: float) -> None:
-        self._place = _foot(box)
+        self._place = box.foot
         self._size = np.array([box.width, box.height])
         self.timestamp = timestamp
         """Of the last correction, in seconds."""
@@ -72,7 +72,7 @@ class MotionFilter:
         elapsed = timestamp - self.timestamp
         expected = self._expected_place(elapsed)
         growth = np.array([box.width, box.height]) - self._size
-        error = _foot(box) - expected
+        error = box.foot - expected
         self._place = expected + _PLACE_GAIN * error
         # The longer the gap, the more of the error is due to the velocity alone.
         gain = _VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
@@ -83,10 +83,6 @@ class MotionFilter:
     def _expected_place(self, elapsed: float) -> NDArray[np.float64]:
         travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))
         return np.asarray(self._place + travel * self.velocity)
-
-
-def _foot(box: Box) -> NDArray[np.float64]:
-    return np.array([box.x + box.width / 2, box.bottom])
 
 
 def clothes_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:

@@ -59,6 +59,11 @@ class Box:
         """Width times height, in square pixels."""
         return self.width * self.height
 
+    @property
+    def foot(self) -> NDArray[np.float64]:
+        """Middle of the lower edge ``(2,)``, where a person stands."""
+        return np.array([self.x + self.width / 2, self.bottom])
+
     def intersection(self, other: Box) -> float:
         """Area shared with another box, in square pixels."""
         width = min(self.right, other.right) - max(self.x, other.x)

@@ -45,7 +45,7 @@ from scripts.experiments.action_model import (
     read_motions,
     windows_of,
 )
-from scripts.experiments.sequences import CLIP_FPS, FPS, Filmed, film_stretch
+from scripts.experiments.sequences import CLIP_FPS, FPS, Filmed, film_stretch, unbroken_stretches
 
 LEFT_OUT_TOGETHER = (
     ("13",),
@@ -154,7 +154,7 @@ def film_actions(
     poses = _poses(motion, segments)
     counts: Counter[tuple[str, str]] = Counter()
     films: list[Filmed] = []
-    for rows in _stretches(poses):
+    for rows in unbroken_stretches(poses):
         clip, action = poses.clips[poses.clip[rows[0]]], poses.actions[poses.action[rows[0]]]
         subject = subjects[clip.name]
         counts[subject, action] += 1
@@ -179,7 +179,7 @@ def film_falls(
     poses = _poses(motion, segments)
     upright = [
         rows
-        for rows in _stretches(poses)
+        for rows in unbroken_stretches(poses)
         if poses.actions[poses.action[rows[0]]] in TIPPED_ACTIONS
         and len(rows) > (BEFORE_S + 0.5) * CLIP_FPS
     ]
@@ -277,12 +277,6 @@ def match_films(
 def _poses(motion: Path, segments: Sequence[Segment]) -> Poses:
     wanted = [s for s in segments if s.action in ACTIONS and s.clip not in SEVERAL_ACTIONS]
     return read_poses(motion, wanted)[0]
-
-
-def _stretches(poses: Poses) -> list[NDArray[np.int64]]:
-    """Rows of unbroken motion of one action."""
-    parted = (np.diff(poses.clip) != 0) | (np.diff(poses.action) != 0) | (np.diff(poses.frame) != 1)
-    return np.split(np.arange(len(poses)), np.flatnonzero(parted) + 1)
 
 
 def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:

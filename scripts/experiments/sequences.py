@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +107,7 @@ def film(
     """
     generator = np.random.default_rng(seed)
     filmed: list[Filmed] = []
-    for rows in _stretches(poses, CLIP_FPS // fps):
+    for rows in _pieces(poses, CLIP_FPS // fps):
         clip = poses.clips[poses.clip[rows[0]]]
         action = poses.actions[poses.action[rows[0]]]
         for _ in range(views):
@@ -121,15 +120,19 @@ def film(
     return filmed
 
 
-def _stretches(poses: Poses, step: int) -> list[NDArray[np.int64]]:
-    """Rows of unbroken motion of one action, every ``step``-th frame."""
+def unbroken_stretches(poses: Poses) -> list[NDArray[np.int64]]:
+    """Rows of unbroken motion of one action, stretch by stretch."""
     parted = (np.diff(poses.clip) != 0) | (np.diff(poses.action) != 0) | (np.diff(poses.frame) != 1)
-    bounds = [0, *(np.flatnonzero(parted) + 1).tolist(), len(poses)]
+    return np.split(np.arange(len(poses)), np.flatnonzero(parted) + 1)
+
+
+def _pieces(poses: Poses, step: int) -> list[NDArray[np.int64]]:
+    """Rows of stretches cut to length, every ``step``-th frame."""
     most = round(MOST_S * CLIP_FPS)
     pieces = [
-        np.arange(first, min(first + most, end))
-        for start, end in pairwise(bounds)
-        for first in range(start, end, most)
+        rows[first : first + most]
+        for rows in unbroken_stretches(poses)
+        for first in range(0, len(rows), most)
     ]
     return [piece[::step] for piece in pieces if len(piece) >= LEAST_S * CLIP_FPS]
 

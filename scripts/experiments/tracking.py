@@ -34,7 +34,7 @@ from index.build.calibrate import expected_calibration_error
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
 from index.confidence import RIGHT_BELOW_PX
-from index.skeleton import JOINTS, exchange_sides, wrap_degrees
+from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.experiments.report import table, write
 from scripts.experiments.sequences import FPS, Filmed, film
@@ -89,12 +89,12 @@ class Followed:
 
     def errors_m(self) -> NDArray[np.float64]:
         """Mean joint errors ``(F,)`` in metres."""
-        return _mean_distance(self.points_3d, self.filmed.points_3d)
+        return mean_joint_distance(self.points_3d, self.filmed.points_3d)
 
     def errors_px(self) -> NDArray[np.float64]:
         """Mean joint errors ``(F,)`` in pixels of the normalised frame."""
         scales = np.array([_to_normalised(s) for s in self.filmed.silhouettes])
-        return scales * _mean_distance(self.points_2d, self.filmed.points_2d)
+        return scales * mean_joint_distance(self.points_2d, self.filmed.points_2d)
 
     def front_back(self) -> NDArray[np.bool_]:
         """Frames ``(F,)`` in which the body faces the other half of the horizon."""
@@ -103,16 +103,16 @@ class Followed:
 
     def left_right(self) -> NDArray[np.bool_]:
         """Frames ``(F,)`` that face the right way with the limbs of left and right exchanged."""
-        exchanged = _mean_distance(exchange_sides(self.points_3d), self.filmed.points_3d)
+        exchanged = mean_joint_distance(exchange_sides(self.points_3d), self.filmed.points_3d)
         return ~self.front_back() & (exchanged < EXCHANGED * self.errors_m())
 
     def changes_m(self) -> NDArray[np.float64]:
         """Mean ways ``(F - 1,)`` of the joints from frame to frame."""
-        return _mean_distance(self.points_3d[1:], self.points_3d[:-1])
+        return mean_joint_distance(self.points_3d[1:], self.points_3d[:-1])
 
     def true_changes_m(self) -> NDArray[np.float64]:
         """As they truly are."""
-        return _mean_distance(self.filmed.points_3d[1:], self.filmed.points_3d[:-1])
+        return mean_joint_distance(self.filmed.points_3d[1:], self.filmed.points_3d[:-1])
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
@@ -330,11 +330,6 @@ def _mean_speed(filmed: Filmed) -> float:
     path = filmed.world[:, 0][:, [0, 2]]
     seconds = max(float(filmed.timestamps[-1]), 1e-9)
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) / seconds
-
-
-def _mean_distance(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    joints = np.s_[..., :JOINTS, :]
-    return np.asarray(np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1))
 
 
 def _to_normalised(silhouette: Silhouette) -> float:

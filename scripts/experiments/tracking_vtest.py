@@ -9,8 +9,7 @@ import argparse
 import gc
 import resource
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -18,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimator import Estimator
-from app.executor import Item, Map, Result
+from app.executor import Executor
 from app.facing import azimuth_deg
 from app.process import configure_process
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.upload import Upload
-from index.skeleton import JOINTS, wrap_degrees
+from index.skeleton import mean_joint_distance, wrap_degrees
 
 FRAMES_PER_S = 10.0
 CONTACT_EVERY, CONTACT_WIDTH, CONTACT_COLUMNS = 10, 512, 4
@@ -50,7 +49,9 @@ def main() -> None:
     )
     options = parser.parse_args()
     configure_process()
-    estimator = Estimator.load(Settings(), two_threads())
+    settings = Settings()
+    executor = Executor(settings.concurrency, settings.queue_length, settings.request_timeout_s)
+    estimator = Estimator.load(settings, executor.map)
     estimator.warm_up()
     session = CameraSession(estimator, live=not options.all)
     frames = 0
@@ -68,31 +69,7 @@ def main() -> None:
         print(f"  resident {resident_mb():.0f} MB, session {session.memory_bytes / 1e6:.1f} MB")
     if options.sheets:
         report.save_sheets(options.sheets)
-
-
-def two_threads() -> Map:
-    """Work on the parts of a frame by this thread and a helper, as a quiet service does."""
-    helper = ThreadPoolExecutor(1)
-
-    def map_parts(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
-        waiting = list(enumerate(items))
-        results: dict[int, Result] = {}
-
-        def work() -> None:
-            while waiting:
-                try:
-                    place, item = waiting.pop(0)
-                except IndexError:  # The other thread took the last one.
-                    return
-                results[place] = function(item)
-
-        count = len(waiting)
-        helped = helper.submit(work)
-        work()
-        helped.result()
-        return [results[place] for place in range(count)]
-
-    return map_parts
+    executor.shut_down()
 
 
 def encoded_frames(video: Path, limit: int | None) -> Iterator[tuple[int, bytes]]:
@@ -157,8 +134,7 @@ class Report:
             before = self._last.get((kind, tracked.track_id))
             self._last[kind, tracked.track_id] = pose
             if before is not None:
-                ways = np.linalg.norm(pose[:JOINTS] - before[:JOINTS], axis=1)
-                self.changes_m[kind].append(float(ways.mean()))
+                self.changes_m[kind].append(float(mean_joint_distance(pose, before)))
                 turned = wrap_degrees(azimuth_deg(pose) - azimuth_deg(before))
                 self.flips[kind].append(bool(np.abs(turned) > 90))
 
