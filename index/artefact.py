@@ -17,6 +17,7 @@ import numpy as np
 
 from descriptor.descriptor import restore
 from index.folders import clear_left_overs, lock, replace_folder
+from index.neighbours import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -67,8 +68,15 @@ def save_index(index: PoseIndex, path: Path) -> str:
     return version
 
 
-def load_index(path: Path) -> PoseIndex:
+def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
     """Read and verify an index.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the artefact.
+    searched_by : Neighbours, optional
+        Searches its vectors; by default exactly, in this process.
 
     Raises
     ------
@@ -78,7 +86,7 @@ def load_index(path: Path) -> PoseIndex:
     path = Path(path)
     manifest = _read_manifest(path)
     try:
-        return _restore(manifest, _read_files(path, dict(manifest["files"])))
+        return _restore(manifest, _read_files(path, dict(manifest["files"])), searched_by)
     except ArtefactError:
         raise
     except KeyError as error:
@@ -119,7 +127,9 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
         return {name: future.result() for name, future in read.items()}
 
 
-def _restore(manifest: dict[str, Any], files: dict[str, Any]) -> PoseIndex:
+def _restore(
+    manifest: dict[str, Any], files: dict[str, Any], searched_by: Neighbours | None
+) -> PoseIndex:
     learned = {
         name.removeprefix("descriptor-"): array
         for name, array in files.items()
@@ -146,6 +156,7 @@ def _restore(manifest: dict[str, Any], files: dict[str, Any]) -> PoseIndex:
         ),
         parameters=manifest["parameters"],
         version=manifest["version"],
+        searched_by=searched_by,
     )
 
 

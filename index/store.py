@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Any
 
-# With several OpenMP threads FAISS answers a single query more slowly and less exactly.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import faiss
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
 from index.keypoint_search import SEARCHED, KeypointSearch
+from index.neighbours import ExactNeighbours, Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
 
@@ -38,29 +34,13 @@ ENTRY_DTYPE = np.dtype(
     ]
 )
 
-STEPS = np.float32(8)
-"""Values of descriptors are multiples of 1/8, far below what noise does to them: files compress to
-a quarter, and a byte holds each value exactly."""
-
-_LARGEST_STEP = 128
-
 _BLOCK = 8192
 
 
-def _flat(vectors: NDArray[np.float32]) -> Any:
-    """An exhaustive search of any vectors ``(E, D)``."""
-    flat = faiss.IndexFlatL2(vectors.shape[1])
-    flat.add(vectors)
-    return flat
-
-
-def _in_bytes(steps: NDArray[np.float32]) -> Any:
-    """An exhaustive search of whole numbers below 128: as exact, in half the time."""
-    kind = faiss.ScalarQuantizer.QT_8bit_direct_signed
-    exhaustive = faiss.IndexScalarQuantizer(steps.shape[1], kind, faiss.METRIC_L2)
-    exhaustive.train(steps[:1])
-    exhaustive.add(steps)
-    return exhaustive
+def _compact(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The same vectors in half precision where that holds them exactly."""
+    half = vectors.astype(np.float16)
+    return half if np.array_equal(half, vectors) else vectors.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -136,6 +116,8 @@ class PoseIndex:
         JSON values: the settings of the build, and what was fitted in it.
     version : str
         ``sha256:`` and the hash of the content; empty unless the index was loaded.
+    searched_by : Neighbours, optional
+        Searches ``vectors``; by default exactly, in this process.
     """
 
     name: str
@@ -150,12 +132,13 @@ class PoseIndex:
     silhouette_store: Silhouettes
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
+    searched_by: InitVar[Neighbours | None] = None
+    neighbours: Neighbours = field(init=False, repr=False, compare=False)
+    """The search among ``vectors``."""
     keypoint_search: KeypointSearch = field(init=False, repr=False, compare=False)
     """Search for entries by keypoints."""
-    _exhaustive: Any = field(init=False, repr=False, compare=False)
-    _steps: np.float32 = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, searched_by: Neighbours | None) -> None:
         count = len(self.entries)
         expected = (count, self.descriptor.dimension)
         if count == 0:
@@ -174,13 +157,11 @@ class PoseIndex:
                 f"expected skeletons below {len(self.skeletons)}, an entry names "
                 f"{self.entries['skeleton'].max()}"
             )
-        steps = self.vectors * STEPS
-        whole = np.array_equal(steps, np.rint(steps)) and np.abs(steps).max() < _LARGEST_STEP
-        object.__setattr__(self, "_steps", STEPS if whole else np.float32(1))
-        object.__setattr__(self, "_exhaustive", _in_bytes(steps) if whole else _flat(self.vectors))
-        # Half precision holds whole steps exactly.
-        vectors = self.vectors.astype(np.float16 if whole else np.float32)
-        object.__setattr__(self, "vectors", vectors)
+        neighbours = ExactNeighbours(self.vectors) if searched_by is None else searched_by
+        if len(neighbours) != count:
+            raise ValueError(f"expected a search of {count} vectors, got one of {len(neighbours)}")
+        object.__setattr__(self, "neighbours", neighbours)
+        object.__setattr__(self, "vectors", _compact(self.vectors))
         object.__setattr__(self, "keypoint_search", KeypointSearch(self._searched_points()))
 
     def __len__(self) -> int:
@@ -207,17 +188,18 @@ class PoseIndex:
             The variant each was found for.
         """
         queries, variants, dimension = vectors.shape
-        scaled = np.ascontiguousarray(vectors * self._steps, np.float32).reshape(-1, dimension)
-        squared, numbers = self._exhaustive.search(scaled, min(k, len(self)))
+        flat = np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
+        squared, numbers = self.neighbours.search(flat, min(k, len(self)))
         squared, numbers = squared.reshape(queries, -1), numbers.reshape(queries, -1)
         variant = np.arange(variants).repeat(numbers.shape[1] // variants)
         variant = np.broadcast_to(variant, numbers.shape)
         # Equal distances: the first variant first, then the first entry.
         order = np.lexsort((numbers, variant, squared))[:, :k]
-        squared, numbers, variant = (
-            np.take_along_axis(array, order, axis=1) for array in (squared, numbers, variant)
+        distances, numbers, variant = (
+            np.take_along_axis(array, order, axis=1)
+            for array in (np.sqrt(np.maximum(squared, 0)), numbers, variant)
         )
-        return np.sqrt(np.maximum(squared, 0)) / self._steps, numbers, variant
+        return distances, numbers, variant
 
     def roll_deg(
         self, numbers: NDArray[np.integer], mirrored: NDArray[np.bool_]

@@ -31,10 +31,11 @@ from index.build.poses import (
 )
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
+from index.neighbours import STEPS
 from index.posture import LOW, POSTURES, classify
 from index.silhouettes import Silhouettes
 from index.skeleton import BODY_UP
-from index.store import STEPS, PoseIndex
+from index.store import PoseIndex
 
 ATTRIBUTION = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "
