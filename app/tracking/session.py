@@ -38,7 +38,7 @@ moves may be a car, or a curtain."""
 READ_PER_FRAME, READ_EVERY_S = 1, 0.25
 """People whose keypoints are read at a time, those whose last ones are oldest, and how often."""
 
-POSES_PER_FRAME, LEAST_SHARE_OF_POSES = 3, 0.25
+POSES_PER_FRAME, LEAST_SHARE_OF_POSES = 2, 0.25
 """People whose poses are searched for on a live frame, or this share of all if that is more: those
 whose last ones are oldest. The others keep theirs, at the place where they are now."""
 

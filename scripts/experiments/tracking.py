@@ -61,8 +61,11 @@ VARIANTS: dict[str, dict[str, float]] = {
 }
 """What is left out of smoothing, to see what it is worth."""
 
-CARRIED = "poses searched for on every second frame"
-"""As live sessions do where six people are in view."""
+CARRIED = {
+    "poses searched for on every second frame": 2,
+    "poses searched for on every third frame": 3,
+}
+"""As live sessions do where four or six people are in view."""
 
 HEADER = (
     "frames", "2D (px)", "right (%)", "3D (mm)", "front/back flipped (%)",
@@ -196,14 +199,14 @@ def _beside_truth(filmed: Filmed, poses: Sequence[SmoothedPose]) -> Followed:
     )
 
 
-def carried(filmed: Filmed, persons: Sequence[Person]) -> Followed:
-    """The smooth poses of every second frame, kept on the frames between."""
+def carried(filmed: Filmed, persons: Sequence[Person], every: int) -> Followed:
+    """The smooth poses of one frame in ``every``, kept on the frames between."""
     smoother = PoseSmoother()
     poses: list[SmoothedPose] = []
     for frame, (person, timestamp) in enumerate(
         zip(persons, filmed.timestamps.tolist(), strict=True)
     ):
-        if frame % 2 == 0:
+        if frame % every == 0:
             update = smoother.update(person, timestamp)
             pose = update.pose if update else None
         else:
@@ -251,7 +254,10 @@ def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out
                        for filmed, people in pairs])
         for name, left_out in VARIANTS.items()
     }  # fmt: skip
-    variants[CARRIED] = summary([carried(filmed, people) for filmed, people in pairs])
+    variants |= {
+        name: summary([carried(filmed, people, every) for filmed, people in pairs])
+        for name, every in CARRIED.items()
+    }
     alone_2d, smooth_2d = ([track.points_2d for track in those] for those in (single, tracks))
     draw_sequences(sequences, alone_2d, smooth_2d, out / "tracking.png")
     write(out, "tracking", COMMAND, [
@@ -267,9 +273,9 @@ def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out
         "*Beyond the true motion*: how much more the joints move between frames than they truly "
         "do. ECE: expected calibration error of the confidence.",
         table(["sequences", "", *HEADER], rows),
-        "## What each part is worth\n\nAll sequences, smooth. Where more than three people are in "
-        "view, a live session searches for the poses of three a frame, in turn: the last line is "
-        "for six.",
+        "## What each part is worth\n\nAll sequences, smooth. Where more than two people are in "
+        "view, a live session searches for the poses of two a frame, in turn: the last lines are "
+        "for four and six.",
         table(["", *HEADER], [[name, *_cells(values)] for name, values in variants.items()]),
         "## What limits it\n\nWhere nobody goes anywhere, nothing but the silhouette tells front "
         "from back: a track settles on the side that most frames prefer, which is the wrong one "
