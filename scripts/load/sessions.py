@@ -39,7 +39,7 @@ class Followed:
 
     frames: list[dict[str, Any]] = field(default_factory=list)
     sessions: list[str] = field(default_factory=list)
-    statuses: Counter[int] = field(default_factory=Counter)
+    answers: Counter[str] = field(default_factory=Counter)
     milliseconds: list[float] = field(default_factory=list)
 
 
@@ -53,7 +53,7 @@ def follow(url: str, camera: str, frames: Sequence[bytes]) -> Followed:
         while status == 503:
             started = time.perf_counter()
             status, headers, body = client.exchange(call)
-            told.statuses[status] += 1
+            told.answers["200" if status == 200 else _problem(status, body)] += 1
             if status == 503:
                 time.sleep(0.05)
         told.milliseconds.append((time.perf_counter() - started) * 1000)
@@ -61,6 +61,11 @@ def follow(url: str, camera: str, frames: Sequence[bytes]) -> Followed:
         told.frames.append(json.loads(body) if status == 200 else {})
     client.close()
     return told
+
+
+def _problem(status: int, body: bytes) -> str:
+    beginning = " ".join(json.loads(body)["detail"].split()[:5])
+    return f"{status} ({beginning} ...)"
 
 
 def follow_all(url: str, parts: Sequence[Sequence[bytes]], name: str) -> list[Followed]:
@@ -156,21 +161,22 @@ def _conclude(
     memory: Sequence[float],
     write: bool,
 ) -> int:
-    statuses = sum((told.statuses for told in together), Counter[int]())
-    if odd := {status: n for status, n in statuses.items() if status not in (200, 503)}:
+    answers = sum((told.answers for told in together), Counter[str]())
+    if odd := [answer for answer in answers if answer[:3] not in ("200", "503")]:
         failed.append(f"answers: {odd}")
     if (growth := memory[-1] / memory[min(1, len(memory) - 1)] - 1) > MOST_GROWTH:
         failed.append(f"memory grew by {100 * growth:.1f} %")
-    answered = statuses[200]
+    refusals = ", ".join(f"{n} x {what}" for what, n in answers.items() if what != "200")
     people = sum(len(frame.get("persons", ())) for told in together for frame in told.frames)
     alone_ms = [ms for told in alone for ms in told.milliseconds]
     together_ms = [ms for told in together for ms in told.milliseconds]
+    told = f"{answers['200']} frames, {people} people; in between {refusals or 'no refusals'}"
     body = f"""`python -m scripts.load.sessions --video ../shared/real/vtest/vtest.avi`, revision
 {revision()}. {machine()}; a client a camera on the same machine.
 {len(alone)} cameras, each another part of the video, first alone, then \
 {len(together) // len(alone)} rounds of all at once. Who is refused (503) sends the frame again.
 
-| answered together | {answered} frames, {people} people; {statuses[503]} refusals in between |
+| answered together | {told} |
 |---|---|
 | cameras with other people or identities than alone, or frames out of order | \
 {len({what.split(":")[0] for what in failed if what.startswith("camera")})} |
