@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Person
+from app.estimates import ObservedPerson, Person
 from app.facing import Facing, azimuth_deg, faces_camera
 from app.posture import VotedPosture, vote_posture
 from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
-from app.vision.people import Box
 from index.posture import RUNNING_FROM, WALKING_FROM, Posture, camera_up
 from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS, mean_joint_distance
 
@@ -112,6 +111,28 @@ class _States:
     log_moves: NDArray[np.float64] | None
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Where a person is in a frame: the foot of the box, the silhouette's centroid if there is one.
+
+    Limbs that swing move a box more than the body.
+    """
+
+    foot: NDArray[np.float64]
+    centroid: NDArray[np.float64] | None
+
+    @classmethod
+    def of(cls, observed: ObservedPerson) -> _Place:
+        silhouette = observed.silhouette
+        return cls(observed.whole_box.foot, None if silhouette is None else silhouette.centroid)
+
+    def minus(self, before: _Place) -> NDArray[np.float64]:
+        """How far ``(2,)`` the person has moved since."""
+        if self.centroid is None or before.centroid is None:
+            return self.foot - before.foot
+        return self.centroid - before.centroid
+
+
 class PoseSmoother:
     """Smooths the poses of one track, frame by frame.
 
@@ -136,7 +157,7 @@ class PoseSmoother:
         self._direction_weight = direction_weight
         self._ground = GroundMotion()
         self._frames: deque[_States] = deque(maxlen=line_frames)
-        self._last: tuple[SmoothedPose, Box] | None = None
+        self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
         """Take in the track's next frame and return the pose at it.
@@ -189,7 +210,7 @@ class PoseSmoother:
             _confidence(*features),
             hypotheses[int(probabilities.argmax())].hypothesis.entry,
         )
-        self._last = pose, box
+        self._last = pose, _Place.of(person.observed)
         front = float(np.clip(probabilities @ faces_camera(azimuth_deg(points_3d)), 0, 1))
         posture = vote_posture(
             [_posture(placed.hypothesis.posture, velocity) for placed in hypotheses],
@@ -204,13 +225,13 @@ class PoseSmoother:
             features,
         )
 
-    def carried(self, box: Box, timestamp: float) -> SmoothedPose | None:
+    def carried(self, observed: ObservedPerson, timestamp: float) -> SmoothedPose | None:
         """The last pose, moved to where the person is in a later frame that was not searched.
 
         Parameters
         ----------
-        box : Box
-            Of the person in that frame.
+        observed : ObservedPerson
+            The person in that frame.
         timestamp : float
             Seconds.
 
@@ -222,7 +243,8 @@ class PoseSmoother:
         if self._last is None or timestamp - self._frames[-1].timestamp > CARRIED_S:
             return None
         pose, before = self._last
-        return replace(pose, points_2d=pose.points_2d + (box.foot - before.foot))
+        shift = _Place.of(observed).minus(before)
+        return replace(pose, points_2d=pose.points_2d + shift)
 
     def _append(
         self,

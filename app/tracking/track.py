@@ -211,7 +211,7 @@ class Track:
 
     def carry(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
-        pose = self._smoother.carried(observed.whole_box, timestamp)
+        pose = self._smoother.carried(observed, timestamp)
         if pose is None:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)

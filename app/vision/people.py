@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -201,6 +202,13 @@ class Silhouette:
     def area_px(self) -> int:
         """Number of pixels on the person."""
         return int(np.count_nonzero(self.crop))
+
+    @property
+    def centroid(self) -> NDArray[np.float64]:
+        """Mean place ``(2,)`` of the pixels on the person, in the frame."""
+        moments = cv2.moments(self.crop.view(np.uint8), binaryImage=True)
+        centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+        return np.asarray(centre + [self.left, self.top])
 
     @property
     def box(self) -> Box:

@@ -210,7 +210,7 @@ def carried(filmed: Filmed, persons: Sequence[Person], every: int) -> Followed:
             update = smoother.update(person, timestamp)
             pose = update.pose if update else None
         else:
-            pose = smoother.carried(person.observed.whole_box, timestamp)
+            pose = smoother.carried(person.observed, timestamp)
         if pose is None:
             raise ValueError("expected a pose on every frame")
         poses.append(pose)

@@ -75,6 +75,8 @@ def test_a_silhouette_is_a_tight_crop() -> None:
     one = silhouette_from_mask(mask, segmenter="mask", truncated=False)
     assert one is not None
     assert (one.left, one.top, one.area_px) == (2, 1, 3)
+    rows, columns = np.nonzero(one.crop)
+    np.testing.assert_allclose(one.centroid, [columns.mean() + 2, rows.mean() + 1])
     assert one.box == Box(1.5, 0.5, 2, 2)
     assert (one.mask(mask.shape) == mask).all()
     assert silhouette_from_mask(mask & False, segmenter="mask", truncated=False) is None

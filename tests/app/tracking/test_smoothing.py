@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from app.estimates import Person
 from app.facing import azimuth_deg
 from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed, _line_at_zero
+from app.vision.people import Silhouette
 from index.skeleton import NATIVE, POINTS, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
@@ -134,15 +135,35 @@ def test_a_line_is_continued_exactly(offset: float, slope: float, step: float) -
 def test_a_pose_is_carried_along_with_the_person_for_a_second() -> None:
     smoother = PoseSmoother()
     person = person_of([seen_from(0.0)], [0.5])
-    assert smoother.carried(person.observed.box, 0.0) is None
+    assert smoother.carried(person.observed, 0.0) is None
     before = smoother.update(person, 0.0)
     assert before is not None
     box = person.observed.box
-    carried = smoother.carried(replace(box, x=box.x + 8, y=box.y - 3), CARRIED_S)
+    moved = replace(person.observed, box=replace(box, x=box.x + 8, y=box.y - 3))
+    carried = smoother.carried(moved, CARRIED_S)
     assert carried is not None
     np.testing.assert_allclose(carried.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
     np.testing.assert_array_equal(carried.points_3d, before.pose.points_3d)
-    assert smoother.carried(box, CARRIED_S + 0.1) is None
+    assert smoother.carried(person.observed, CARRIED_S + 0.1) is None
+
+
+def test_a_limb_that_swings_does_not_move_a_carried_pose_as_far_as_the_box() -> None:
+    crop = np.zeros((60, 40), bool)
+    crop[:, :20] = True
+    standing = Silhouette(crop[:, :20], 100, 50, "mask", truncated=False)
+    crop[30:32, 20:] = True
+    reaching = Silhouette(crop, 100, 50, "mask", truncated=False)
+    person = person_of([seen_from(0.0)], [0.5])
+    smoother = PoseSmoother()
+    before = smoother.update(
+        replace(person, observed=replace(person.observed, silhouette=standing)), 0.0
+    )
+    carried = smoother.carried(replace(person.observed, silhouette=reaching), 0.1)
+    assert before is not None and carried is not None
+    shift = carried.points_2d - before.pose.points_2d
+    expected = reaching.centroid - standing.centroid
+    np.testing.assert_allclose(shift, np.broadcast_to(expected, shift.shape))
+    assert 0 < expected[0] < 2  # The box's middle has moved by 10.
 
 
 @pytest.mark.parametrize(
