@@ -207,8 +207,8 @@ class Silhouette:
     def centroid(self) -> NDArray[np.float64]:
         """Mean place ``(2,)`` of the pixels on the person, in the frame."""
         moments = cv2.moments(self.crop.view(np.uint8), binaryImage=True)
-        centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
-        return np.asarray(centre + [self.left, self.top])
+        first = np.array([self.left, self.top])
+        return np.asarray(first + np.array([moments["m10"], moments["m01"]]) / moments["m00"])
 
     @property
     def box(self) -> Box:
