@@ -53,9 +53,17 @@ def on_core(core: int) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Throughput:
-    """Frames a second of each setting, one for each round; all settings in every round."""
+    """Frames a second of each setting, one for each round; all settings in every round.
+
+    Parameters
+    ----------
+    settings : dict of str to list of float
+    core_ms : dict of str to list of float
+        Processor time that the replicas took for each frame.
+    """
 
     settings: dict[str, list[float]]
+    core_ms: dict[str, list[float]]
 
     def ratio(self, setting: str, of: str) -> str:
         """Write the median, least and most of a ratio over the rounds."""
@@ -88,11 +96,15 @@ def throughput(
         }
         for urls, in_flight in settings.values():
             asyncio.run(frames_per_s(urls, in_flight, frames, 2.0))
-        found: dict[str, list[float]] = {name: [] for name in settings}
+        found = Throughput({name: [] for name in settings}, {name: [] for name in settings})
         for _ in range(rounds):
             for name, (urls, in_flight) in settings.items():
-                found[name].append(asyncio.run(frames_per_s(urls, in_flight, frames, seconds)))
-    return Throughput(found)
+                used_s = -sum(replica.cpu_s() for replica in replicas)
+                rate = asyncio.run(frames_per_s(urls, in_flight, frames, seconds))
+                used_s += sum(replica.cpu_s() for replica in replicas)
+                found.settings[name].append(rate)
+                found.core_ms[name].append(1000 * used_s / (rate * seconds))
+    return found
 
 
 def send_cameras(url: str, frames: Sequence[Call], site: str) -> dict[str, list[str]]:
@@ -188,7 +200,12 @@ def report(
     """Return the section in Markdown."""
     one, two = "one, through the balancer", "two, through the balancer"
     rows = [
-        [name, f"{percentile(values, 50):.1f} ({min(values):.1f} to {max(values):.1f})"]
+        [
+            name,
+            f"{percentile(values, 50):.1f} ({min(values):.1f} to {max(values):.1f})",
+            f"{percentile(rates.core_ms[name], 50):.0f}",
+            f"{percentile(values, 50) * percentile(rates.core_ms[name], 50) / 1000:.2f}",
+        ]
         for name, values in rates.settings.items()
     ]
     ratios = [
@@ -209,13 +226,15 @@ def report(
     command = f"python -m scripts.load.replicas --rounds {rounds} --seconds {seconds:g}"
     return f"""`{command}`, revision {revision()}.
 {machine()}. Load average before: {os.getloadavg()[0]:.1f}. Other programs use this machine, and
-client, balancer and both replicas share its cores: ratios say more than rates.
+client, balancer and both replicas share its cores: ratios say more than rates, and what a frame
+costs in processor time more than both. Where two replicas got less than two cores, other programs
+had the rest.
 
 `/pose` with a mask, frames of 320x240, `POSE_CONCURRENCY=1`, {IN_FLIGHT} requests in flight for
 each replica, which has one core to itself; median (least to most) of {rounds} rounds of
 {seconds:g} s, all settings in each round.
 
-{table(["replicas", "frames/s"], rows)}
+{table(["replicas", "frames/s", "core-ms a frame", "cores they got"], rows)}
 
 {table(["ratio within a round", ""], ratios)}
 

@@ -104,6 +104,7 @@ def test_the_configuration_is_valid_without_a_warning(servers: dict[str, str]) -
     assert "[WARNING]" not in checked.stderr
 
 
+@pytest.mark.slow
 class TestRouting:
     def test_a_camera_stays_on_one_replica(
         self, deployment: Deployment, client: httpx.Client, photo: Photo
@@ -164,6 +165,7 @@ class TestRouting:
             assert listed == cameras_of(by_name[answer.headers["x-replica"]])
 
 
+@pytest.mark.slow
 class TestPassing:
     def test_the_request_is_known_by_one_name_in_both_logs(
         self, deployment: Deployment, client: httpx.Client
