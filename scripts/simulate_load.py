@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--entries", type=int, default=replicas.entries, help="of the index")
     parser.add_argument("--index", default=replicas.index, help="its kind")
     parser.add_argument("--price", type=float, default=0.04, help="of a core for an hour")
-    parser.add_argument("--sample", type=int, default=6, help="replicas simulated frame by frame")
+    parser.add_argument("--sample", type=int, default=10, help="replicas simulated frame by frame")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--coefficients", type=Path, default=PATH)
     parser.add_argument("--out", type=Path, default=OUT)
@@ -209,7 +209,7 @@ def run(options: argparse.Namespace) -> None:
     ]
     command = (
         f"python -m scripts.simulate_load --cameras {options.cameras} --rate {options.rate:g} "
-        f"--people {options.people:g} --price {options.price:g} --write"
+        f"--people {options.people:g} --price {options.price:g} --sample {options.sample} --write"
     )
     paragraphs = [
         f"A day of {options.cameras:,} cameras, simulated",

@@ -199,7 +199,7 @@ def autoscaled(wanted: NDArray[np.int64], replicas: Replicas) -> NDArray[np.int6
 
 
 def simulate(
-    load: Load, replicas: Replicas, costs: Coefficients, *, sample: int = 6, seed: int = 0
+    load: Load, replicas: Replicas, costs: Coefficients, *, sample: int = 10, seed: int = 0
 ) -> Day:
     """Simulate a day.
 
@@ -212,8 +212,7 @@ def simulate(
         Replicas that are simulated frame by frame.
     seed : int
     """
-    rng = np.random.default_rng(seed)
-    busy = busy_share(load, rng)
+    busy = busy_share(load, np.random.default_rng(seed))
     if load.gated:
         alive, _ = visits(busy, load, replicas.idle_s)
         _, begun = visits(busy, load, LONGEST_GAP_S)
@@ -243,12 +242,14 @@ def simulate(
     searched = np.minimum(searched + again * LEARNING / sent, 1.0)
 
     counts = np.zeros((4, STEPS))
-    for _ in range(sample):
+    for number in range(sample):
+        # The same luck in every variation, so that they can be compared.
+        luck = np.random.default_rng((seed, number))
         counts += _one_replica(
             load,
             replicas,
             costs,
-            rng,
+            luck,
             cameras=load.cameras / served,
             busy=busy,
             searched=searched,
