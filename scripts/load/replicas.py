@@ -2,7 +2,7 @@
 
     python -m scripts.load.replicas [--rounds 5] [--seconds 8] [--write]
 
-Each replica has one core, its own, as on a machine of its own. Client and balancer share these
+Each replica is bound to a core of its own, as if on another machine. Client and balancer share these
 cores: look at ratios. Needs HAProxy.
 """
 
@@ -227,11 +227,11 @@ def report(
     return f"""`{command}`, revision {revision()}.
 {machine()}. Load average before: {os.getloadavg()[0]:.1f}. Other programs use this machine, and
 client, balancer and both replicas share its cores: ratios say more than rates, and what a frame
-costs in processor time more than both. Where two replicas got less than two cores, other programs
-had the rest.
+costs in processor time more than both. Two replicas carry twice as much only where they get twice
+the cores; what they got stands below.
 
 `/pose` with a mask, frames of 320x240, `POSE_CONCURRENCY=1`, {IN_FLIGHT} requests in flight for
-each replica, which has one core to itself; median (least to most) of {rounds} rounds of
+each replica, which is bound to a core; median (least to most) of {rounds} rounds of
 {seconds:g} s, all settings in each round.
 
 {table(["replicas", "frames/s", "core-ms a frame", "cores they got"], rows)}
