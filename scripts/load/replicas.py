@@ -2,7 +2,7 @@
 
     python -m scripts.load.replicas [--rounds 5] [--seconds 8] [--write]
 
-Each replica is bound to a core of its own, as if on another machine. Client and balancer share these
+Each replica is bound to a core of its own, as if on another machine. Client and balancer share the
 cores: look at ratios. Needs HAProxy.
 """
 
