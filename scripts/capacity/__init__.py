@@ -1,0 +1,1 @@
+"""A model of capacity: measured costs, one replica as a queue, a day of cameras."""

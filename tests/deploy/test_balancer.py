@@ -1,0 +1,330 @@
+"""Two service processes behind HAProxy with ``deploy/haproxy.cfg``."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import httpx
+import pytest
+
+from scripts.load.balancer import CONFIGURATION, Balancer
+from scripts.load.server import ServerProcess
+from tests.app.test_camera_sessions import send
+from tests.app.test_errors import check_problem
+from tests.conftest import Photo
+from tests.videos import numbered_frames, write_video
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("haproxy") is None, reason="needs HAProxy: apt-get install haproxy"
+)
+
+CAMERAS = [f"yard-{number}" for number in range(20)]
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """Two replicas and what is before them."""
+
+    replicas: tuple[ServerProcess, ServerProcess]
+    balancer: Balancer
+    folder: Path
+
+    def client(self) -> httpx.Client:
+        """A client of the balancer."""
+        return httpx.Client(base_url=self.balancer.url, timeout=30)
+
+
+@pytest.fixture(scope="module")
+def deployment(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
+    folder = tmp_path_factory.mktemp("deployment")
+    with ExitStack() as stack:
+        first, second = (
+            stack.enter_context(ServerProcess(index_path, folder / f"{number}.log"))
+            for number in (1, 2)
+        )
+        first.wait_until_ready()
+        second.wait_until_ready()
+        balancer = Balancer(first.url, second.url, log=folder / "balancer.log")
+        stack.enter_context(balancer)
+        yield Deployment((first, second), balancer, folder)
+
+
+@pytest.fixture
+def client(deployment: Deployment) -> Iterator[httpx.Client]:
+    with deployment.client() as client:
+        yield client
+
+
+def cameras_of(replica: ServerProcess) -> set[str]:
+    """The sessions that a replica itself tells of."""
+    cameras = httpx.get(f"{replica.url}/cameras").json()["cameras"]
+    return {camera["camera_id"] for camera in cameras}
+
+
+def files(photo: Photo) -> dict[str, bytes]:
+    return {"frame": photo.frame_png, "mask": photo.mask_png}
+
+
+def logged(log: Path, identifier: str) -> dict[str, Any]:
+    """The line of a log that names a request; it may come after the answer."""
+    deadline = time.monotonic() + 10
+    while True:
+        for line in log.read_text().splitlines():
+            if identifier in line:
+                return dict(json.loads(line))
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize(
+    "servers",
+    [{"REPLICA_1": "127.0.0.1:1", "REPLICA_2": "127.0.0.1:2"}, {"REPLICAS_DNS": "replicas:8000"}],
+    ids=["listed", "named"],
+)
+def test_the_configuration_is_valid_without_a_warning(servers: dict[str, str]) -> None:
+    checked = subprocess.run(
+        ["haproxy", "-c", "-f", str(CONFIGURATION)],
+        env={**os.environ, **servers},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stderr
+    assert "[WARNING]" not in checked.stderr
+
+
+@pytest.mark.slow
+class TestRouting:
+    def test_a_camera_stays_on_one_replica(
+        self, deployment: Deployment, client: httpx.Client, photo: Photo
+    ) -> None:
+        states = [[send(client, photo, name).headers["x-session"] for name in CAMERAS]]
+        held = [cameras_of(replica) & set(CAMERAS) for replica in deployment.replicas]
+        assert held[0] | held[1] == set(CAMERAS)
+        assert not held[0] & held[1]
+        assert all(held)
+        # Whatever connection they come over.
+        with deployment.client() as other:
+            states += [[send(c, photo, name).headers["x-session"] for name in CAMERAS]
+                       for c in (client, other)]  # fmt: skip
+        assert states == [["new"] * 20, ["warm"] * 20, ["warm"] * 20]
+        assert held == [cameras_of(replica) & set(CAMERAS) for replica in deployment.replicas]
+
+    @pytest.mark.parametrize(
+        "path", ["/cameras/gate%2D2", "/cameras/%67ate-2", "/cameras%2Fgate-2", "/cameras/gate-2?"]
+    )
+    def test_every_spelling_of_a_path_finds_the_session(
+        self, client: httpx.Client, photo: Photo, path: str
+    ) -> None:
+        send(client, photo, "gate-2")
+        assert client.get(path).json()["camera_id"] == "gate-2"
+
+    def test_a_session_is_forgotten_where_it_is(
+        self, deployment: Deployment, client: httpx.Client, photo: Photo
+    ) -> None:
+        send(client, photo, "door")
+        assert client.delete("/cameras/door").status_code == 204
+        assert all("door" not in cameras_of(replica) for replica in deployment.replicas)
+
+    def test_a_camera_that_names_itself_is_a_camera(
+        self, client: httpx.Client, photo: Photo
+    ) -> None:
+        for name in CAMERAS:
+            headers = {"X-Camera-ID": name}
+            answers = [
+                client.post("/pose", files=files(photo), headers=headers),
+                client.post("/pose/overlay", files=files(photo), headers=headers),
+                send(client, photo, name),
+            ]
+            assert [answer.status_code for answer in answers] == [200] * 3
+            assert len({answer.headers["x-replica"] for answer in answers}) == 1
+
+    def test_other_frames_are_spread(self, client: httpx.Client, photo: Photo) -> None:
+        answers = [client.post("/pose", files=files(photo)) for _ in range(8)]
+        assert {answer.headers["x-replica"] for answer in answers} == {"pose-1", "pose-2"}
+
+    def test_a_list_of_sessions_says_whose_it_is(
+        self, deployment: Deployment, client: httpx.Client, photo: Photo
+    ) -> None:
+        send(client, photo, "door")
+        by_name = dict(zip(("pose-1", "pose-2"), deployment.replicas, strict=True))
+        for _ in range(4):
+            answer = client.get("/cameras")
+            listed = {camera["camera_id"] for camera in answer.json()["cameras"]}
+            assert listed == cameras_of(by_name[answer.headers["x-replica"]])
+
+
+@pytest.mark.slow
+class TestPassing:
+    def test_the_request_is_known_by_one_name_in_both_logs(
+        self, deployment: Deployment, client: httpx.Client
+    ) -> None:
+        answer = client.get("/index", headers={"X-Forwarded-For": "1.2.3.4"})
+        identifier = answer.headers["x-request-id"]
+        log = {"pose-1": "1.log", "pose-2": "2.log"}[answer.headers["x-replica"]]
+        services = logged(deployment.folder / log, identifier)
+        balancers = logged(deployment.folder / "balancer.log", identifier)
+        assert services["request_id"] == balancers["request_id"] == identifier
+        assert (balancers["path"], balancers["status"]) == ("/index", 200)
+        assert balancers["replica"] == answer.headers["x-replica"]
+        # What the client says of itself is not believed.
+        assert services["client"] == balancers["client"] == "127.0.0.1"
+
+    def test_a_request_keeps_the_id_that_it_brings(self, client: httpx.Client) -> None:
+        answer = client.get("/index", headers={"X-Request-ID": "mine-1"})
+        assert answer.headers["x-request-id"] == "mine-1"
+
+    def test_what_the_service_refuses_early_is_told(self, client: httpx.Client) -> None:
+        large = {"frame": b"x" * (17 * 1024**2)}
+        check_problem(client.post("/pose", files=large), 413)
+
+    def test_a_large_upload_arrives_whole(self, client: httpx.Client, photo: Photo) -> None:
+        # Bytes after the image's end are no part of it.
+        padded = {"frame": photo.frame_png + bytes(8 * 1024**2), "mask": photo.mask_png}
+        assert client.post("/pose", files=padded).status_code == 200
+
+    def test_a_video_is_answered_line_by_line(
+        self, deployment: Deployment, client: httpx.Client, tmp_path: Path
+    ) -> None:
+        video = write_video(tmp_path / "v.avi", numbered_frames(2, 240, 320) * 200)
+        with client.stream("POST", "/sequence", files={"video": video}) as answer:
+            lines = answer.iter_lines()
+            assert json.loads(next(lines))["frame_index"] == 0
+            metrics = [httpx.get(f"{replica.url}/metrics").text for replica in deployment.replicas]
+            assert any("\npose_sequences 1.0\n" in text for text in metrics)
+            *_, end = lines
+            assert json.loads(end)["frames"] == 400
+
+    def test_who_hangs_up_is_not_worked_for(self, deployment: Deployment, photo: Photo) -> None:
+        boxes = json.dumps([[40, 30, 200, 200]] * 40)
+
+        def hung_up() -> float:
+            texts = [httpx.get(f"{replica.url}/metrics").text for replica in deployment.replicas]
+            return sum(
+                float(line.split()[-1])
+                for text in texts
+                for line in text.splitlines()
+                if line.startswith('pose_rejected_total{reason="client_gone"}')
+            )
+
+        before = hung_up()
+        with pytest.raises(httpx.ReadTimeout):
+            httpx.post(
+                f"{deployment.balancer.url}/pose",
+                files={"frame": photo.frame_png},
+                data={"boxes": boxes},
+                timeout=httpx.Timeout(5, read=0.05),
+            )
+        deadline = time.monotonic() + 10
+        while hung_up() == before:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+    def test_metrics_are_asked_of_each_replica(
+        self, deployment: Deployment, client: httpx.Client
+    ) -> None:
+        for path in ("/metrics", "/%6Detrics"):
+            check_problem(client.get(path), 404)
+        metrics = httpx.get(f"{deployment.balancer.operations_url}/metrics").text
+        assert 'haproxy_server_status{proxy="cameras",server="pose-1",state="UP"} 1' in metrics
+
+    def test_the_balancer_has_probes(self, deployment: Deployment) -> None:
+        url = deployment.balancer.operations_url
+        statuses = [httpx.get(url + path).status_code for path in ("/healthz", "/readyz", "/pose")]
+        assert statuses == [200, 200, 404]
+
+
+class Senders:
+    """Clients that send a frame after the other to ``/pose`` until told to stop."""
+
+    def __init__(self, deployment: Deployment, photo: Photo, count: int) -> None:
+        self._deployment, self._photo = deployment, photo
+        self._stop = Event()
+        self._threads = ThreadPoolExecutor(count)
+        self._answers = [self._threads.submit(self._send) for _ in range(count)]
+
+    def _send(self) -> list[httpx.Response | None]:
+        answers: list[httpx.Response | None] = []
+        with self._deployment.client() as client:
+            while not self._stop.is_set():
+                try:
+                    answers.append(client.post("/pose", files=files(self._photo)))
+                except httpx.RemoteProtocolError:
+                    answers.append(None)
+        return answers
+
+    def stop(self) -> list[httpx.Response | None]:
+        """Return all answers, None where the connection was closed without one."""
+        self._stop.set()
+        self._threads.shutdown()
+        return [answer for answers in self._answers for answer in answers.result()]
+
+
+@pytest.mark.slow
+def test_one_replica_is_killed_and_comes_back(
+    deployment: Deployment, client: httpx.Client, photo: Photo
+) -> None:
+    for name in CAMERAS:
+        send(client, photo, name)
+    survivor, killed = deployment.replicas
+    kept, lost = (sorted(cameras_of(replica) & set(CAMERAS)) for replica in deployment.replicas)
+    clients = 3
+    senders = Senders(deployment, photo, clients)
+    time.sleep(0.5)
+    killed.kill()
+    states = {name: send(client, photo, name).headers["x-session"] for name in CAMERAS}
+    assert states == dict.fromkeys(kept, "warm") | dict.fromkeys(lost, "new")
+    assert cameras_of(survivor) >= set(CAMERAS)
+    assert {send(client, photo, name).headers["x-session"] for name in lost} == {"warm"}
+    time.sleep(1.5)  # By now it is found out, with nobody's frame.
+    answers = senders.stop()
+
+    answered = [answer for answer in answers if answer and answer.status_code == 200]
+    # Only what was being worked on by the one that was killed. HAProxy tells it with a 502, or,
+    # where the client's connection has carried requests before, by closing it.
+    assert len(answers) - len(answered) <= clients
+    for answer in answers:
+        if answer and answer not in answered:
+            check_problem(answer, 502)
+            assert answer.headers["retry-after"] == "1"
+    assert len(answered) > 20
+    entries = [answer.json()["persons"][0]["hypotheses"][0]["entry"] for answer in answered]
+    assert set(entries) == {photo.entry}
+
+    with killed:
+        killed.wait_until_ready()
+        deadline = time.monotonic() + 20
+        while client.get(f"/cameras/{lost[0]}").headers["x-replica"] != "pose-2":
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        states = {name: send(client, photo, name).headers["x-session"] for name in CAMERAS}
+        assert states == dict.fromkeys(kept, "warm") | dict.fromkeys(lost, "new")
+        assert cameras_of(killed) == set(lost)
+
+
+@pytest.mark.slow
+def test_without_any_replica_a_503_says_when_to_come_back(index_path: Path, photo: Photo) -> None:
+    with ServerProcess(index_path) as replica:
+        replica.wait_until_ready()
+        with Balancer(replica.url, "http://127.0.0.1:1") as balancer:
+            with httpx.Client(base_url=balancer.url, timeout=30) as client:
+                send(client, photo)
+                replica.kill()
+                for answer in (send(client, photo), client.post("/pose", files=files(photo))):
+                    check_problem(answer, 503)
+                    assert answer.headers["retry-after"] == "1"
+            deadline = time.monotonic() + 10
+            while httpx.get(f"{balancer.operations_url}/readyz").status_code != 503:
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
