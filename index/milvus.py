@@ -45,10 +45,11 @@ _SEARCH = {"metric_type": "L2", "params": {}}
 _STRONG, _EVENTUALLY = 0, 3
 _ALIAS_NOT_FOUND, _COLLECTION_NOT_FOUND = 1600, 100
 
-# gRPC waits up to two minutes before it tries again to connect, and refuses answers over 4 MB.
+# By default gRPC waits up to two minutes before it tries again to connect, and refuses answers
+# over 4 MB. The "minimum" is how long it waits for a connection.
 _CHANNEL = (
     ("grpc.initial_reconnect_backoff_ms", 200),
-    ("grpc.min_reconnect_backoff_ms", 200),
+    ("grpc.min_reconnect_backoff_ms", 2000),
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.max_receive_message_length", -1),
     ("grpc.max_send_message_length", -1),
