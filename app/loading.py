@@ -140,6 +140,8 @@ class _Follower:
                 settings.search_timeout_s,
                 self._runtime.breaker,
             )
+        else:
+            self._remote.reconnect()
         self._index = self._remote.load() or self._index
         return _load_estimator(self._runtime, self._index)
 
@@ -154,6 +156,7 @@ class _Follower:
         if self._runtime.breaker.is_open:
             neighbours = before.index.neighbours
             assert isinstance(neighbours, GuardedNeighbours)
+            self._remote.reconnect()
             with suppress(UnavailableError):
                 neighbours.search_anyway(before.index.vectors[:1].astype("float32"), 1)
         try:

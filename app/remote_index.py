@@ -74,6 +74,6 @@ class RemoteIndex:
         self._collection = name
         return index
 
-    def close(self) -> None:
-        """Close the connection."""
-        self._milvus.close()
+    def reconnect(self) -> None:
+        """Connect anew, where Milvus was away."""
+        self._milvus.reconnect()

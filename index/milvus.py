@@ -45,12 +45,12 @@ _SEARCH = {"metric_type": "L2", "params": {}}
 _STRONG, _EVENTUALLY = 0, 3
 _ALIAS_NOT_FOUND, _COLLECTION_NOT_FOUND = 1600, 100
 
-# By default gRPC waits up to two minutes before it tries again to connect, and refuses answers
-# over 4 MB. The "minimum" is how long it waits for a connection.
+# By default gRPC waits up to two minutes before it tries again to connect, shares connections among
+# channels, and refuses answers over 4 MB.
 _CHANNEL = (
     ("grpc.initial_reconnect_backoff_ms", 200),
-    ("grpc.min_reconnect_backoff_ms", 2000),
     ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.use_local_subchannel_pool", 1),
     ("grpc.max_receive_message_length", -1),
     ("grpc.max_send_message_length", -1),
 )
@@ -122,8 +122,15 @@ class Milvus:
     def __init__(self, server: str, timeout_s: float) -> None:
         self._server = server
         self._timeout_s = timeout_s
-        channel = grpc.insecure_channel(server, options=_CHANNEL)
-        self._calls = GrpcHandler(address=server, channel=channel)
+        self.reconnect()
+
+    def reconnect(self) -> None:
+        """Leave the connection to the calls that use it, and make another one for those to come.
+
+        A server that is lost without a word leaves a connection behind that fails for minutes.
+        """
+        channel = grpc.insecure_channel(self._server, options=_CHANNEL)
+        self._calls = GrpcHandler(address=self._server, channel=channel)
 
     def close(self) -> None:
         """Close the connection."""
