@@ -6,10 +6,10 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from typing import TypeVar
 
 import anyio
+import numpy as np
 
 from app.breaker import GuardedNeighbours
 from app.estimator import Estimator
@@ -42,7 +42,7 @@ async def keep_index_loaded(runtime: Runtime) -> None:
     address = runtime.settings.index
     if isinstance(address, MilvusAddress):
         await _follow(runtime, address)
-    elif runtime.estimator is None:
+    else:
         # Where it is loaded, threads of the networks inherit the priority of those that use them.
         loading = runtime.executor.submit(lambda: _load_estimator(runtime, None))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
@@ -142,25 +142,24 @@ class _Follower:
             )
         else:
             self._remote.reconnect()
+            self._probe(self._index)
         self._index = self._remote.load() or self._index
         return _load_estimator(self._runtime, self._index)
 
     def next(self) -> Estimator | None:
-        """Search if the breaker is open, and load the index if the alias names another one.
+        """Load the index if the alias names another one, else search if the breaker is open.
 
         Returns None where nothing has changed or the other one cannot be loaded: the service goes
         on with what it has, and says why.
         """
         before = self._runtime.estimator
         assert before is not None and self._remote is not None
-        if self._runtime.breaker.is_open:
-            neighbours = before.index.neighbours
-            assert isinstance(neighbours, GuardedNeighbours)
-            self._remote.reconnect()
-            with suppress(UnavailableError):
-                neighbours.search_anyway(before.index.vectors[:1].astype("float32"), 1)
         try:
+            if self._runtime.breaker.is_open:
+                self._remote.reconnect()
             index = self._remote.load()
+            if index is None:
+                self._probe(before.index)
         except UnavailableError:
             return None  # Searches tell of that.
         except ArtefactError as error:
@@ -171,6 +170,12 @@ class _Follower:
             return None
         self._told = ""
         return None if index is None else before.with_index(index)
+
+    def _probe(self, index: PoseIndex | None) -> None:
+        """Search if the breaker is open, which a success closes; else raise UnavailableError."""
+        if index is not None and self._runtime.breaker.is_open:
+            assert isinstance(index.neighbours, GuardedNeighbours)
+            index.neighbours.search_anyway(index.vectors[:1].astype(np.float32), 1)
 
     def _tell(self, why: str) -> None:
         if why != self._told:

@@ -95,7 +95,8 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         # Uploads stay in memory, within the limits of admission: no photograph touches a disk.
         MultiPartParser.spool_max_size = max(settings.max_upload_bytes, settings.max_video_bytes)
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(keep_index_loaded, runtime)
+            if runtime.estimator is None:
+                tasks.start_soon(keep_index_loaded, runtime)
             tasks.start_soon(_end_idle_sessions, runtime)
             yield
             tasks.cancel_scope.cancel()

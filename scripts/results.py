@@ -46,11 +46,11 @@ def measurement_parser(description: str, page: Path = RELIABILITY) -> argparse.A
     return parser
 
 
-def conclude(title: str, body: str, *, write: bool) -> None:
-    """Print a section, and put it into ``docs/results/reliability.md`` where that is asked."""
+def conclude(title: str, body: str, *, write: bool, page: Path = RELIABILITY) -> None:
+    """Print a section, and put it into a page of results where that is asked."""
     print(body)
     if write:
-        write_section(RELIABILITY, title, body)
+        write_section(page, title, body)
 
 
 def write_section(file: Path, title: str, body: str) -> None:

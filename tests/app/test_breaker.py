@@ -5,19 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
+from app import loading
 from app.breaker import CircuitBreaker, GuardedNeighbours
 from app.estimator import Estimator
 from app.main import create_app
+from app.runtime import Runtime
 from app.settings import Settings
 from index.artefact import load_index
+from index.milvus_address import MilvusAddress
 from index.neighbours import FailureReason, Neighbours, UnavailableError
 from index.store import PoseIndex
+from index.verified_files import ArtefactError
 from tests.app.test_errors import check_problem
 from tests.app.test_metrics import sample
 from tests.conftest import Photo
@@ -143,3 +148,93 @@ class TestService:
         assert response.status_code == 200
         end = json.loads(response.text.splitlines()[-1])
         assert (end["type"], end["reason"]) == ("end", "unavailable")
+
+
+class FakeRemote:
+    """An alias that names one collection or another, none of them far away.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    """
+
+    def __init__(self, index: PoseIndex) -> None:
+        self.named: PoseIndex | None = index
+        self.loaded: PoseIndex | None = None
+        self.error: Exception | None = None
+        self.connections = 1
+
+    def load(self) -> PoseIndex | None:
+        if self.error is not None:
+            raise self.error
+        if self.named is self.loaded:
+            return None
+        self.loaded = self.named
+        return self.loaded
+
+    def reconnect(self) -> None:
+        self.connections += 1
+
+
+class TestFollower:
+    @pytest.fixture
+    def follower(
+        self, settings: Settings, index_path: Path, flaky: Flaky, monkeypatch: pytest.MonkeyPatch
+    ) -> loading._Follower:
+        runtime: Runtime = create_app(settings).state.runtime
+        index = load_index(index_path, GuardedNeighbours(flaky, runtime.breaker))
+        monkeypatch.setattr(loading, "check_milvus_package", lambda: None)
+        monkeypatch.setattr(loading, "RemoteIndex", lambda *_: FakeRemote(index))
+        return loading._Follower(runtime, MilvusAddress("vectors", 19530, "poses"))
+
+    def test_it_gets_ready_although_first_searches_have_opened_the_breaker(
+        self, follower: loading._Follower, flaky: Flaky
+    ) -> None:
+        flaky.failing = True
+        for _ in range(5):
+            with pytest.raises(UnavailableError):
+                follower.first()
+        assert follower._runtime.breaker.is_open
+        flaky.failing = False
+        assert len(follower.first().index) == len(flaky)
+
+    def test_it_moves_over_and_keeps_the_networks(
+        self, follower: loading._Follower, estimator: Estimator, index_path: Path
+    ) -> None:
+        before = follower._runtime.estimator = follower.first()
+        assert follower.next() is None
+        remote = cast(FakeRemote, follower._remote)
+        remote.named = load_index(index_path)
+        after = follower.next()
+        assert after is not None
+        assert after.index is remote.named
+        assert before.index is not after.index
+        assert after.finder is before.finder
+
+    @pytest.mark.parametrize(
+        "error", [ArtefactError("no artefact"), UnavailableError("away", "deadline"), KeyError()]
+    )
+    def test_what_cannot_be_loaded_leaves_the_one_before(
+        self, follower: loading._Follower, error: Exception, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        follower._runtime.estimator = follower.first()
+        cast(FakeRemote, follower._remote).error = error
+        assert [follower.next() for _ in range(3)] == [None] * 3
+        if isinstance(error, ArtefactError):
+            assert caplog.text.count("still serving the index before: no artefact") == 1
+
+    def test_while_the_breaker_is_open_it_searches_over_a_new_connection(
+        self, follower: loading._Follower, flaky: Flaky
+    ) -> None:
+        follower._runtime.estimator = follower.first()
+        breaker = follower._runtime.breaker
+        flaky.failing = True
+        while not breaker.is_open:
+            breaker.failed(UnavailableError("away", "unreachable"))
+        for _ in range(2):
+            assert follower.next() is None
+            assert breaker.is_open
+        flaky.failing = False
+        assert follower.next() is None
+        assert not breaker.is_open
+        assert cast(FakeRemote, follower._remote).connections == 4
