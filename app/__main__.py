@@ -14,9 +14,11 @@ import sys
 import uvicorn
 
 from app.logs import log_config
+from app.remote_index import MissingPackageError, check_milvus_package
 from app.settings import Settings, SettingsError, read_settings
 from app.vision.runtime.tflite import NetworkError
 from app.vision.weights import check_networks
+from index.milvus_address import MilvusAddress
 
 GRACE_S = 15
 # Longer than the interval of a camera that sends a frame a minute.
@@ -29,7 +31,9 @@ def main() -> None:
         settings = read_settings()
         check_address(settings.host, settings.port)
         check_networks()
-    except (SettingsError, NetworkError) as error:
+        if isinstance(settings.index, MilvusAddress):
+            check_milvus_package()
+    except (SettingsError, NetworkError, MissingPackageError) as error:
         sys.exit(str(error))
     serve(settings)
 

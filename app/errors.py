@@ -22,10 +22,14 @@ from app.schemas import Problem
 from app.tracking.session import LateFrameError
 from app.upload import UploadError
 from app.video_reader import VideoError
+from index.neighbours import UnavailableError
 
 MEDIA_TYPE = "application/problem+json"
 
 _MULTIPART = "multipart/form-data"
+
+SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
+_SEARCHED_AGAIN_IN_S = 2
 
 
 class ProblemError(Exception):
@@ -138,7 +142,7 @@ _MEANINGS = {
     413: "Too many bytes or pixels.",
     415: "The body is neither multipart/form-data nor, where that is taken, an image or a video.",
     422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
-    503: "Overloaded (with Retry-After), or the index is not loaded.",
+    503: "Overloaded or unable to search (with Retry-After), or the index is not loaded.",
 }
 
 _STATUS_OF_UPLOAD = {"undecodable": 400, "too_large": 413, "misfit": 422}
@@ -178,6 +182,13 @@ def register_error_handlers(
     @app.exception_handler(BusyError)
     async def _(request: Request, error: BusyError) -> Response:
         return problem_response(overloaded(str(error), error.reason, retry_after_s()))
+
+    @app.exception_handler(UnavailableError)
+    async def _(request: Request, error: UnavailableError) -> Response:
+        # Its own sentence names a server that is none of the caller's business.
+        return problem_response(
+            overloaded(SEARCH_FAILED, "index_unavailable", _SEARCHED_AGAIN_IN_S)
+        )
 
     @app.exception_handler(VideoError)
     async def _(request: Request, error: VideoError) -> Response:

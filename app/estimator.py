@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +85,12 @@ class Estimator:
         self.map_parts = map_parts
 
     @classmethod
-    def load(cls, settings: Settings, map_parts: Map = map_serially) -> Estimator:
+    def load(
+        cls,
+        settings: Settings,
+        map_parts: Map = map_serially,
+        index: PoseIndex | None = None,
+    ) -> Estimator:
         """Load index and networks.
 
         Parameters
@@ -91,6 +98,8 @@ class Estimator:
         settings : Settings
         map_parts : callable
             As in :class:`Estimator`.
+        index : PoseIndex, optional
+            By default loaded from the folder in the settings.
 
         Raises
         ------
@@ -99,6 +108,9 @@ class Estimator:
         NetworkError
             If a network of the package is missing or altered.
         """
+        if index is None:
+            assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
+            index = load_index(settings.index)
         threads, copies = network_threads(available_cores(), settings.concurrency)
         movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
         body = BodyNetwork(network_path("body_mask"), threads=threads, copies=copies)
@@ -109,7 +121,7 @@ class Estimator:
             else NetworkDetector(movenet, min_person_px=smallest)
         )
         return cls(
-            load_index(settings.index),
+            index,
             detector,
             NetworkSegmenter(body),
             KeypointReader(movenet),
@@ -118,6 +130,12 @@ class Estimator:
             max_persons=settings.max_persons,
             map_parts=map_parts,
         )
+
+    def with_index(self, index: PoseIndex) -> Estimator:
+        """Return an estimator with the same networks and another index."""
+        other = copy(self)
+        other.index = index
+        return other
 
     def warm_up(self) -> None:
         """Run everything once, since the first run is slow."""

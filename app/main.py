@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -14,6 +12,7 @@ from starlette.formparsers import MultiPartParser
 
 from app.access_log import AccessLogMiddleware
 from app.admission import AdmissionMiddleware, UploadLimits
+from app.breaker import CircuitBreaker
 from app.cameras import HEADER as CAMERA_HEADER
 from app.cameras import camera_stream
 from app.cors import CorsMiddleware
@@ -21,9 +20,10 @@ from app.errors import register_error_handlers
 from app.estimator import Estimator
 from app.executor import Executor
 from app.head import HeadMiddleware
+from app.loading import become_ready, keep_index_loaded
 from app.metrics import Metrics
 from app.openapi import SERVERS, TAGS, add_openapi
-from app.process import configure_process, freeze_loaded_objects, trim_heap
+from app.process import configure_process
 from app.route_table import RouteTable
 from app.routes import cameras, deepstack, health, index, pose, sequence
 from app.routes.cameras import SESSION_HEADER
@@ -34,10 +34,6 @@ from app.settings import Settings, read_settings
 from app.tracking.session import CameraSession
 from app.tracking.sessions import CameraSessions
 from app.version import VERSION
-from app.vision.runtime.tflite import NetworkError
-from index.verified_files import ArtefactError
-
-log = logging.getLogger("app")
 
 # Below that, less than a packet is saved.
 GZIP_FROM_BYTES = 1400
@@ -77,19 +73,21 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     executor = Executor(settings.concurrency, settings.queue_length, settings.request_timeout_s)
     metrics = Metrics(settings.request_timeout_s)
     sessions = CameraSessions(
-        lambda: CameraSession(runtime.ready_estimator()),
+        CameraSession,
         max_sessions=settings.max_cameras,
         idle_s=settings.camera_idle_s,
         max_memory_bytes=settings.camera_memory_mb * 1024**2,
         on_begin=metrics.sessions_started.inc,
         on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
     )
-    runtime = Runtime(settings, executor, metrics, sessions)
+    breaker = CircuitBreaker(lambda reason: metrics.search_failures.labels(reason).inc())
+    runtime = Runtime(settings, executor, metrics, sessions, breaker)
     metrics.observe_sessions(lambda: len(sessions), lambda: runtime.sequences)
+    metrics.observe_breaker(lambda: breaker.is_open)
     runtime.metrics.observe_load(lambda: executor.inside, executor.capacity)
     runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
-        _become_ready(runtime, estimator)
+        become_ready(runtime, estimator)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -98,7 +96,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         MultiPartParser.spool_max_size = max(settings.max_upload_bytes, settings.max_video_bytes)
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
-                tasks.start_soon(_load, runtime)
+                tasks.start_soon(keep_index_loaded, runtime)
             tasks.start_soon(_end_idle_sessions, runtime)
             yield
             tasks.cancel_scope.cancel()
@@ -161,46 +159,8 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     app.add_middleware(AccessLogMiddleware, metrics=runtime.metrics, table=table)
 
 
-async def _load(runtime: Runtime) -> None:
-    """Load the estimator; if that fails, the service stays up and says why."""
-
-    def load() -> Estimator:
-        estimator = Estimator.load(runtime.settings, runtime.executor.map)
-        estimator.warm_up()
-        freeze_loaded_objects()
-        trim_heap()
-        return estimator
-
-    try:
-        # Where it is loaded, threads of the networks inherit the priority of those that use them.
-        estimator = await asyncio.wrap_future(runtime.executor.submit(load))
-    except (ArtefactError, NetworkError) as error:
-        runtime.not_ready_because, runtime.loading = str(error), False
-        log.error("not ready: %s", error)
-    except Exception:
-        # A process that ended here would be restarted for ever, and probes would not learn why.
-        runtime.not_ready_because = "the index could not be loaded; the log says more"
-        runtime.loading = False
-        log.exception("not ready")
-    else:
-        _become_ready(runtime, estimator)
-
-
 async def _end_idle_sessions(runtime: Runtime) -> None:
     """Give back what sessions hold whose cameras have stopped sending."""
     while True:
         await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
         runtime.sessions.end_idle()
-
-
-def _become_ready(runtime: Runtime, estimator: Estimator) -> None:
-    runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
-    runtime.estimator = estimator
-    log.info(
-        "ready: version %s (%s), index %s with %d entries, detector %s",
-        VERSION,
-        runtime.settings.revision,
-        estimator.index.version,
-        len(estimator.index),
-        estimator.detector.name,
-    )

@@ -97,6 +97,17 @@ class Metrics:
             ["version", "revision", "concurrency", "queue_length", "request_timeout_s"],
             registry=self.registry,
         )
+        self.search_failures = Counter(
+            "pose_search_failures",
+            "Searches in Milvus that failed, by reason.",
+            ["reason"],
+            registry=self.registry,
+        )
+        self._breaker_open = Gauge(
+            "pose_search_breaker_open",
+            "1 while searches are refused because Milvus does not answer.",
+            registry=self.registry,
+        )
         self._index = Gauge(
             "pose_index_info",
             "Always 1; the labels say which index is loaded.",
@@ -155,8 +166,13 @@ class Metrics:
         ).set(1)
 
     def observe_index(self, name: str, version: str) -> None:
-        """Report which index is loaded."""
+        """Report which index is loaded, in place of the one before."""
+        self._index.clear()
         self._index.labels(name, version).set(1)
+
+    def observe_breaker(self, is_open: Callable[[], bool]) -> None:
+        """Report whether searches are refused whenever metrics are read."""
+        self._breaker_open.set_function(is_open)
 
     def observe_stages(self, milliseconds: Mapping[str, float]) -> None:
         """Count the time one frame took in each stage; a stage it skipped is not counted."""

@@ -8,6 +8,7 @@ from typing import Annotated, TypeVar, cast
 
 from fastapi import Depends, Request
 
+from app.breaker import CircuitBreaker
 from app.cameras import camera_stream
 from app.cancellation import CancellationToken
 from app.errors import ProblemError
@@ -33,6 +34,8 @@ class Runtime:
         Does all work on images.
     metrics : Metrics
     sessions : CameraSessions
+    breaker : CircuitBreaker
+        Open while searches by another server fail.
     sequences : int
         Videos that are received or worked on.
     estimator : Estimator or None
@@ -47,6 +50,7 @@ class Runtime:
     executor: Executor
     metrics: Metrics
     sessions: CameraSessions
+    breaker: CircuitBreaker
     sequences: int = 0
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
@@ -59,6 +63,20 @@ class Runtime:
             headers = {"Retry-After": str(_LOADED_IN_S)} if self.loading else {}
             raise ProblemError(503, self.not_ready_because, reason="not_ready", headers=headers)
         return self.estimator
+
+    def searching_estimator(self) -> Estimator:
+        """Return the estimator where searches succeed, else raise at once what they would.
+
+        Raises
+        ------
+        ProblemError
+            As :meth:`ready_estimator` does.
+        index.neighbours.UnavailableError
+            If the circuit breaker is open.
+        """
+        estimator = self.ready_estimator()
+        self.breaker.check()
+        return estimator
 
 
 def runtime_of(request: Request) -> Runtime:

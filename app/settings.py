@@ -15,6 +15,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from app.cores import available_cores
 from app.messages import expected_and_got, shortened, suggestion
 from app.vision.detection.detector import DetectorName
+from index.milvus_address import SCHEME, MilvusAddress
 from index.store import DEFAULT_PATH
 
 PREFIX = "POSE_"
@@ -44,7 +45,17 @@ class Settings(BaseSettings):
         default=1, ge=1, validation_alias="WORKERS", description="Processes that serve; see below."
     )
 
-    index: Path = Field(default=DEFAULT_PATH, description="Folder of the index artefact.")
+    index: Annotated[Path | MilvusAddress, NoDecode] = Field(
+        default=DEFAULT_PATH,
+        description="Folder of the index artefact, or `milvus://host:port/alias`.",
+    )
+    artefacts: Path = Field(
+        default=DEFAULT_PATH,
+        description="For an index in Milvus: folder of its artefact, or of several.",
+    )
+    search_timeout_s: float = Field(
+        default=2.0, gt=0, allow_inf_nan=False, description="For a search in Milvus."
+    )
     detector: DetectorName = Field(
         default="network",
         description="What finds people: `network` (MoveNet, with HOG beside it) or `hog` alone.",
@@ -133,6 +144,13 @@ class Settings(BaseSettings):
         default="info", description="`debug`, `info`, `warning` or `error`."
     )
     revision: str = Field(default="unknown", description="Git revision of this build.")
+
+    @field_validator("index", mode="before")
+    @classmethod
+    def _parse_address(cls, value: object) -> object:
+        if isinstance(value, str) and value.startswith(SCHEME):
+            return MilvusAddress.parse(value)
+        return value
 
     @field_validator("api_keys", "cors_origins", mode="before")
     @classmethod

@@ -20,7 +20,9 @@ from index.posture import Posture as PostureLabel
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end"]
-SequenceEndReason = Literal["complete", "max_frames", "broken", "timeout", "shutdown"]
+SequenceEndReason = Literal[
+    "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
+]
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock says in seconds, earlier than today in milliseconds."""
@@ -217,7 +219,7 @@ class SequenceEnd(Model):
     reason: SequenceEndReason = Field(
         description="`complete`: the video's end; `max_frames`: as many as were asked for or are "
         "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
-        "`shutdown`: it is being stopped.",
+        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",
         examples=["complete"],
     )
     detail: str = Field(

@@ -95,6 +95,34 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
         raise ArtefactError(f"the index at {path} does not hold together: {error}") from error
 
 
+def find_artefact(folder: Path, version: str) -> Path:
+    """Return the artefact of a version.
+
+    Parameters
+    ----------
+    folder : Path
+        The artefact itself, or a folder with several.
+    version : str
+
+    Raises
+    ------
+    ArtefactError
+        If there is no usable artefact of that version.
+    """
+    found = []
+    for manifest in sorted([*folder.glob("manifest.json"), *folder.glob("[!.]*/manifest.json")]):
+        try:
+            version_there = _read_manifest(manifest.parent)["version"]
+        except ArtefactError:
+            continue
+        if version_there == version:
+            return manifest.parent
+        found.append(version_there)
+    raise ArtefactError(
+        f"expected an artefact of version {version} in {folder}, found {', '.join(found) or 'none'}"
+    )
+
+
 def _files(index: PoseIndex) -> dict[str, bytes]:
     flat = faiss.IndexFlatL2(index.descriptor.dimension)
     flat.add(index.vectors.astype(np.float32))

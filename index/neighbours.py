@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 # With several OpenMP threads FAISS answers a single query more slowly and less exactly.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -17,6 +17,25 @@ STEPS = np.float32(8)
 a quarter, and a byte holds each value exactly."""
 
 _LARGEST_STEP = 128
+
+
+FailureReason = Literal["deadline", "unreachable", "refused"]
+"""Why a search by another server failed: too slow, not there, or answered with an error."""
+
+
+class UnavailableError(Exception):
+    """A search by another server failed, though it may succeed later.
+
+    Parameters
+    ----------
+    message : str
+        One sentence for the operator.
+    reason : FailureReason
+    """
+
+    def __init__(self, message: str, reason: FailureReason) -> None:
+        super().__init__(message)
+        self.reason: FailureReason = reason
 
 
 class Neighbours(Protocol):
@@ -41,6 +60,11 @@ class Neighbours(Protocol):
         squared : (Q, k) float32 array
             Squared Euclidean distances, ascending.
         numbers : (Q, k) int64 array
+
+        Raises
+        ------
+        UnavailableError
+            If the search is done by a server that does not answer.
         """
 
 

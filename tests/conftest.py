@@ -28,6 +28,7 @@ from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
+from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
 
 ROOT = Path(__file__).resolve().parent.parent
 PIXELS_PER_METRE = 100.0
@@ -274,3 +275,14 @@ def server(index_path: Path) -> Iterator[Server]:
         yield running
     finally:
         running.stop()
+
+
+@pytest.fixture(scope="session")
+def milvus_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MilvusProcess]:
+    """A Milvus server."""
+    reason = why_milvus_cannot_run()
+    if reason is not None:
+        pytest.skip(reason)
+    with MilvusProcess(tmp_path_factory.mktemp("milvus")) as running:
+        running.wait_until_healthy()
+        yield running

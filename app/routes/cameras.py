@@ -87,15 +87,15 @@ async def track_frame(
     frame. Frames of one camera are worked on one after the other, in order of arrival; of those
     that wait, the newest is answered, older ones get a 503. The header `X-Session` says `new` where
     the camera starts afresh: with its first frame, after a pause, or when the service had to forget
-    it.
+    it or has moved over to another index.
     """
     runtime = runtime_of(request)
-    estimator, sessions = runtime.ready_estimator(), runtime.sessions
+    estimator, sessions = runtime.searching_estimator(), runtime.sessions
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
     upload, timestamp = frame
 
     def work(token: CancellationToken) -> bytes:
-        tracked = sessions.process(camera, upload, timestamp, n, token.check, evidence)
+        tracked = sessions.process(camera, estimator, upload, timestamp, n, token.check, evidence)
         _tell_session(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
         runtime.metrics.observe_stages(tracked.timings_ms)

@@ -69,7 +69,7 @@ async def estimate_pose(
     people gives an empty list.
     """
     runtime = runtime_of(request)
-    estimator = runtime.ready_estimator()
+    estimator = runtime.searching_estimator()
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
 
     def work(token: CancellationToken) -> bytes:
@@ -103,7 +103,7 @@ async def draw_pose(
     the frame's coordinates.
     """
     runtime = runtime_of(request)
-    estimator = runtime.ready_estimator()
+    estimator = runtime.searching_estimator()
 
     def work(token: CancellationToken) -> bytes:
         # As many as `/pose` returns by default, so that both tell the same posture.

@@ -17,6 +17,7 @@ from starlette.types import Message, Receive, Scope, Send
 from app.auth import RequireKey
 from app.cancellation import CancellationToken, DeadlineError
 from app.errors import (
+    SEARCH_FAILED,
     ProblemError,
     documented,
     is_multipart,
@@ -44,6 +45,7 @@ from app.tracking_replies import sequence_end_reply, sequence_frame_reply, seque
 from app.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
 from app.upload import Upload
 from app.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
+from index.neighbours import UnavailableError
 from index.skeleton import KEYPOINT_SETS
 
 PATH = "/sequence"
@@ -130,7 +132,7 @@ class _OpenVideo:
 async def _open(request: Request, stride: StrideQuery = 1) -> AsyncIterator[_OpenVideo]:
     """Receive and open the video; it is closed once the request has been answered."""
     runtime = runtime_of(request)
-    runtime.ready_estimator()
+    runtime.searching_estimator()
     settings = runtime.settings
     if runtime.sequences >= settings.max_sequences:
         raise overloaded(
@@ -254,6 +256,8 @@ class _Sequence:
             yield self._end("timeout", str(error))
         except VideoError as error:
             yield self._end("broken", str(error))
+        except UnavailableError:
+            yield self._end("unavailable", SEARCH_FAILED)
         else:
             yield self._end("complete", f"the video ended after {self._summary.frames} frames")
 

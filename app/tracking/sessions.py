@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from app.estimates import Evidence
+from app.estimator import Estimator
 from app.finder import Check
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.upload import Upload
 
-EndReason = Literal["forgotten", "idle", "number", "memory"]
-"""Why a session ended: on demand, or because of one of the limits."""
+EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
+"""Why a session ended: on demand, because of one of the limits, or for another index."""
 
 
 class CameraKey(NamedTuple):
@@ -59,8 +60,9 @@ class CameraSummary:
 class _Held:
     """A session and what is known of it without asking it, which only one thread may do."""
 
-    def __init__(self, session: CameraSession, now: float) -> None:
+    def __init__(self, session: CameraSession, estimator: Estimator, now: float) -> None:
         self.session = session
+        self.estimator = estimator
         self.busy = True
         self._first = self.last = now
         self.memory_bytes = 0
@@ -97,7 +99,7 @@ class CameraSessions:
     Parameters
     ----------
     create : callable
-        Makes a session for a camera's first frame.
+        Makes a session for a camera's first frame with an estimator.
     max_sessions : int
     idle_s : float
         Seconds without a frame after which a session ends.
@@ -114,7 +116,7 @@ class CameraSessions:
 
     def __init__(
         self,
-        create: Callable[[], CameraSession],
+        create: Callable[[Estimator], CameraSession],
         *,
         max_sessions: int,
         idle_s: float,
@@ -143,6 +145,7 @@ class CameraSessions:
     def process(
         self,
         key: CameraKey,
+        estimator: Estimator,
         upload: Upload,
         timestamp: float | None,
         n: int,
@@ -153,6 +156,8 @@ class CameraSessions:
 
         A session begins only with a frame that could be used: rubbish displaces nobody. Frames of
         one camera must not be processed at once; :meth:`app.executor.Executor.run` sees to that.
+        A session that was begun with another estimator ends: its tracks hold poses of another
+        index.
 
         Raises
         ------
@@ -162,11 +167,14 @@ class CameraSessions:
         with self._lock:
             self._end_idle()
             held = self._held.get(key)
+            if held is not None and held.estimator is not estimator:
+                self._end(key, "index")
+                held = None
             if held is not None:
                 held.busy = True
         begins = held is None
         if held is None:
-            held = _Held(self._create(), self._clock())
+            held = _Held(self._create(estimator), estimator, self._clock())
         try:
             frame = held.session.process(upload, timestamp, n, check, evidence)
             with self._lock:
@@ -204,6 +212,13 @@ class CameraSessions:
         with self._lock:
             self._end_idle()
             self._end(key, "forgotten")
+
+    def end_others(self, estimator: Estimator) -> None:
+        """End the sessions of any other estimator, which each would keep in memory."""
+        with self._lock:
+            for key, held in list(self._held.items()):
+                if held.estimator is not estimator and not held.busy:
+                    self._end(key, "index")
 
     def end_idle(self) -> None:
         """End the sessions whose last frame came too long ago."""

@@ -20,7 +20,7 @@ from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
 from index import artefact, folders
-from index.artefact import load_index, save_index
+from index.artefact import find_artefact, load_index, save_index
 from index.store import PoseIndex
 from index.verified_files import ArtefactError, npy_bytes
 
@@ -149,7 +149,7 @@ class TestFailedSave:
         # The manifest is written last: the process dies with every other file in place.
         script = f"""
 import dataclasses, os, pathlib, signal
-from index.artefact import load_index, save_index
+from index.artefact import find_artefact, load_index, save_index
 index = load_index({str(saved)!r})
 pathlib.Path.write_text = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
@@ -296,3 +296,27 @@ class TestRefusal:
             ),
         )
         assert "expected a FAISS IndexFlatL2, got IndexFlatIP" in self.refused(saved)
+
+
+class TestFind:
+    def test_the_artefact_of_a_version_is_found_alone_or_among_others(
+        self, toy_index: PoseIndex, tmp_path: Path
+    ) -> None:
+        other = dataclasses.replace(toy_index, name="other")
+        versions = {
+            tmp_path / name: save_index(index, tmp_path / name)
+            for name, index in (("first", toy_index), ("second", other))
+        }
+        for path, version in versions.items():
+            assert find_artefact(tmp_path, version) == path
+            assert find_artefact(path, version) == path
+
+    def test_what_is_not_there_or_not_whole_is_not_found(self, saved: Path, tmp_path: Path) -> None:
+        version = json.loads((saved / "manifest.json").read_text())["version"]
+        with pytest.raises(ArtefactError, match=f"of version sha256:0 in .*, found {version}"):
+            find_artefact(tmp_path, "sha256:0")
+        (saved / "manifest.json").write_text("{")
+        with pytest.raises(ArtefactError, match="found none"):
+            find_artefact(tmp_path, version)
+        with pytest.raises(ArtefactError, match="found none"):
+            find_artefact(tmp_path / "nowhere", version)

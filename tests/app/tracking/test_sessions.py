@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 import pytest
 
+from app.estimator import Estimator
 from app.tracking.results import TrackedFrame
 from app.tracking.sessions import CameraKey, CameraSessions
 from app.upload import Upload, UploadError
@@ -55,9 +57,10 @@ class Registry(CameraSessions):
         self.now = 0.0
         self.began = 0
         self.ended: list[str] = []
+        self.estimator = cast(Estimator, object())
         self.while_working: Callable[[], None] = lambda: None
         super().__init__(
-            lambda: FakeSession(lambda: self.while_working()),  # type: ignore[arg-type,return-value]
+            lambda _: FakeSession(lambda: self.while_working()),  # type: ignore[arg-type,return-value]
             max_sessions=max_sessions,
             idle_s=60,
             max_memory_bytes=max_memory_bytes,
@@ -73,7 +76,7 @@ class Registry(CameraSessions):
         """Process a frame a second after the last one; return the session's state."""
         self.now += 1
         key = CameraKey(caller, camera)
-        return self.process(key, upload, None, n, lambda: None).session
+        return self.process(key, self.estimator, upload, None, n, lambda: None).session
 
     def cameras(self, caller: int = 0) -> list[str]:
         return [summary.camera_id for summary in self.summaries(caller)]

@@ -1,0 +1,291 @@
+"""The service with its index in a real Milvus server."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+
+from app import __main__ as main
+from app import remote_index
+from index.artefact import load_index, save_index
+from index.store import PoseIndex
+from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.app.test_camera_sessions import send
+from tests.app.test_server import metric
+from tests.conftest import Photo, Server, build_tiny_index, start_server, wait_until
+
+if why_milvus_cannot_run() is None or TYPE_CHECKING:
+    from index.milvus import Milvus
+    from index.milvus_publication import publish
+
+needs_milvus = pytest.mark.skipif(
+    why_milvus_cannot_run() is not None, reason=str(why_milvus_cannot_run())
+)
+
+ALIAS = "served"
+
+
+@pytest.fixture(scope="module")
+def milvus(milvus_process: MilvusProcess) -> Iterator[Milvus]:
+    connection = Milvus(milvus_process.address, 30.0)
+    yield connection
+    connection.close()
+
+
+@pytest.fixture(scope="module")
+def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two versions whose answers can be told apart by the subject."""
+    folder = tmp_path_factory.mktemp("artefacts")
+    save_index(build_tiny_index(), folder / "sticks")
+    save_index(replace(build_tiny_index(seed=2), subjects=("other",)), folder / "others")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sticks(artefacts: Path) -> PoseIndex:
+    return load_index(artefacts / "sticks")
+
+
+@pytest.fixture(scope="module")
+def others(artefacts: Path) -> PoseIndex:
+    return load_index(artefacts / "others")
+
+
+@contextmanager
+def serving(milvus_process: MilvusProcess, artefacts: Path, **environment: str) -> Iterator[Server]:
+    """A server whose index is in Milvus; it may not be ready yet."""
+    running = start_server(
+        None,
+        POSE_INDEX=f"milvus://{milvus_process.address}/{ALIAS}",
+        POSE_ARTEFACTS=str(artefacts),
+        POSE_SEARCH_TIMEOUT_S="1",
+        **environment,
+    )
+    try:
+        yield running
+    finally:
+        assert running.stop() == 0
+
+
+@pytest.fixture(scope="module")
+def server(
+    milvus: Milvus, milvus_process: MilvusProcess, artefacts: Path, sticks: PoseIndex
+) -> Iterator[Server]:
+    publish(milvus, sticks, ALIAS)
+    with serving(milvus_process, artefacts) as running:
+        wait_until(f"{running.url}/readyz")
+        yield running
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a client got.
+
+    Parameters
+    ----------
+    at : float
+        Monotonic seconds.
+    status : int
+    retry_after : str or None
+    versions : set of str
+        Of the index that the answer names, and of the one that each hypothesis comes from.
+    """
+
+    at: float
+    status: int
+    retry_after: str | None
+    versions: set[str]
+
+
+class Load:
+    """Two clients that send one frame after the other, as a context manager.
+
+    Parameters
+    ----------
+    server : Server
+    photo : Photo
+    versions : dict of str to str
+        Versions of indexes by the subjects in them.
+    """
+
+    def __init__(self, server: Server, photo: Photo, versions: dict[str, str]) -> None:
+        self.answers: list[Answer] = []
+        self._server, self._photo, self._versions = server, photo, versions
+        self._ended = threading.Event()
+        self._threads = [threading.Thread(target=self._send) for _ in range(2)]
+
+    def __enter__(self) -> Load:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _send(self) -> None:
+        files = {"frame": self._photo.frame_png, "mask": self._photo.mask_png}
+        with httpx.Client(base_url=self._server.url, timeout=30) as client:
+            while not self._ended.is_set():
+                response = client.post("/pose", files=files)
+                body, versions = response.json(), set()
+                if response.status_code == 200:
+                    (person,) = body["persons"]
+                    subjects = {h["source"]["subject"] for h in person["hypotheses"]}
+                    versions = {self._versions[subject] for subject in subjects}
+                    versions.add(body["index"]["version"])
+                self.answers.append(
+                    Answer(
+                        time.monotonic(),
+                        response.status_code,
+                        response.headers.get("retry-after"),
+                        versions,
+                    )
+                )
+
+    def wait_for(self, status: int, timeout_s: float) -> float:
+        """Wait for an answer of a status that is sent from now on; return the seconds."""
+        started = time.monotonic()
+        while not any(a.status == status and a.at > started for a in self.answers[-20:]):
+            assert time.monotonic() < started + timeout_s, f"no {status} in {timeout_s} s"
+            time.sleep(0.02)
+        return time.monotonic() - started
+
+
+@pytest.fixture
+def load(server: Server, photo: Photo, sticks: PoseIndex, others: PoseIndex) -> Load:
+    return Load(server, photo, {"stick": sticks.version, "other": others.version})
+
+
+@needs_milvus
+class TestServing:
+    def test_it_answers_as_with_the_index_in_a_folder(
+        self, server: Server, photo: Photo, sticks: PoseIndex
+    ) -> None:
+        files = {"frame": photo.frame_png, "mask": photo.mask_png}
+        answer = httpx.post(f"{server.url}/pose", files=files).json()
+        assert answer["persons"][0]["hypotheses"][0]["entry"] == photo.entry
+        assert answer["index"]["version"] == sticks.version
+
+    def test_a_silent_milvus_is_given_up_and_asked_again_later(
+        self, milvus_process: MilvusProcess, server: Server, load: Load
+    ) -> None:
+        with load:
+            load.wait_for(200, 10)
+            milvus_process.freeze()
+            try:
+                load.wait_for(503, 10)
+                assert httpx.get(f"{server.url}/healthz").status_code == 200
+                deadline = time.monotonic() + 10
+                while metric(server, "pose_search_breaker_open") == 0:
+                    assert time.monotonic() < deadline
+                assert httpx.get(f"{server.url}/readyz").status_code == 200
+            finally:
+                milvus_process.thaw()
+            load.wait_for(200, 10)
+        assert {answer.status for answer in load.answers} == {200, 503}
+        assert all(int(a.retry_after or 0) >= 1 for a in load.answers if a.status == 503)
+        assert metric(server, 'pose_search_failures_total{reason="deadline"}') >= 3
+
+    def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
+        self, milvus: Milvus, server: Server, load: Load, photo: Photo, sticks: PoseIndex,
+        others: PoseIndex,
+    ) -> None:  # fmt: skip
+        with load, httpx.Client(base_url=server.url) as client:
+            assert [send(client, photo).headers["x-session"] for _ in range(2)] == ["new", "warm"]
+            publish(milvus, others, ALIAS)
+            deadline = time.monotonic() + 20
+            while client.get("/index").json()["version"] != others.version:
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            load.wait_for(200, 10)
+            assert send(client, photo).headers["x-session"] == "new"
+        assert {answer.status for answer in load.answers} == {200}
+        assert all(len(answer.versions) == 1 for answer in load.answers)
+        served = [next(iter(answer.versions)) for answer in load.answers]
+        assert served[0] == sticks.version
+        assert served[-1] == others.version
+        labels = f'name="{others.name}",version="{others.version}"'
+        assert metric(server, f"pose_index_info{{{labels}}}") == 1
+        assert metric(server, 'pose_camera_sessions_ended_total{reason="index"}') == 1
+        publish(milvus, sticks, ALIAS)
+
+    def test_a_version_without_an_artefact_is_refused_with_a_sentence(
+        self, milvus_process: MilvusProcess, server: Server, index_path: Path, others: PoseIndex,
+        tmp_path: Path, milvus: Milvus,
+    ) -> None:  # fmt: skip
+        save_index(others, tmp_path / "others")
+        with serving(milvus_process, tmp_path) as refusing:
+            detail = wait_for_detail(refusing, "expected an artefact of version sha256:")
+            assert others.version in detail
+            # It is looked for again.
+            save_index(load_index(index_path), tmp_path / "sticks")
+            wait_until(f"{refusing.url}/readyz")
+
+
+@needs_milvus
+@pytest.mark.slow
+def test_killed_and_started_again_it_is_only_missed_meanwhile(
+    milvus_process: MilvusProcess, milvus: Milvus, server: Server, load: Load, artefacts: Path
+) -> None:
+    with load:
+        load.wait_for(200, 10)
+        milvus_process.kill()
+        with serving(milvus_process, artefacts) as later:
+            load.wait_for(503, 10)
+            wait_for_detail(later, "cannot be reached")
+            assert httpx.get(f"{later.url}/healthz").status_code == 200
+            milvus_process.start()
+            milvus_process.wait_until_healthy()
+            wait_until_searched(milvus)
+            load.wait_for(200, 10)
+            wait_until(f"{later.url}/readyz", timeout_s=10)
+    assert {answer.status for answer in load.answers} == {200, 503}
+    assert all(int(a.retry_after or 0) >= 1 for a in load.answers if a.status == 503)
+
+
+def wait_until_searched(milvus: Milvus) -> None:
+    """Wait until Milvus, which is healthy earlier, has loaded its collections again."""
+    from index.neighbours import UnavailableError
+
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            name = milvus.resolve(ALIAS)
+            milvus.count(name, 0, 1)
+            return
+        except UnavailableError:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+
+
+def wait_for_detail(server: Server, expected: str) -> str:
+    """Wait until a service that is not ready says why; return its sentence."""
+    wait_until(f"{server.url}/healthz")
+    deadline, detail = time.monotonic() + 20, ""
+    while expected not in detail:
+        assert time.monotonic() < deadline, detail
+        response = httpx.get(f"{server.url}/readyz")
+        assert response.status_code == 503
+        assert int(response.headers["retry-after"]) >= 1
+        detail = response.json()["detail"]
+        time.sleep(0.05)
+    return str(detail)
+
+
+def test_without_the_package_the_start_ends_with_a_sentence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("POSE_INDEX", "milvus://vectors/poses")
+    monkeypatch.setattr(remote_index.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(SystemExit, match=r"^POSE_INDEX: expected the packages of the extra milvus"):
+        main.main()
