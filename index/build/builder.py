@@ -33,7 +33,6 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
 from index.neighbours import STEPS
 from index.posture import LOW, POSTURES, classify
-from index.silhouettes import Silhouettes
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 
@@ -206,7 +205,7 @@ def assemble(
         clips=simulation.clips,
         subjects=simulation.subjects,
         actions=simulation.actions,
-        silhouette_store=Silhouettes.compress(simulation.bits),
+        silhouette_store=simulation.silhouette_store,
         parameters={**parameters, "confidence": calibration.parameters()},
     )
 
