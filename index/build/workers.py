@@ -15,6 +15,10 @@ CHECK_S = 1.0
 """How often those who wait look whether anybody works."""
 
 
+class WorkersError(RuntimeError):
+    """Workers who cannot be worked with; the message is one sentence."""
+
+
 class Workers(Protocol):
     """Whoever performs tasks."""
 
