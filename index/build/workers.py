@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from itertools import islice
-from typing import Protocol, TypeVar
+from time import sleep
+from typing import Any, Protocol, TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+_END: Any = object()
 
 CHECK_S = 1.0
 """How often those who wait look whether anybody works."""
@@ -56,13 +58,17 @@ def bounded_map(
         Asked at least every :data:`CHECK_S` seconds; an exception from it ends the work.
     """
     left = iter(tasks)
+    task = next(left, _END)
     waiting: set[Future[Result]] = set()
     try:
-        while True:
-            free = max(0, at_once() - len(waiting))
-            waiting.update(executor.submit(perform, task) for task in islice(left, free))
+        while waiting or task is not _END:
+            free = at_once() - len(waiting)
+            while free > 0 and task is not _END:
+                waiting.add(executor.submit(perform, task))
+                task, free = next(left, _END), free - 1
             if not waiting:
-                return
+                sleep(CHECK_S)
+                continue
             done, waiting = wait(waiting, timeout=CHECK_S, return_when=FIRST_COMPLETED)
             for future in done:
                 yield future.result()

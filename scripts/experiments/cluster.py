@@ -24,6 +24,7 @@ from index.build.builder import Asked, Plan, build
 from index.build.cluster import Cluster
 from index.build.simulate import SHARD_POSES
 from index.build.workers import Result, Task, Threads, Workers
+from scripts.experiments.report import table
 from scripts.results import ROOT, machine, revision, write_section
 
 PAGE = ROOT / "docs" / "results" / "cluster.md"
@@ -125,19 +126,12 @@ def on_cluster(
         stack.enter_context(
             dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
         )
+        options = [
+            *("--scheduler-file", str(file), "--nthreads", "1", "--local-directory", str(folder)),
+            "--nanny" if nanny else "--no-nanny",
+        ]
         for _ in range(WORKERS):
-            stack.enter_context(
-                dask(
-                    "worker",
-                    "--scheduler-file",
-                    str(file),
-                    "--nthreads",
-                    "1",
-                    "--nanny" if nanny else "--no-nanny",
-                    "--local-directory",
-                    str(folder),
-                )  # fmt: skip
-            )
+            stack.enter_context(dask("worker", *options))
         while not file.exists():
             time.sleep(0.1)
         client = stack.enter_context(Client(scheduler_file=str(file)))
@@ -146,7 +140,8 @@ def on_cluster(
         half = (entries // Plan.views // SHARD_POSES + 1) // 2
 
         def kill_one() -> None:
-            while len(list((folder / "shards").glob("shard-*"))) < half:
+            shards = folder / "shards"
+            while len(list(shards.glob("shard-*"))) < half and not (folder / "index").exists():
                 time.sleep(0.05)
             os.kill(next(iter(pids.values())), signal.SIGKILL)
 
@@ -186,6 +181,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         local = build_apart(options.shared, options.entries, None, Path(folder))
     rows = [row("local, threads", local, [], local)]
+    print(rows[-1], flush=True)
     for title, nanny, killed in (
         ("two workers", True, False),
         ("one of them killed, its nanny starts another", True, True),
@@ -194,29 +190,32 @@ def main() -> None:
         built, workers = on_cluster(options.shared, options.entries, nanny=nanny, killed=killed)
         rows.append(row(title, built, workers, local))
         print(rows[-1], flush=True)
-    body = f"""`python -m scripts.experiments.cluster --entries {options.entries}`, revision {revision()}.
+    command = f"python -m scripts.experiments.cluster --entries {options.entries}"
+    header = ["who draws", "hash", "build", "drawing", "coordinator's peak", "workers' peaks"]
+    body = f"""`{command}`, revision {revision()}.
 {machine()}; scheduler, workers and other work shared it.
 
-| who draws | content hash | build, of local | drawing, of local | coordinator at most | workers at most |
-|---|---|---|---|---|---|
-{chr(10).join(rows)}
+{table(header, rows)}
 
-{options.entries:,} entries in shards of {SHARD_POSES} poses; two workers of one thread each. The local
-build took {local.seconds:.0f} s, {local.drawing_s:.0f} s of them drawing. The worker was killed with SIGKILL
-when half of the shards were there. A worker that replaces another is listed by its own peak."""
+{options.entries:,} entries in shards of {SHARD_POSES} poses; {WORKERS} workers of one thread each.
+Times are shares of the local build's: {local.seconds:.0f} s in all, {local.drawing_s:.0f} s of drawing.
+A worker was killed (SIGKILL) when half of the shards were there. A worker that is started in its
+place is listed instead of it."""
     print(body)
     if options.write:
         write_section(PAGE, "Two workers against one process", body)
 
 
-def row(title: str, built: Built, workers: list[float], local: Built) -> str:
+def row(title: str, built: Built, workers: list[float], local: Built) -> list[str]:
     """Return a row of the table."""
-    peaks = ", ".join(f"{peak:.0f} MB" for peak in workers)
-    return (
-        f"| {title} | {built.version.removeprefix('sha256:')[:12]} "
-        f"| {built.seconds / local.seconds:.2f} | {built.drawing_s / local.drawing_s:.2f} "
-        f"| {built.peak_mb:.0f} MB | {peaks} |"
-    )
+    return [
+        title,
+        built.version.removeprefix("sha256:")[:12],
+        f"{built.seconds / local.seconds:.2f}",
+        f"{built.drawing_s / local.drawing_s:.2f}",
+        f"{built.peak_mb:.0f} MB",
+        ", ".join(f"{peak:.0f} MB" for peak in workers),
+    ]
 
 
 if __name__ == "__main__":
