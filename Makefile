@@ -63,7 +63,7 @@ $(BUILD)/.stamp: pyproject.toml
 	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
 	@$(PYTHON) -m venv $(BUILD)
 	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
-	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,contract,evaluate,test]'
+	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,cluster,contract,evaluate,test]'
 	@touch $@
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.

@@ -5,9 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import lzma
-import os
-import shutil
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, cast
@@ -16,7 +13,7 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.folders import clear_left_overs, lock, replace_folder
+from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
@@ -49,22 +46,14 @@ def save_index(index: PoseIndex, path: Path) -> str:
     version = _version(manifest)
     manifest["version"] = version
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    clear_left_overs(path)
-    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    held = lock(staging)
-    try:
+    with staging(path) as folder:
         for name, content in files.items():
-            (staging / _stored_name(name)).write_bytes(
+            (folder / _stored_name(name)).write_bytes(
                 content if name == _INCOMPRESSIBLE else lzma.compress(content, preset=6)
             )
-        (staging / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
-        staging.chmod(0o755)
-        replace_folder(staging, path)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-        if held is not None:
-            os.close(held)
+        (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
+        folder.chmod(0o755)
+        replace_folder(folder, path)
     return version
 
 

@@ -7,11 +7,28 @@ import fcntl
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 # From fcntl.h and fs.h of Linux.
 _AT_FDCWD = -100
 _EXCHANGE = 2
+
+
+@contextmanager
+def staging(path: Path) -> Iterator[Path]:
+    """A new folder beside ``path``, removed at the end; if killed, by the next of the same path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    clear_left_overs(path)
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    held = lock(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if held is not None:
+            os.close(held)
 
 
 def clear_left_overs(path: Path) -> None:

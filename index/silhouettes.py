@@ -54,13 +54,21 @@ class Silhouettes:
             raise ValueError(f"expected {self.ends[-1]} bytes of silhouettes, got {len(self.data)}")
 
     @classmethod
-    def compress(cls, bits: NDArray[np.uint8]) -> Silhouettes:
-        """Compress silhouettes packed by :func:`descriptor.silhouette.pack`, ``(E, 768)``."""
+    def compress(
+        cls, bits: NDArray[np.uint8], sample: NDArray[np.uint8] | None = None
+    ) -> Silhouettes:
+        """Compress silhouettes packed by :func:`descriptor.silhouette.pack`, ``(E, 768)``.
+
+        Parameters
+        ----------
+        bits : (E, 768) uint8 array
+        sample : (S, 768) uint8 array, optional
+            Silhouettes that make the dictionary; by default :func:`sampled` ones of ``bits``.
+        """
         if bits.ndim != 2 or bits.shape[1] != PACKED_BYTES or len(bits) == 0:
             raise ValueError(f"expected silhouettes of shape (E, {PACKED_BYTES}), got {bits.shape}")
         columns = _by_columns(bits)
-        sample = np.linspace(0, len(bits) - 1, min(len(bits), _DICTIONARY_SILHOUETTES)).astype(int)
-        dictionary = columns[sample].ravel()
+        dictionary = _by_columns(bits[sampled(len(bits))] if sample is None else sample).ravel()
         fresh = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE, 9, zdict=dictionary.tobytes())
         parts = []
         for row in columns:
@@ -71,6 +79,24 @@ class Silhouettes:
             np.cumsum([len(part) for part in parts], dtype=np.int64),
             dictionary,
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Silhouettes]) -> Silhouettes:
+        """Put silhouettes of the same dictionary one after another."""
+        first = parts[0]
+        if any(not np.array_equal(part.dictionary, first.dictionary) for part in parts):
+            raise ValueError("expected silhouettes of the same dictionary")
+        lengths = np.concatenate([np.diff(part.ends, prepend=0) for part in parts])
+        data = np.concatenate([part.data for part in parts])
+        return cls(data, np.cumsum(lengths, dtype=np.int64), first.dictionary)
+
+    def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Silhouettes:
+        """Some silhouettes, still compressed."""
+        starts = np.concatenate([[0], self.ends[:-1]])[rows]
+        ends = self.ends[rows]
+        spans = zip(starts.tolist(), ends.tolist(), strict=True)
+        data = np.concatenate([self.data[:0], *(self.data[start:end] for start, end in spans)])
+        return Silhouettes(data, np.cumsum(ends - starts, dtype=np.int64), self.dictionary)
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -95,6 +121,11 @@ class Silhouettes:
                 np.uint8,
             )
         return unpack(_by_rows(rows))
+
+
+def sampled(count: int) -> NDArray[np.int64]:
+    """Rows of ``count`` silhouettes that make their dictionary: spread evenly."""
+    return np.linspace(0, count - 1, min(count, _DICTIONARY_SILHOUETTES)).astype(np.int64)
 
 
 def _by_columns(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:

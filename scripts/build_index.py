@@ -1,15 +1,19 @@
-"""Build an index from motion capture: ``make index``."""
+"""Build an index from motion capture: ``make index``, on this machine or a Dask cluster."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from index.artefact import save_index
 from index.build.builder import Plan, build
 from index.build.garments import GarmentError
 from index.build.motion import MotionError
+from index.build.shard_files import ShardError
+from index.build.workers import Threads, Workers, WorkersError
+from index.folders import staging
 from index.store import DEFAULT_PATH
 
 
@@ -26,6 +30,14 @@ def main() -> int:
     add("--views", type=int, default=Plan.views, help="views per pose and body")
     add("--seed", type=int, default=Plan.seed)
     add("--descriptor", choices=("discriminant", "paper"), default=Plan.descriptor)
+    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that draws; tcp://HOST:8786")
+    add(
+        "--shards",
+        type=Path,
+        metavar="FOLDER",
+        help="keeps what is drawn, so that a build can be resumed, and is shared by a cluster; "
+        "by default a temporary folder beside --out",
+    )
     arguments = parser.parse_args()
     name = arguments.name or ("cmu-dressed" if arguments.garments else "cmu-unclothed")
     try:
@@ -36,15 +48,28 @@ def main() -> int:
             seed=arguments.seed,
             descriptor=arguments.descriptor,
         )
-        index = build(
-            arguments.mocap, arguments.garments, plan, name=name, progress=True, say=print
-        )
+        shards = nullcontext(arguments.shards) if arguments.shards else staging(arguments.out)
+        with _workers(arguments.scheduler) as workers:
+            index = build(
+                arguments.mocap, arguments.garments, plan, name=name, workers=workers,
+                shards=shards, progress=True, say=print,
+            )  # fmt: skip
         version = save_index(index, arguments.out)
-    except (MotionError, GarmentError, ValueError, OSError) as error:
+    except (MotionError, GarmentError, ShardError, WorkersError, ValueError, OSError) as error:
         print(f"build_index: {error}", file=sys.stderr)
         return 1
     print(f"{len(index)} entries in {arguments.out}, {version}")
     return 0
+
+
+def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:
+    if scheduler is None:
+        return nullcontext(Threads())
+    try:
+        from index.build.cluster import Cluster
+    except ModuleNotFoundError as error:
+        raise WorkersError(f"--scheduler needs the extra cluster ({error})") from error
+    return Cluster(scheduler)
 
 
 if __name__ == "__main__":

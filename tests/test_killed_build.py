@@ -46,13 +46,20 @@ def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
     version = save_index(build_tiny_index(), out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
 
+    def beside(pattern: str) -> list[Path]:
+        try:
+            return list(tmp_path.glob(f".index-*/{pattern}"))
+        except FileNotFoundError:  # The folder was removed meanwhile.
+            return []
+
     def staged() -> list[Path]:
-        return [path for folder in tmp_path.glob(".index-*") for path in folder.iterdir()]
+        return beside("*.xz") + beside("*.npy")
 
     started = time.monotonic()
-    # While it computes; with the first file written; with several.
+    # While it computes; with a shard drawn; with the first file written; with several.
     for due in (
         lambda: time.monotonic() > started + 3,
+        lambda: len(beside("shard-*")) >= 1,
         lambda: len(staged()) >= 1,
         lambda: len(staged()) >= 4,
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,10 +31,10 @@ from index.build.poses import (
     read_poses,
 )
 from index.build.simulate import Simulation, simulate
+from index.build.workers import Workers
 from index.confidence import FEATURES, Calibration
 from index.neighbours import STEPS
 from index.posture import LOW, POSTURES, classify
-from index.silhouettes import Silhouettes
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 
@@ -168,7 +169,14 @@ def _cover(poses: Poses, joints: NDArray[np.floating], count: int) -> Poses:
 
 
 def simulate_queries(
-    motion: Path, segments: Sequence[Segment], avatars: Sequence[Avatar], asked: Asked, seed: int
+    motion: Path,
+    segments: Sequence[Segment],
+    avatars: Sequence[Avatar],
+    asked: Asked,
+    seed: int,
+    *,
+    workers: Workers | None = None,
+    folder: Path | None = None,
 ) -> Simulation:
     """Silhouettes to ask an index: frames spread evenly over segments, each from one view."""
     poses, _ = read_poses(motion, segments)
@@ -180,7 +188,9 @@ def simulate_queries(
         spread(poses.take(np.flatnonzero(near_ground)), asked.near_ground),
         spread(laid, asked.laid_down),
     ]
-    return simulate(merged(parts), avatars, bodies=1, views=1, seed=seed)
+    return simulate(
+        merged(parts), avatars, bodies=1, views=1, seed=seed, workers=workers, folder=folder
+    )
 
 
 def spread(poses: Poses, count: int) -> Poses:
@@ -206,7 +216,7 @@ def assemble(
         clips=simulation.clips,
         subjects=simulation.subjects,
         actions=simulation.actions,
-        silhouette_store=Silhouettes.compress(simulation.bits),
+        silhouette_store=simulation.silhouette_store,
         parameters={**parameters, "confidence": calibration.parameters()},
     )
 
@@ -218,6 +228,8 @@ def build(
     *,
     name: str,
     segments: Sequence[Segment] | None = None,
+    workers: Workers | None = None,
+    shards: AbstractContextManager[Path] | None = None,
     progress: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> PoseIndex:
@@ -234,6 +246,10 @@ def build(
         Of the index.
     segments : sequence of Segment, optional
         Instead of all that the manifest lists; experiments hold some out.
+    workers : Workers, optional
+        Who draws the silhouettes; by default threads of this process.
+    shards : context manager, optional
+        Of the folder where they go, entered once the inputs are read; by default temporary.
     progress : bool
         Whether to draw progress bars.
     say : callable
@@ -243,6 +259,8 @@ def build(
     ------
     MotionError, GarmentError
         If the inputs are missing or malformed.
+    ShardError
+        If a part of the silhouettes cannot be drawn or read.
     """
     segments = read_manifest(motion) if segments is None else segments
     poses, dropped = read_poses(motion, segments)
@@ -252,21 +270,36 @@ def build(
     if garments is None:
         say("No garments folder: the bodies are unclothed.")
     chosen = choose_poses(poses, avatars[0], plan.poses, plan.seed)
-    simulation = simulate(
-        chosen,
-        avatars,
-        bodies=plan.bodies,
-        views=plan.views,
-        seed=plan.seed,
-        only_new=True,
-        progress=progress,
-    )
+    with shards or nullcontext() as folder:
+        simulation = simulate(
+            chosen,
+            avatars,
+            bodies=plan.bodies,
+            views=plan.views,
+            seed=plan.seed,
+            only_new=True,
+            progress=progress,
+            workers=workers,
+            folder=folder,
+        )
+        kept, held = split_by_clip(segments)
+        if not held or not kept:
+            kept, held = list(segments), list(segments)
+        asked = simulate_queries(
+            motion,
+            held,
+            make_avatars(CALIBRATION_AVATARS, garments),
+            plan.calibration,
+            plan.seed + 1,
+            workers=workers,
+            folder=folder,
+        )
     descriptor: Descriptor = DiagonalDescriptor()
     if plan.descriptor == "discriminant":
         descriptor = learn_descriptor(simulation, plan.seed)
-    calibration = _calibrate(
-        motion, garments, plan, segments, simulation, descriptor, progress, say
-    )
+    inner = without_clips(simulation, {segment.clip for segment in kept})
+    queries = Queries.of(asked).half_degraded(plan.seed + 1)
+    calibration = _calibrate(inner, descriptor, queries, progress, say)
     parameters: dict[str, object] = {
         "poses": len(chosen),
         "bodies_per_pose": plan.bodies,
@@ -288,30 +321,19 @@ def _report(poses: Poses, dropped: Dropped) -> str:
 
 
 def _calibrate(
-    motion: Path,
-    garments: Path | None,
-    plan: Plan,
-    segments: Sequence[Segment],
     simulation: Simulation,
     descriptor: Descriptor,
+    queries: Queries,
     progress: bool,
     say: Callable[[str], None],
 ) -> Calibration:
-    """Ask the index, less some clips, for those clips on bodies of their own."""
-    kept, held = split_by_clip(segments)
-    if not held or not kept:
-        kept, held = list(segments), list(segments)
-    kept_clips = {segment.clip for segment in kept}
-    inner = without_clips(simulation, kept_clips)
-    index = assemble(inner, descriptor, Calibration.none(), {}, "calibration")
-    avatars = make_avatars(CALIBRATION_AVATARS, garments)
-    simulated = simulate_queries(motion, held, avatars, plan.calibration, plan.seed + 1)
-    queries = Queries.of(simulated).half_degraded(plan.seed + 1)
+    """Ask an index over a simulation for silhouettes of clips and bodies that it lacks."""
+    index = assemble(simulation, descriptor, Calibration.none(), {}, "calibration")
     trial = run_trial(index, queries, progress=progress)
     calibration = fit_calibration(trial)
     confidence = calibration.probability(trial.features.reshape(-1, len(FEATURES)))
     say(
-        f"Confidence fitted on {len(queries)} silhouettes of {len(held)} held-out segments, "
+        f"Confidence fitted on {len(queries)} silhouettes of held-out clips, "
         "every second one degraded: "
         f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
         f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "

@@ -105,9 +105,11 @@ class Scatter:
         return Scatter(self.total[some], self.within[some], fewer)
 
 
-def view_joints(simulation: Simulation) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Joints of every entry: ``(E, 19, 3)`` in camera axes and ``(E, 19, 2)`` normalised."""
-    entries = simulation.entries
+def view_joints(
+    simulation: Simulation, rows: slice | NDArray[np.integer] = slice(None)
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Joints of entries: ``(E, 19, 3)`` in camera axes and ``(E, 19, 2)`` normalised."""
+    entries = simulation.entries[rows]
     rotations = camera_rotation(
         entries["azimuth_deg"], entries["elevation_deg"], entries["roll_deg"]
     ).astype(np.float32)
@@ -144,39 +146,68 @@ def learn_descriptor(
 def measure_scatter(
     simulation: Simulation, seed: int, recipe: Recipe, *, faults: Faults = degrade_all
 ) -> Scatter:
-    """Measure what the moments of a recipe do over a simulation."""
+    """Measure what the moments of a recipe do over a simulation.
+
+    Moments are computed block by block, some of them twice: those of all entries would take
+    kilobytes each.
+    """
     import faiss
 
-    moments = np.concatenate(
-        [
-            recipe.block(simulation.silhouettes(slice(start, start + BLOCK)))
-            for start in range(0, len(simulation), BLOCK)
-        ]
-    )
-    joints_3d, joints_2d = view_joints(simulation)
-    poses = np.concatenate(
-        [
-            joints_2d.reshape(len(moments), -1) / SCALE_PX,
-            joints_3d.reshape(len(moments), -1) / SCALE_M,
-        ],
-        axis=1,
-    )
-    anchors = np.random.default_rng(seed).permutation(len(moments))[:ANCHORS]
-    flat = faiss.IndexFlatL2(poses.shape[1])
-    flat.add(poses)
-    squares, neighbours = flat.search(poses[anchors], min(NEAREST + 1, len(poses)))
-    differences = (moments[anchors][:, None] - moments[neighbours[:, 1:]]).reshape(
-        -1, moments.shape[1]
-    )
+    poses = _pose_vectors(simulation)
+    anchors = np.random.default_rng(seed).permutation(len(poses))[:ANCHORS]
+    squares, neighbours = faiss.knn(poses[anchors], poses, min(NEAREST + 1, len(poses)))
     # Nearer skeletons say more about what to ignore.
-    closeness = 1.0 / (squares[:, 1:].ravel() / (2 * JOINTS) + 0.05)
-    within = (differences * closeness[:, None]).T.astype(np.float64) @ differences / closeness.sum()
+    closeness = 1.0 / (squares[:, 1:] / (2 * JOINTS) + 0.05)
+    within = _within(simulation, anchors, neighbours[:, 1:], closeness, recipe)
+    within += _noise_scatter(simulation, anchors, seed, recipe, faults)
+    return Scatter(_total(simulation, recipe), within, recipe)
+
+
+def _pose_vectors(simulation: Simulation) -> NDArray[np.float32]:
+    """Joints of every entry ``(E, 95)``, scaled so that distances in and off the picture add."""
+    vectors = np.empty((len(simulation), 5 * JOINTS), np.float32)
+    for start in range(0, len(vectors), BLOCK):
+        rows = slice(start, start + BLOCK)
+        joints_3d, joints_2d = view_joints(simulation, rows)
+        vectors[rows, : 2 * JOINTS] = joints_2d.reshape(-1, 2 * JOINTS) / SCALE_PX
+        vectors[rows, 2 * JOINTS :] = joints_3d.reshape(-1, 3 * JOINTS) / SCALE_M
+    return vectors
+
+
+def _within(
+    simulation: Simulation,
+    anchors: NDArray[np.int64],
+    neighbours: NDArray[np.int64],
+    closeness: NDArray[np.float32],
+    recipe: Recipe,
+) -> NDArray[np.float64]:
+    """Mean square difference ``(F, F)`` of anchors ``(A,)`` and neighbours ``(A, N)``, weighted."""
+    products: NDArray[np.float64] | float = 0.0
+    step = BLOCK // (1 + NEAREST)
+    for start in range(0, len(anchors), step):
+        block = slice(start, start + step)
+        rows = np.concatenate([anchors[block, None], neighbours[block]], axis=1)
+        moments = recipe.block(simulation.silhouettes(rows.ravel())).reshape(*rows.shape, -1)
+        differences = (moments[:, :1] - moments[:, 1:]).reshape(-1, moments.shape[-1])
+        weighted = differences * closeness[block].reshape(-1, 1)
+        products = products + weighted.T.astype(np.float64) @ differences
+    return np.asarray(products / closeness.sum(dtype=np.float64))
+
+
+def _total(simulation: Simulation, recipe: Recipe) -> NDArray[np.float64]:
+    """Covariance ``(F, F)`` of the moments of all silhouettes and their mirror images."""
+    sums: NDArray[np.float64] | float = 0.0
+    products: NDArray[np.float64] | float = 0.0
+    for start in range(0, len(simulation), BLOCK):
+        silhouettes = simulation.silhouettes(slice(start, start + BLOCK))
+        moments = recipe.block(silhouettes).astype(np.float64)
+        sums = sums + moments.sum(axis=0)
+        products = products + moments.T @ moments
+    mean = np.asarray(sums / len(simulation))
     # The mean of silhouettes and mirror images has no odd moment.
-    mean = moments.mean(axis=0) * ~_odd(recipe)
-    centred = moments - mean
-    total = centred.T.astype(np.float64) @ centred / len(centred)
-    within += _noise_scatter(simulation, anchors, moments, joints_2d, seed, recipe, faults)
-    return Scatter(total, within, recipe)
+    centre = mean * ~_odd(recipe)
+    cross = np.outer(mean, centre)
+    return np.asarray(products / len(simulation) - cross - cross.T + np.outer(centre, centre))
 
 
 def discriminate(scatter: Scatter, dimension: int, regularisation: float) -> DiscriminantDescriptor:
@@ -198,16 +229,15 @@ def _odd(recipe: Recipe) -> NDArray[np.bool_]:
 def _noise_scatter(
     simulation: Simulation,
     anchors: NDArray[np.int64],
-    moments: NDArray[np.float32],
-    joints_2d: NDArray[np.float32],
     seed: int,
     recipe: Recipe,
     faults: Faults,
 ) -> NDArray[np.float64]:
     """What faults do to the moments ``(F, F)``."""
     some = np.sort(anchors[: ANCHORS // 4])
-    rough, _ = faults(simulation.silhouettes(some), joints_2d[some], np.random.default_rng(seed))
-    noise = recipe.block(rough) - moments[some]
+    silhouettes, joints_2d = simulation.silhouettes(some), view_joints(simulation, some)[1]
+    rough, _ = faults(silhouettes, joints_2d, np.random.default_rng(seed))
+    noise = recipe.block(rough) - recipe.block(silhouettes)
     return NOISE_WEIGHT * (noise.T.astype(np.float64) @ noise) / len(noise)
 
 

@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor
-from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg, unpack
-from index.build.body import Avatar, pose_transforms, posed_points, retarget
-from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
+from index.build.body import Avatar, Retargeting, pose_transforms, retarget
 from index.build.poses import Poses
-from index.build.render import render, skin
-from index.posture import POSTURES, classify
-from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
-from index.store import ENTRY_DTYPE, SKELETON_DTYPE
+from index.build.shard import Shard
+from index.build.shard_files import (
+    Task,
+    code_version,
+    name_of,
+    perform,
+    read_drawn,
+    write_avatars,
+)
+from index.build.workers import Threads, Workers
+from index.silhouettes import Silhouettes, sampled
+from index.store import SKELETON_DTYPE
 
 BLOCK = 4096
 """Silhouettes unpacked and described at a time."""
 
-FORESHORTENED_OF = 2
-"""Cameras sampled for each that looks at a pose laid down: who lies across the picture looks as
-somebody who stands."""
-
-_NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
+SHARD_POSES = 100
+"""Poses drawn at a time: a second or two of work."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +42,14 @@ class Simulation:
 
     Parameters
     ----------
-    bits : (E, 768) uint8 array
-        Bit-packed normalised silhouettes.
+    silhouette_store : Silhouettes
     entries : (E,) array of ENTRY_DTYPE
     skeletons : (S, 24, 3) float16 array
     skeleton_labels : (S,) array of SKELETON_DTYPE
     clips, subjects, actions : tuple of str
     """
 
-    bits: NDArray[np.uint8]
+    silhouette_store: Silhouettes
     entries: NDArray[np.void]
     skeletons: NDArray[np.float16]
     skeleton_labels: NDArray[np.void]
@@ -58,11 +62,13 @@ class Simulation:
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Simulation:
         """Some entries; all skeletons stay."""
-        return replace(self, bits=self.bits[rows], entries=self.entries[rows])
+        return replace(
+            self, silhouette_store=self.silhouette_store.select(rows), entries=self.entries[rows]
+        )
 
     def silhouettes(self, rows: slice | NDArray[np.integer]) -> NDArray[np.uint8]:
         """Unpack some silhouettes ``(B, 128, 48)`` of 0 and 1."""
-        return unpack(self.bits[rows])
+        return self.silhouette_store.take(np.arange(len(self))[rows])
 
     def describe(self, descriptor: Descriptor) -> NDArray[np.float32]:
         """All silhouettes as vectors ``(E, D)``, block by block."""
@@ -82,8 +88,10 @@ def simulate(
     seed: int,
     only_new: bool = False,
     progress: bool = False,
+    workers: Workers | None = None,
+    folder: Path | None = None,
 ) -> Simulation:
-    """Render every pose on some bodies from some views.
+    """Render every pose on some bodies from some views, shard by shard.
 
     Parameters
     ----------
@@ -95,106 +103,130 @@ def simulate(
     views : int
         Views per pose and body.
     seed : int
-        The same seed, poses and avatars give the same bytes, on any number of cores.
+        The same seed, poses and avatars give the same bytes, whoever draws.
     only_new : bool
         Whether poses laid down are left out where standing ones look the same: seen across.
     progress : bool
         Whether to draw a progress bar.
+    workers : Workers, optional
+        Who draws; by default threads of this process.
+    folder : Path, optional
+        Where the shards go, and stay; those that are there are not drawn again. By default a
+        temporary folder.
 
     Returns
     -------
     Simulation
         Entries pose by pose, body by body, view by view.
+
+    Raises
+    ------
+    ShardError
+        If a shard cannot be drawn or read.
     """
     bodies = min(bodies, len(avatars))
-    count = len(poses) * bodies
-    generator = np.random.default_rng(seed)
-    cast = np.concatenate(
-        [generator.permutation(len(avatars)) for _ in range(-(-count // len(avatars)))]
-    )[:count]
-    seeds = np.random.SeedSequence(seed).spawn(count)
-    retargeting = {
-        (clip, body): retarget(poses.clips[clip], avatars[body])
-        for clip in np.unique(poses.clip)
-        for body in range(len(avatars))
-    }
-    bits = np.empty((count * views, HEIGHT * WIDTH // 8), np.uint8)
-    entries = np.zeros(count * views, ENTRY_DTYPE)
-    skeletons = np.empty((count, POINTS, 3), np.float16)
-    labels = np.zeros(count, SKELETON_DTYPE)
-    speeds = poses.speeds()
-
-    def one(skeleton: int) -> None:
-        row, body = skeleton // bodies, int(cast[skeleton])
-        avatar, clip = avatars[body], int(poses.clip[row])
-        rotations = poses.rotations(np.array([row]))
-        transforms = pose_transforms(avatar, retargeting[clip, body], rotations)
-        points = posed_points(avatar, transforms)
-        near_ground = classify(points, BODY_UP)[0] in _NEAR_GROUND
-        skeletons[skeleton] = points[0]
-        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row], speeds[row])
-        vertices = skin(
-            avatar.vertices, avatar.influences, avatar.weights, transforms[0].astype(np.float32)
-        )
-        laid_down = not np.isnan(poses.lying_deg[row])
-        cameras = sample_views(
-            (FORESHORTENED_OF if laid_down and only_new else 1) * views,
-            np.random.default_rng(seeds[skeleton]),
-            GROUND_ELEVATIONS_DEG if near_ground else ELEVATIONS_DEG,
-        )
-        if laid_down and only_new:
-            cameras = most_foreshortened(cameras, points[0], views)
-        silhouettes = np.empty((views, HEIGHT, WIDTH), np.uint8)
-        first = skeleton * views
-        for view, camera in enumerate(cameras):
-            entries[first + view] = (
-                skeleton, *_draw(avatar, vertices, points[0], camera, silhouettes[view])
-            )  # fmt: skip
-        bits[first : first + views] = pack(silhouettes)
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        done = pool.map(one, range(count))
-        for _ in tqdm(done, total=count, unit="body", desc="simulating", disable=not progress):
-            pass
+    cast = _cast(len(poses) * bodies, len(avatars), seed)
+    shards = _shards(poses, avatars, cast, views, seed, only_new)
+    with nullcontext(folder) if folder else TemporaryDirectory() as where:
+        files = _draw_all(shards, len(cast), avatars, Path(where), workers or Threads(), progress)
+        store, entries, skeletons = _merge(files, len(cast) * views)
+    rows = np.repeat(np.arange(len(poses)), bodies)
+    labels = np.zeros(len(cast), SKELETON_DTYPE)
+    labels["clip"], labels["frame"] = poses.clip[rows], poses.frame[rows]
+    labels["subject"], labels["action"] = cast, poses.action[rows]
+    labels["speed"] = poses.speeds()[rows]
     return Simulation(
-        bits, entries, skeletons, labels,
+        store, entries, skeletons, labels,
         tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
     )  # fmt: skip
 
 
-def most_foreshortened(
-    cameras: NDArray[np.void], points: NDArray[np.float64], count: int
-) -> NDArray[np.void]:
-    """The ``count`` cameras that look most along the trunk of a body ``(24, 3)``."""
-    trunk = points[JOINT_NAMES.index("neck")] - points[JOINT_NAMES.index("pelvis")]
-    rotations = camera_rotation(cameras["azimuth_deg"], cameras["elevation_deg"])
-    along = np.abs(rotations[:, 2] @ trunk)
-    return cameras[np.sort(np.argsort(-along, kind="stable")[:count])]
+def _cast(count: int, avatars: int, seed: int) -> NDArray[np.int64]:
+    """Which avatar each body is ``(count,)``."""
+    generator = np.random.default_rng(seed)
+    rounds = [generator.permutation(avatars) for _ in range(-(-count // avatars))]
+    return np.concatenate(rounds)[:count]
 
 
-def _draw(
-    avatar: Avatar,
-    vertices: NDArray[np.float32],
-    points: NDArray[np.float64],
-    camera: np.void,
-    silhouette: NDArray[np.uint8],
-) -> tuple[float, ...]:
-    """Draw one view; return its camera, rolled where the body is wide, and the placement."""
-    azimuth_deg, elevation_deg, roll_deg, distance = camera.tolist()
+def _shards(
+    poses: Poses,
+    avatars: Sequence[Avatar],
+    cast: NDArray[np.int64],
+    views: int,
+    seed: int,
+    only_new: bool,
+) -> Iterator[Shard]:
+    bodies = len(cast) // len(poses)
 
-    def placed() -> tuple[float, ...]:
-        rotation = camera_rotation(azimuth_deg, elevation_deg, roll_deg).astype(np.float32)
-        return tuple(
-            render(vertices, avatar.triangles, avatar.closed, rotation, distance, silhouette)
+    @cache
+    def retargeting(clip: int, avatar: int) -> Retargeting:
+        return retarget(poses.clips[clip], avatars[avatar])
+
+    def transforms(number: int) -> NDArray[np.float64]:
+        row, avatar = number // bodies, int(cast[number])
+        rotations = poses.rotations(np.array([row]))
+        retargeted = retargeting(int(poses.clip[row]), avatar)
+        return np.asarray(pose_transforms(avatars[avatar], retargeted, rotations)[0])
+
+    for start in range(0, len(poses), SHARD_POSES):
+        rows = np.arange(start, min(start + SHARD_POSES, len(poses)))
+        numbers = range(bodies * start, bodies * (rows[-1] + 1))
+        yield Shard(
+            first=numbers.start,
+            avatar=cast[numbers.start : numbers.stop],
+            transforms=np.stack([transforms(number) for number in numbers]),
+            foreshortened=np.repeat(only_new & ~np.isnan(poses.lying_deg[rows]), bodies),
+            views=views,
+            seed=seed,
         )
 
-    placement = placed()
-    if is_wide(silhouette):
-        axis_deg = principal_axis_deg(silhouette)
-        body = points[[JOINT_NAMES.index("head"), JOINT_NAMES.index("pelvis")]]
-        rolls = [roll_deg - axis_deg, roll_deg - axis_deg + 180.0]
-        upright = camera_rotation(azimuth_deg, elevation_deg, np.array(rolls))
-        head_down, pelvis_down = (body @ upright.swapaxes(1, 2))[..., 1].T
-        roll_deg = float(wrap_degrees(rolls[int((head_down - pelvis_down).argmin())]))
-        placement = placed()
-    return azimuth_deg, elevation_deg, roll_deg, distance, *placement
+
+def _draw_all(
+    shards: Iterator[Shard],
+    bodies: int,
+    avatars: Sequence[Avatar],
+    folder: Path,
+    workers: Workers,
+    progress: bool,
+) -> list[Path]:
+    """Have the shards drawn that are not there, and return the files of all, in order."""
+    # Workers may run in other folders.
+    folder = folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    avatar_file, code = write_avatars(avatars, folder), code_version()
+    there = {file.name for file in folder.iterdir()}
+    files = []
+    with tqdm(total=bodies, unit="body", desc="simulating", disable=not progress) as bar:
+
+        def tasks() -> Iterator[Task]:
+            for shard in shards:
+                file = folder / name_of(shard, avatar_file, code)
+                files.append(file)
+                if file.name in there:
+                    bar.update(len(shard))
+                else:
+                    yield Task(shard, avatar_file, file, code)
+
+        for drawn in workers.map(perform, tasks()):
+            bar.update(drawn)
+    return files
+
+
+def _merge(
+    files: Sequence[Path], count: int
+) -> tuple[Silhouettes, NDArray[np.void], NDArray[np.float16]]:
+    """Read shards one by one; return their silhouettes, compressed, entries and skeletons."""
+    in_each = len(read_drawn(files[0]).entries)
+    sample = []
+    wanted = sampled(count)
+    for number in np.unique(wanted // in_each):
+        rows = wanted[wanted // in_each == number] % in_each
+        sample.append(read_drawn(files[number]).bits[rows])
+    dictionary = np.concatenate(sample)
+    stores, entries, skeletons = [], [], []
+    for file in files:
+        drawn = read_drawn(file)
+        stores.append(Silhouettes.compress(drawn.bits, dictionary))
+        entries.append(drawn.entries)
+        skeletons.append(drawn.skeletons)
+    return Silhouettes.joined(stores), np.concatenate(entries), np.concatenate(skeletons)

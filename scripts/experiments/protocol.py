@@ -26,6 +26,7 @@ from index.build.poses import Poses, read_poses
 from index.build.render import render, skin
 from index.build.simulate import Simulation
 from index.confidence import RIGHT_BELOW_PX
+from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 
@@ -93,7 +94,7 @@ def film(
             )  # fmt: skip
             entries[entry] = (skeleton, *camera.tolist(), *placed)
     return Simulation(
-        pack(silhouettes), entries, skeletons, labels,
+        Silhouettes.compress(pack(silhouettes)), entries, skeletons, labels,
         tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
     )  # fmt: skip
 

@@ -20,7 +20,6 @@ from index.build.motion import Segment
 from index.build.poses import Poses, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
-from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -265,7 +264,7 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
         clips=simulation.clips,
         subjects=simulation.subjects,
         actions=simulation.actions,
-        silhouette_store=Silhouettes.compress(simulation.bits),
+        silhouette_store=simulation.silhouette_store,
         parameters={"confidence": Calibration((0.0,) * len(FEATURES), 0.0).parameters()},
     )
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import pack, unpack
-from index.silhouettes import Silhouettes
+from index.silhouettes import Silhouettes, sampled
 from index.store import PoseIndex
 
 
@@ -33,6 +33,26 @@ def test_takes_none(noise: np.ndarray) -> None:
 def test_outlines_compress_several_times(toy_index: PoseIndex) -> None:
     stored = toy_index.silhouette_store
     assert len(stored.data) < len(stored) * 768 / 3
+
+
+@pytest.mark.parametrize("cuts", [[], [1], [40, 41, 99]])
+def test_compressed_in_parts_are_the_same_bytes(noise: np.ndarray, cuts: list[int]) -> None:
+    sample = noise[sampled(100)]
+    parts = [Silhouettes.compress(part, sample) for part in np.split(noise, cuts)]
+    joined, whole = Silhouettes.joined(parts), Silhouettes.compress(noise)
+    for field in ("data", "ends", "dictionary"):
+        assert_array_equal(getattr(joined, field), getattr(whole, field))
+
+
+def test_joins_those_of_one_dictionary_only(noise: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="of the same dictionary"):
+        Silhouettes.joined([Silhouettes.compress(part) for part in np.split(noise, 2)])
+
+
+@pytest.mark.parametrize("rows", [np.array([7, 3, 7, 0, 99]), np.arange(100) % 3 == 0])
+def test_selects_without_decompressing(noise: np.ndarray, rows: np.ndarray) -> None:
+    selected = Silhouettes.compress(noise).select(rows)
+    assert_array_equal(selected.take(np.arange(len(selected))), unpack(noise[rows]))
 
 
 @pytest.mark.parametrize("number", [-1, 100])

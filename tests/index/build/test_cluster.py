@@ -1,0 +1,220 @@
+"""A Dask cluster: the same bytes as alone, and refused in a sentence where it cannot be used."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from index.build import simulate as simulate_module
+from index.build.body import Avatar
+from index.build.poses import Poses
+from index.build.simulate import Simulation, simulate
+from index.build.workers import Result, Task, WorkersError
+from tests.conftest import ROOT
+from tests.index.build.test_simulate import assert_same
+
+distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
+from index.build import cluster as module  # noqa: E402
+from index.build.cluster import Cluster  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """Address of a cluster of two threads in this process."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0",
+        protocol="tcp", host="127.0.0.1",
+    ) as local:  # fmt: skip
+        yield local.scheduler_address
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulate_module, "SHARD_POSES", 5)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_draws_the_same_bytes_as_threads(
+    scheduler: str, poses: Poses, avatars: list[Avatar], simulation: Simulation, tmp_path: Path
+) -> None:
+    with Cluster(scheduler) as workers:
+        shared = simulate(
+            poses, avatars, bodies=1, views=12, seed=7, workers=workers, folder=tmp_path
+        )
+    assert len(list(tmp_path.glob("shard-*"))) == 10
+    assert_same(shared, simulation)
+
+
+def test_every_task_once(scheduler: str) -> None:
+    with Cluster(scheduler) as workers:
+        assert sorted(workers.map(abs, range(-50, 0))) == list(range(1, 51))
+
+
+def test_an_error_of_a_task_is_raised_here(scheduler: str) -> None:
+    with Cluster(scheduler) as workers, pytest.raises(OverflowError):
+        list(workers.map(np.int8, [1, 2, 300]))
+
+
+def test_refuses_workers_of_other_code(scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def version() -> str:
+        return "ours" if threading.current_thread() is threading.main_thread() else "theirs"
+
+    monkeypatch.setattr(module, "code_version", version)
+    with pytest.raises(WorkersError, match=r"runs other code \(theirs\) than this build \(ours\)"):
+        Cluster(scheduler)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "nonsense", "http://127.0.0.1:1"])
+def test_says_that_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_S", 0.3)
+    address = address.format(port=free_port())
+    with pytest.raises(WorkersError, match=f"no Dask scheduler answers at {address}"):
+        Cluster(address)
+
+
+def test_a_stranger_is_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as stranger:
+        address = f"tcp://127.0.0.1:{stranger.getsockname()[1]}"
+        with pytest.raises(WorkersError, match="no Dask scheduler answers"):
+            Cluster(address)
+
+
+def test_a_worker_is_no_scheduler() -> None:
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0",
+        protocol="tcp", host="127.0.0.1",
+    ) as local:  # fmt: skip
+        address = next(iter(local.workers.values())).address
+        with pytest.raises(WorkersError, match="no Dask scheduler answers"):
+            Cluster(address)
+
+
+def test_says_that_no_worker_joined() -> None:
+    with (
+        distributed.LocalCluster(
+            n_workers=0, processes=False, dashboard_address=":0", protocol="tcp", host="127.0.0.1"
+        ) as local,
+        pytest.raises(WorkersError, match=r"had no worker for 0\.2 s"),
+    ):
+        Cluster(local.scheduler_address, workers_within_s=0.2)
+
+
+@pytest.mark.slow
+def test_an_unreachable_scheduler_ends_the_command_in_a_sentence(tmp_path: Path) -> None:
+    address = f"tcp://127.0.0.1:{free_port()}"
+    built = subprocess.run(
+        [sys.executable, "-m", "scripts.build_index", "--scheduler", address,
+         "--out", str(tmp_path / "out" / "index")],
+        cwd=ROOT, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert built.returncode == 1
+    assert built.stderr == f"build_index: no Dask scheduler answers at {address}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Meanwhile:
+    """Workers, and something that happens once they have finished a few tasks."""
+
+    def __init__(self, workers: Cluster, happens: Callable[[], None]) -> None:
+        self._workers, self._happens = workers, happens
+
+    def map(self, perform: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        for number, result in enumerate(self._workers.map(perform, tasks)):
+            if number == 3:
+                self._happens()
+            yield result
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_shards")
+class TestProcesses:
+    @pytest.fixture
+    def stack(self) -> Iterator[ExitStack]:
+        with ExitStack() as stack:
+            yield stack
+
+    @pytest.fixture
+    def processes(self, stack: ExitStack, tmp_path: Path) -> list[subprocess.Popen[bytes]]:
+        """A scheduler and two workers without nannies."""
+        port = str(free_port())
+        self.address = f"tcp://127.0.0.1:{port}"
+        started = [stack.enter_context(dask("scheduler", "--host", "127.0.0.1", "--port", port))]
+        for _ in range(2):
+            worker = dask(
+                "worker", self.address, "--nthreads", "1", "--no-nanny",
+                "--local-directory", str(tmp_path / "scratch"),
+            )  # fmt: skip
+            started.append(stack.enter_context(worker))
+        until = time.monotonic() + 60
+        while True:
+            try:
+                with distributed.Client(self.address, timeout=1) as client:
+                    client.wait_for_workers(2, timeout=60)
+                    return started
+            except OSError:
+                assert time.monotonic() < until
+
+    def simulated(
+        self, poses: Poses, avatars: list[Avatar], folder: Path, happens: Callable[[], None]
+    ) -> Simulation:
+        with Cluster(self.address, workers_within_s=3) as cluster:
+            return simulate(
+                poses, avatars, bodies=1, views=12, seed=7,
+                workers=Meanwhile(cluster, happens), folder=folder,
+            )  # fmt: skip
+
+    def test_a_killed_worker_costs_its_tasks_only(
+        self, processes: list[subprocess.Popen[bytes]], poses: Poses, avatars: list[Avatar],
+        simulation: Simulation, tmp_path: Path,
+    ) -> None:  # fmt: skip
+        built = self.simulated(
+            poses, avatars, tmp_path / "s", lambda: os.kill(processes[1].pid, signal.SIGKILL)
+        )
+        assert processes[1].wait(10) == -signal.SIGKILL
+        assert_same(built, simulation)
+
+    @pytest.mark.parametrize(
+        ("killed", "message"),
+        [((0,), "lost the Dask scheduler"), ((1, 2), "had no worker for 3 s")],
+    )
+    def test_says_whom_it_lost(
+        self, processes: list[subprocess.Popen[bytes]], poses: Poses, avatars: list[Avatar],
+        tmp_path: Path, killed: tuple[int, ...], message: str,
+    ) -> None:  # fmt: skip
+        def kill() -> None:
+            for number in killed:
+                processes[number].kill()
+
+        with pytest.raises(WorkersError, match=message):
+            self.simulated(poses, avatars, tmp_path / "s", kill)
