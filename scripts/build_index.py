@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from index.artefact import save_index
@@ -11,6 +12,7 @@ from index.build.builder import Plan, build
 from index.build.garments import GarmentError
 from index.build.motion import MotionError
 from index.store import DEFAULT_PATH
+from scripts.change_search import SEARCHES, build_search
 
 
 def main() -> int:
@@ -26,6 +28,7 @@ def main() -> int:
     add("--views", type=int, default=Plan.views, help="views per pose and body")
     add("--seed", type=int, default=Plan.seed)
     add("--descriptor", choices=("discriminant", "paper"), default=Plan.descriptor)
+    add("--search", choices=SEARCHES, default="flat", help="flat is exact")
     arguments = parser.parse_args()
     name = arguments.name or ("cmu-dressed" if arguments.garments else "cmu-unclothed")
     try:
@@ -39,6 +42,7 @@ def main() -> int:
         index = build(
             arguments.mocap, arguments.garments, plan, name=name, progress=True, say=print
         )
+        index = replace(index, searched_by=build_search(index.vectors, arguments.search))
         version = save_index(index, arguments.out)
     except (MotionError, GarmentError, ValueError, OSError) as error:
         print(f"build_index: {error}", file=sys.stderr)
