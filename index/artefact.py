@@ -13,6 +13,7 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
+from index.approximate import ApproximateNeighbours
 from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
 from index.silhouettes import Silhouettes
@@ -22,14 +23,19 @@ from index.verified_files import ArtefactError, npy_bytes, read_array, read_byte
 
 FORMAT_VERSION = 3
 
-_INCOMPRESSIBLE = "silhouettes.npy"
-"""Stored as it is; every other file is compressed."""
+_SILHOUETTES, _NEIGHBOURS = "silhouettes.npy", "neighbours.faiss"
+
+_INCOMPRESSIBLE = (_SILHOUETTES, _NEIGHBOURS)
+"""Stored as they are; every other file is compressed."""
 
 
 def save_index(index: PoseIndex, path: Path) -> str:
-    """Write an index as a folder, whole or not at all, and return its version."""
+    """Write an index as a folder, whole or not at all, and return its version.
+
+    An approximate search is written with it; another engine is chosen by whoever loads the index.
+    """
     files = _files(index)
-    manifest = {
+    manifest: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
         "name": index.name,
         "entries": len(index),
@@ -43,14 +49,49 @@ def save_index(index: PoseIndex, path: Path) -> str:
             name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
         },
     }
+    stored = {
+        _stored_name(name): content if name in _INCOMPRESSIBLE else lzma.compress(content, preset=6)
+        for name, content in files.items()
+    }
+    return _write(path, *_with_search(manifest, stored, index.neighbours))
+
+
+def copy_index(source: Path, path: Path, neighbours: Neighbours) -> str:
+    """Write a copy of an artefact with another search of its vectors; see :func:`save_index`.
+
+    All other files are copied as they are.
+    """
+    manifest = _read_manifest(Path(source))
+    for key in ("version", "search"):
+        manifest.pop(key, None)
+    manifest["files"].pop(_NEIGHBOURS, None)
+    names = [_stored_name(name) for name in manifest["files"]]
+    stored = {name: (Path(source) / name).read_bytes() for name in names}
+    return _write(path, *_with_search(manifest, stored, neighbours))
+
+
+def _with_search(
+    manifest: dict[str, Any], stored: dict[str, bytes], neighbours: Neighbours
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Add the search to a manifest and to stored files, unless the search is built at load."""
+    if not isinstance(neighbours, ApproximateNeighbours):
+        return manifest, stored
+    content = neighbours.to_bytes()
+    files = {**manifest["files"], _NEIGHBOURS: hashlib.sha256(content).hexdigest()}
+    return (
+        {**manifest, "files": files, "search": neighbours.parameters()},
+        {**stored, _stored_name(_NEIGHBOURS): content},
+    )
+
+
+def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> str:
+    """Seal a manifest and write the folder; return its version."""
     version = _version(manifest)
-    manifest["version"] = version
+    manifest = {**manifest, "version": version}
     path = Path(path)
     with staging(path) as folder:
-        for name, content in files.items():
-            (folder / _stored_name(name)).write_bytes(
-                content if name == _INCOMPRESSIBLE else lzma.compress(content, preset=6)
-            )
+        for name, content in stored.items():
+            (folder / name).write_bytes(content)
         (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
         folder.chmod(0o755)
         replace_folder(folder, path)
@@ -65,7 +106,7 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
     path : Path
         Folder of the artefact.
     searched_by : Neighbours, optional
-        Searches its vectors; by default exactly, in this process.
+        Searches its vectors; by default as the manifest says, in this process.
 
     Raises
     ------
@@ -75,7 +116,10 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
     path = Path(path)
     manifest = _read_manifest(path)
     try:
-        return _restore(manifest, _read_files(path, dict(manifest["files"])), searched_by)
+        sha256 = dict(manifest["files"])
+        if searched_by is not None:
+            sha256.pop(_NEIGHBOURS, None)
+        return _restore(manifest, _read_files(path, sha256), searched_by)
     except ArtefactError:
         raise
     except KeyError as error:
@@ -122,7 +166,7 @@ def _files(index: PoseIndex) -> dict[str, bytes]:
         "entries.npy": npy_bytes(index.entries),
         "skeletons.npy": npy_bytes(index.skeletons),
         "skeleton-labels.npy": npy_bytes(index.skeleton_labels),
-        _INCOMPRESSIBLE: npy_bytes(silhouettes.data),
+        _SILHOUETTES: npy_bytes(silhouettes.data),
         "silhouette-lengths.npy": npy_bytes(np.diff(silhouettes.ends, prepend=0).astype("<u2")),
         "silhouette-dictionary.npy": npy_bytes(silhouettes.dictionary),
         **learned,
@@ -155,11 +199,14 @@ def _restore(
     flat = faiss.deserialize_index(np.asarray(files["descriptors.faiss"], np.uint8))
     if type(flat) is not faiss.IndexFlatL2:
         raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
-    vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d)
+    vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).reshape(flat.ntotal, flat.d)
+    search = manifest.get("search", {"kind": "flat"})
+    if searched_by is None and search != {"kind": "flat"}:
+        searched_by = ApproximateNeighbours.restore(search, files[_NEIGHBOURS], vectors)
     return PoseIndex(
         name=manifest["name"],
         descriptor=restore(manifest["descriptor"], learned),
-        vectors=vectors.reshape(flat.ntotal, flat.d),
+        vectors=vectors,
         entries=files["entries"],
         skeletons=files["skeletons"],
         skeleton_labels=files["skeleton-labels"],
@@ -201,7 +248,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 def _stored_name(name: str) -> str:
     """Name on disk of a file of the manifest."""
-    return name if name == _INCOMPRESSIBLE else f"{name}.xz"
+    return name if name in _INCOMPRESSIBLE else f"{name}.xz"
 
 
 def _version(manifest: dict[str, Any]) -> str:

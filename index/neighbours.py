@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from typing import Any, Literal, Protocol
 
 # With several OpenMP threads FAISS answers a single query more slowly and less exactly.
@@ -16,7 +17,13 @@ STEPS = np.float32(8)
 """Values of descriptors are multiples of 1/8, far below what noise does to them: files compress to
 a quarter, and a byte holds each value exactly."""
 
+BYTES = faiss.ScalarQuantizer.QT_8bit_direct_signed
+"""FAISS's code for whole numbers from -128 to 127, which holds them exactly."""
+
 _LARGEST_STEP = 128
+
+_BLOCK = 65_536
+"""Vectors converted at a time: all of a large index would take gigabytes."""
 
 
 FailureReason = Literal["deadline", "unreachable", "refused"]
@@ -77,10 +84,15 @@ class ExactNeighbours:
     """
 
     def __init__(self, vectors: NDArray[np.floating]) -> None:
-        steps = np.asarray(vectors, np.float32) * STEPS
-        whole = np.array_equal(steps, np.rint(steps)) and np.abs(steps).max() < _LARGEST_STEP
-        self._steps = STEPS if whole else np.float32(1)
-        self._faiss = _in_bytes(steps) if whole else _flat(np.asarray(vectors, np.float32))
+        dimension = vectors.shape[1]
+        self._factor = scale_factor(vectors)
+        self._faiss: Any
+        if self._factor == STEPS:
+            # As exact as floats, in half the time.
+            self._faiss = faiss.IndexScalarQuantizer(dimension, BYTES, faiss.METRIC_L2)
+        else:
+            self._faiss = faiss.IndexFlatL2(dimension)
+        add_scaled(self._faiss, vectors, self._factor)
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)
@@ -89,22 +101,29 @@ class ExactNeighbours:
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`."""
-        scaled = np.ascontiguousarray(queries * self._steps, np.float32)
+        scaled = np.ascontiguousarray(queries * self._factor, np.float32)
         squared, numbers = self._faiss.search(scaled, k)
-        return squared / self._steps**2, numbers
+        return squared / self._factor**2, numbers
 
 
-def _flat(vectors: NDArray[np.float32]) -> Any:
-    """An exhaustive search of any vectors ``(E, D)``."""
-    flat = faiss.IndexFlatL2(vectors.shape[1])
-    flat.add(vectors)
-    return flat
+def scale_factor(vectors: NDArray[np.floating]) -> np.float32:
+    """The factor by which FAISS is given vectors ``(E, D)``.
+
+    :data:`STEPS` where that makes every value a whole number that a byte holds, else 1.
+    """
+    for block in _blocks(vectors):
+        steps = block * STEPS
+        if np.abs(steps).max() >= _LARGEST_STEP or not np.array_equal(steps, np.rint(steps)):
+            return np.float32(1)
+    return STEPS
 
 
-def _in_bytes(steps: NDArray[np.float32]) -> Any:
-    """An exhaustive search of whole numbers below 128: as exact, in half the time."""
-    kind = faiss.ScalarQuantizer.QT_8bit_direct_signed
-    exhaustive = faiss.IndexScalarQuantizer(steps.shape[1], kind, faiss.METRIC_L2)
-    exhaustive.train(steps[:1])
-    exhaustive.add(steps)
-    return exhaustive
+def add_scaled(index: Any, vectors: NDArray[np.floating], factor: np.float32) -> None:
+    """Add vectors ``(E, D)``, multiplied by ``factor``, to a FAISS index, block by block."""
+    for block in _blocks(vectors):
+        index.add(block * factor)
+
+
+def _blocks(vectors: NDArray[np.floating]) -> Iterator[NDArray[np.float32]]:
+    for start in range(0, len(vectors), _BLOCK):
+        yield np.ascontiguousarray(vectors[start : start + _BLOCK], np.float32)

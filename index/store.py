@@ -170,7 +170,7 @@ class PoseIndex:
     def search(
         self, vectors: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-        """The ``k`` nearest entries to any variant of each query, exactly.
+        """The ``k`` nearest entries to any variant of each query, as :attr:`neighbours` finds them.
 
         Parameters
         ----------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from index.artefact import save_index
@@ -15,6 +16,7 @@ from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
 from index.store import DEFAULT_PATH
+from scripts.change_search import SEARCHES, build_search
 
 
 def main() -> int:
@@ -38,6 +40,7 @@ def main() -> int:
         help="keeps what is drawn, so that a build can be resumed, and is shared by a cluster; "
         "by default a temporary folder beside --out",
     )
+    add("--search", choices=SEARCHES, default="flat", help="flat is exact")
     arguments = parser.parse_args()
     name = arguments.name or ("cmu-dressed" if arguments.garments else "cmu-unclothed")
     try:
@@ -54,6 +57,7 @@ def main() -> int:
                 arguments.mocap, arguments.garments, plan, name=name, workers=workers,
                 shards=shards, progress=True, say=print,
             )  # fmt: skip
+        index = replace(index, searched_by=build_search(index.vectors, arguments.search))
         version = save_index(index, arguments.out)
     except (MotionError, GarmentError, ShardError, WorkersError, ValueError, OSError) as error:
         print(f"build_index: {error}", file=sys.stderr)

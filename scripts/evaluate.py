@@ -9,6 +9,7 @@
     python -m scripts.evaluate actions      actions, postures and falls of tracks; Weizmann
     python -m scripts.evaluate truncation   people cut by the edge of a photograph
     python -m scripts.evaluate tracking     people followed over the frames of a fixed camera
+    python -m scripts.evaluate embedded     searches in the process of the service, by size
 
 Without a name, all of them. Results and plots go to ``docs/results/``, each with its command.
 """
@@ -33,6 +34,7 @@ EXPERIMENTS = {
     "actions": "scripts.experiments.actions",
     "truncation": "scripts.experiments.truncation",
     "tracking": "scripts.experiments.tracking",
+    "embedded": "scripts.experiments.embedded_index",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 
