@@ -41,8 +41,9 @@ class Cluster:
     """
 
     def __init__(self, address: str, workers_within_s: float = WORKERS_WITHIN_S) -> None:
-        # What it has to say is said in one sentence here.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)
+        # What matters of what it logs is said in one sentence here.
+        for logger in ("distributed", "distributed.client"):
+            logging.getLogger(logger).setLevel(logging.CRITICAL + 1)
         self._address = address
         self._within_s = workers_within_s
         try:

@@ -198,9 +198,9 @@ def main() -> None:
 {table(header, rows)}
 
 {options.entries:,} entries in shards of {SHARD_POSES} poses; {WORKERS} workers of one thread each.
-Times are shares of the local build's: {local.seconds:.0f} s in all, {local.drawing_s:.0f} s of drawing.
-A worker was killed (SIGKILL) when half of the shards were there. A worker that is started in its
-place is listed instead of it."""
+Times are shares of the local build's, which took {local.seconds:.0f} s, {local.drawing_s:.0f} s of
+them drawing. A worker was killed (SIGKILL) when half of the shards were there. A worker that is
+started in its place is listed instead of it."""
     print(body)
     if options.write:
         write_section(PAGE, "Two workers against one process", body)
