@@ -29,7 +29,7 @@ _PORTS = (
     "data_node_port",
 )
 _PR_SET_PDEATHSIG = 1  # From prctl.h.
-_SESSION_TTL_S = "5"
+_SESSION_TTL_S = "10"
 _SOFT_LIMIT = "1536MiB"
 _HARD_LIMIT_BYTES = 4 * 1024**3
 
