@@ -48,6 +48,10 @@ SHARPNESS = 0.5
 CARRIED_S = 1.0
 """How long a pose is kept where the person is seen but not searched for."""
 
+LOST_PER_S = 5.0
+"""Log odds of a pose's confidence lost in every second in which it is kept; from the clips that
+the confidence was fitted on."""
+
 LINE_FRAMES = 4
 """Frames through whose averages a line is fitted."""
 
@@ -240,11 +244,18 @@ class PoseSmoother:
         SmoothedPose or None
             None if the last pose is older than :data:`CARRIED_S`, or there is none.
         """
-        if self._last is None or timestamp - self._frames[-1].timestamp > CARRIED_S:
+        if self._last is None:
+            return None
+        age_s = timestamp - self._frames[-1].timestamp
+        if age_s > CARRIED_S:
             return None
         pose, before = self._last
-        shift = _Place.of(observed).minus(before)
-        return replace(pose, points_2d=pose.points_2d + shift)
+        odds = _log_odds(pose.confidence) - LOST_PER_S * age_s
+        return replace(
+            pose,
+            points_2d=pose.points_2d + _Place.of(observed).minus(before),
+            confidence=float(1 / (1 + np.exp(-odds))),
+        )
 
     def _append(
         self,

@@ -144,6 +144,7 @@ def test_a_pose_is_carried_along_with_the_person_for_a_second() -> None:
     assert carried is not None
     np.testing.assert_allclose(carried.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
     np.testing.assert_array_equal(carried.points_3d, before.pose.points_3d)
+    assert carried.confidence < before.pose.confidence  # It may have changed meanwhile.
     assert smoother.carried(person.observed, CARRIED_S + 0.1) is None
 
 
