@@ -226,11 +226,7 @@ class Milvus:
             absent = not self._calls.has_collection(name, **self._once())
             if absent:
                 self._calls.create_collection(name, schema, shards_num=shards, **self._once())
-            # Both do nothing where they have been done.
-            self._calls.create_index(
-                name, _VECTOR, {"index_type": "FLAT", **_SEARCH}, timeout=self._timeout_s
-            )
-            self._calls.load_collection(name, replicas, timeout=self._timeout_s)
+            self._build_and_load(name, replicas)
         return absent
 
     def count(self, collection: str, start: int, stop: int) -> int:
@@ -264,10 +260,15 @@ class Milvus:
             write = self._calls.upsert if replace else self._calls.batch_insert
             write(collection, columns, **self._once())
 
-    def flush(self, collection: str) -> None:
-        """Have everything written stored."""
+    def finish(self, collection: str, *, replicas: int) -> None:
+        """Have everything written stored, indexed and loaded anew; it is not searched meanwhile.
+
+        What was loaded while it was written is searched several times more slowly.
+        """
         with self._errors():
             self._calls.flush([collection], timeout=self._timeout_s)
+            self._calls.release_collection(collection, timeout=self._timeout_s)
+            self._build_and_load(collection, replicas)
 
     def name(self, alias: str, collection: str) -> None:
         """Have an alias name a collection from now on, in one step."""
@@ -284,6 +285,13 @@ class Milvus:
         """Remove a collection."""
         with self._errors():
             self._calls.drop_collection(collection, timeout=self._timeout_s)
+
+    def _build_and_load(self, collection: str, replicas: int) -> None:
+        """Index and load a collection, and wait for both; nothing happens where they are done."""
+        self._calls.create_index(
+            collection, _VECTOR, {"index_type": "FLAT", **_SEARCH}, timeout=self._timeout_s
+        )
+        self._calls.load_collection(collection, replicas, timeout=self._timeout_s)
 
     def _once(self) -> dict[str, Any]:
         """Deadline of a call; pymilvus would try again up to 75 times."""

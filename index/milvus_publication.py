@@ -59,12 +59,15 @@ def publish(
     collection = milvus.describe(name)
     if collection.contents != contents:
         raise ArtefactError(f"expected {contents} in the collection {name}, {collection.contents}")
+    written = False
     for start in progress(range(0, len(index), batch)):
         stop = min(start + batch, len(index))
         if is_new or milvus.count(name, start, stop) != stop - start:
             vectors = index.vectors[start:stop].astype(np.float32)
             milvus.write(name, start, vectors, replace=not is_new)
-    milvus.flush(name)
+            written = True
+    if written:  # Else it may be searched by services.
+        milvus.finish(name, replicas=replicas)
     count = milvus.count(name, 0, len(index))
     if count != len(index):
         milvus.drop(name)

@@ -156,7 +156,7 @@ def latency(index: PoseIndex) -> str:
                 milvus.write(
                     contents.collection, start, vectors[start : start + BATCH], replace=False
                 )
-            milvus.flush(contents.collection)
+            milvus.finish(contents.collection, replicas=1)
             loaded_s = time.perf_counter() - started
             remote = MilvusNeighbours(milvus, contents.collection, size)
             wait_until_steady(remote, vectors)
@@ -211,7 +211,7 @@ def payload_rows(
     schema.add_field("payload", DataType.VARCHAR, max_length=len(PAYLOAD))
     parameters = client.prepare_index_params()
     parameters.add_index("vector", index_type="FLAT", metric_type="L2")
-    client.create_collection("payload", schema=schema, index_params=parameters)
+    client.create_collection("payload", schema=schema)
     vectors = index.vectors[:PAYLOAD_ROWS].astype(np.float32)
     for start in tqdm(range(0, len(vectors), BATCH), desc="payload", unit="batch"):
         batch = vectors[start : start + BATCH].tolist()
@@ -223,6 +223,8 @@ def payload_rows(
             ],
         )
     client.flush("payload")
+    client.create_index("payload", parameters)
+    client.load_collection("payload")
     rows = []
     for shape, (count, k) in SHAPES.items():
         cells = milliseconds(
