@@ -110,9 +110,9 @@ def plot(figures: Figures, sizes: Sequence[int], file: Path) -> None:
     by_keypoints = [figures[f"keypoints-{size}"]["ms"] for size in sizes]
     left.loglog(sizes, by_keypoints, ":", marker=".", color="gray", label="by keypoints")
     left.set(xlabel="entries", ylabel="ms a search (2 vectors, k = 160)")
-    right.set(xlabel="entries", ylabel="recall (%)", ylim=(None, 100.5))
-    for axes in (left, right):
-        axes.legend()
+    right.set(xlabel="entries", ylabel="recall (%)", ylim=(96.5, 100.3))
+    for axes, place in ((left, "upper left"), (right, "lower left")):
+        axes.legend(loc=place, fontsize="small")
         axes.grid(alpha=0.3)
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=120)
@@ -192,8 +192,9 @@ def _capacity(figures: Figures, sizes: Sequence[int]) -> str:
             ["search", "silhouette alone", "with keypoints", "with the search by keypoints"], lines
         )
         + f"\n\nThe search by keypoints alone takes {WITHIN_MS:.0f} ms at {alone} entries. "
-        f"Inverted lists save {WORTH_MS:.0f} ms a person from {_saved(figures, sizes, 2)} entries on where "
-        f"an upright silhouette is all, from {_saved(figures, sizes, vectors)} with keypoints."
+        f"Inverted lists save {WORTH_MS:.0f} ms a person from {_saved(figures, sizes, 2)} entries "
+        "on where an upright silhouette is all, "
+        f"from {_saved(figures, sizes, vectors)} with keypoints."
     )
 
 
