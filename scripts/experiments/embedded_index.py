@@ -42,8 +42,8 @@ SETTINGS: dict[str, tuple[dict[str, int], ...]] = {
     "hnsw": ({"ef_search": 160}, {"ef_search": 256}, {"ef_search": 640}),
 }
 JITTER_STEPS = 3.0
-"""Standard deviation of each value of a copy, in steps: two copies of a vector are then as far
-apart as neighbours in the shipped index, about 30 steps."""
+"""Standard deviation of each value of a copy, in steps: two copies of a vector are then about 29
+steps apart, and neighbours in the shipped index 37 (median)."""
 
 QUERIES, SEED = 200, 21
 TRUE_FIRST, TRUE_FOUND = 1, 150
@@ -230,7 +230,7 @@ def timed(ask: Callable[[int], object]) -> Figures:
 def measure_keypoints(size: int) -> Figures:
     """Measure the search by keypoints among copies of the shipped index's points."""
     index = load_index(DEFAULT_PATH)
-    asked = [keypoints_of(joints) for joints in degraded_queries(index).joints_2d]
+    asked = noisy_keypoints(degraded_queries(index))
     numbers = np.arange(SHIPPED)
     real = np.concatenate(
         [index.points(part, SEARCHED)[1].astype(np.float32) for part in np.array_split(numbers, 20)]
@@ -240,11 +240,11 @@ def measure_keypoints(size: int) -> Figures:
     return timed(lambda number: search.nearest(asked[number % len(asked)], TRUE_FOUND))
 
 
-def keypoints_of(joints: NDArray[np.floating]) -> Keypoints:
-    """Keypoints near the joints ``(19, 2)`` of :data:`SEARCHED`."""
-    rows = tuple(row for row in SEARCHED if row < JOINTS)
-    noise = np.random.default_rng(SEED).normal(0, KEYPOINT_NOISE_PX, (len(rows), 2))
-    return Keypoints(rows, joints[list(rows)] + noise, np.ones(len(rows)))
+def noisy_keypoints(queries: Queries) -> list[Keypoints]:
+    """Keypoints near the limbs of each query."""
+    limbs = queries.joints_2d[:, SEARCHED]
+    noise = np.random.default_rng(SEED).normal(0, KEYPOINT_NOISE_PX, limbs.shape)
+    return [Keypoints(SEARCHED, places, np.ones(len(SEARCHED))) for places in limbs + noise]
 
 
 def memory_of_the_rest(size: int = 1_000_000) -> Figures:
@@ -316,10 +316,9 @@ def answers() -> Figures:
     queries = degraded_queries(index)
     figures: Figures = {"vectors_a_search": {}, "rows": []}
     for evidence in ("silhouette", "keypoints"):
-        asked = [
-            keypoints_of(joints) if evidence == "keypoints" else None
-            for joints in queries.joints_2d
-        ]
+        asked: Sequence[Keypoints | None] = [None] * len(queries)
+        if evidence == "keypoints":
+            asked = noisy_keypoints(queries)
         exact.asked.clear()
         first: dict[str, list[Match]] = {}
         for name, search in searches.items():
