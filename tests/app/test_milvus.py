@@ -196,6 +196,7 @@ class TestServing:
         assert all(int(a.retry_after or 0) >= 1 for a in load.answers if a.status == 503)
         assert metric(server, 'pose_search_failures_total{reason="deadline"}') >= 3
 
+    @pytest.mark.slow
     def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
         self, milvus: Milvus, server: Server, load: Load, photo: Photo, sticks: PoseIndex,
         others: PoseIndex,
@@ -219,6 +220,7 @@ class TestServing:
         assert metric(server, 'pose_camera_sessions_ended_total{reason="index"}') == 1
         publish(milvus, sticks, ALIAS)
 
+    @pytest.mark.slow
     def test_a_version_without_an_artefact_is_refused_with_a_sentence(
         self, milvus_process: MilvusProcess, server: Server, index_path: Path, others: PoseIndex,
         tmp_path: Path, milvus: Milvus,

@@ -41,6 +41,13 @@ def saved(index: PoseIndex, folder: Path) -> PoseIndex:
     return load_index(folder)
 
 
+@pytest.fixture(scope="module")
+def tiny_index(tmp_path_factory: pytest.TempPathFactory) -> PoseIndex:
+    """The tiny index as a version of its own, since other modules publish theirs."""
+    index = replace(build_tiny_index(), name="published")
+    return saved(index, tmp_path_factory.mktemp("own") / "index")
+
+
 @pytest.fixture
 def fresh(tmp_path: Path, request: pytest.FixtureRequest) -> PoseIndex:
     """An index that no other test publishes."""

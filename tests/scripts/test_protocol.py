@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("pybvh", reason="needs the test extra: pybvh")
 
 from index.build.simulate import Simulation
+from index.silhouettes import Silhouettes
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 from scripts.experiments.protocol import joint_errors, nearest, recognised, rig, split_by_frame
@@ -28,8 +29,8 @@ def filmed() -> Simulation:
     entries["distance"], entries["scale"] = 5, 60
     skeletons = np.zeros((count, POINTS, 3), np.float16)
     skeletons[:, :, 1] = 0.05 * np.arange(count)[:, None]
-    bits = np.zeros((len(entries), 768), np.uint8)
-    return Simulation(bits, entries, skeletons, labels, ("a", "b"), ("x", "y"), ("walk",))
+    silhouettes = Silhouettes.compress(np.zeros((len(entries), 768), np.uint8))
+    return Simulation(silhouettes, entries, skeletons, labels, ("a", "b"), ("x", "y"), ("walk",))
 
 
 def test_folds_share_no_frame_and_lose_none(filmed: Simulation) -> None:
