@@ -167,6 +167,7 @@ def load(server: Server, photo: Photo, sticks: PoseIndex, others: PoseIndex) -> 
 
 
 @needs_milvus
+@pytest.mark.slow  # Half a minute to begin with; tests/index/test_milvus.py asks a server in CI.
 class TestServing:
     def test_it_answers_as_with_the_index_in_a_folder(
         self, server: Server, photo: Photo, sticks: PoseIndex
@@ -196,7 +197,6 @@ class TestServing:
         assert all(int(a.retry_after or 0) >= 1 for a in load.answers if a.status == 503)
         assert metric(server, 'pose_search_failures_total{reason="deadline"}') >= 3
 
-    @pytest.mark.slow
     def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
         self, milvus: Milvus, server: Server, load: Load, photo: Photo, sticks: PoseIndex,
         others: PoseIndex,
@@ -220,7 +220,6 @@ class TestServing:
         assert metric(server, 'pose_camera_sessions_ended_total{reason="index"}') == 1
         publish(milvus, sticks, ALIAS)
 
-    @pytest.mark.slow
     def test_a_version_without_an_artefact_is_refused_with_a_sentence(
         self, milvus_process: MilvusProcess, server: Server, index_path: Path, others: PoseIndex,
         tmp_path: Path, milvus: Milvus,
