@@ -156,10 +156,12 @@ def main() -> int:
         for k in range(count):
             client.send(Call("POST", f"/cameras/round0-{k}/frames", {"frame": parts[k][-1]}))
         failed += past_the_limit(server.url, parts[0], count)
-    return _conclude(failed, alone, together, memory, options.write)
+    asked = f"--frames {length} --rounds {options.rounds}"
+    return _conclude(asked, failed, alone, together, memory, options.write)
 
 
 def _conclude(
+    asked: str,
     failed: list[str],
     alone: Sequence[Followed],
     together: Sequence[Followed],
@@ -176,8 +178,8 @@ def _conclude(
     alone_ms = [ms for told in alone for ms in told.milliseconds]
     together_ms = [ms for told in together for ms in told.milliseconds]
     told = f"{answers['200']} frames, {people} people; in between {refusals or 'no refusals'}"
-    body = f"""`python -m scripts.load.sessions --video ../shared/real/vtest/vtest.avi`, revision
-{revision()}. {machine()}; a client a camera on the same machine.
+    body = f"""`python -m scripts.load.sessions --video ../shared/real/vtest/vtest.avi {asked}`,
+revision {revision()}. {machine()}; a client a camera on the same machine.
 {len(alone)} cameras, each another part of the video, first alone, then \
 {len(together) // len(alone)} rounds of all at once. Who is refused (503) sends the frame again.
 
