@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -29,6 +28,7 @@ from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
 from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
+from scripts.load.server import free_ports
 
 ROOT = Path(__file__).resolve().parent.parent
 PIXELS_PER_METRE = 100.0
@@ -234,9 +234,7 @@ def start_server(
 
     Without an index, it serves the one of its package.
     """
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    (port,) = free_ports(1)
     process = subprocess.Popen(
         [python, "-m", "app"],
         cwd=root,

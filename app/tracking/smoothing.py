@@ -254,7 +254,7 @@ class PoseSmoother:
         return replace(
             pose,
             points_2d=pose.points_2d + _Place.of(observed).minus(before),
-            confidence=float(1 / (1 + np.exp(-odds))),
+            confidence=_probability(odds),
         )
 
     def _append(
@@ -362,8 +362,12 @@ def _nearness(
 
 def _confidence(odds: float, agreement_odds: float) -> float:
     """Probability that a smooth pose is right."""
-    total = CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds
-    return float(1 / (1 + np.exp(-total)))
+    return _probability(CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds)
+
+
+def _probability(odds: float) -> float:
+    """The probability of log odds."""
+    return float(1 / (1 + np.exp(-odds)))
 
 
 def _log_odds(probability: float) -> float:

@@ -23,14 +23,12 @@ from app.hypotheses import fit_poses, set_upright
 from app.tracking.measures import Measured
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
-from descriptor.silhouette import pack
 from index.artefact import load_index
 from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.body import Avatar
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
 from index.posture import classify
-from index.silhouettes import Silhouettes
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.experiments.action_model import (
@@ -132,14 +130,11 @@ def without_clips(index: PoseIndex, clips: set[str]) -> PoseIndex:
     """The index without the entries of some clips."""
     known = np.array([clip not in clips for clip in index.clips])
     rows = np.flatnonzero(known[index.skeleton_labels["clip"][index.entries["skeleton"]]])
-    bits = [
-        pack(index.silhouettes(rows[first : first + 4096])) for first in range(0, len(rows), 4096)
-    ]
     return replace(
         index,
         vectors=index.vectors[rows].astype(np.float32),
         entries=index.entries[rows],
-        silhouette_store=Silhouettes.compress(np.concatenate(bits)),
+        silhouette_store=index.silhouette_store.select(rows),
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import time
 from pathlib import Path
 
 import httpx
 
+from scripts.load.server import free_ports
 from scripts.results import ROOT
 
 CONFIGURATION = ROOT / "deploy" / "haproxy.cfg"
@@ -36,10 +36,7 @@ class Balancer:
         log: Path | None = None,
         **environment: str,
     ) -> None:
-        with socket.socket() as first, socket.socket() as second:
-            first.bind(("127.0.0.1", 0))
-            second.bind(("127.0.0.1", 0))
-            service, operations = (f"127.0.0.1:{s.getsockname()[1]}" for s in (first, second))
+        service, operations = (f"127.0.0.1:{port}" for port in free_ports(2))
         self.url, self.operations_url = f"http://{service}", f"http://{operations}"
         self._environment = {
             **os.environ,

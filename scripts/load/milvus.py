@@ -8,14 +8,12 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from http.client import HTTPException
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,7 +29,7 @@ from index.milvus_publication import BATCH, publish
 from index.neighbours import STEPS, ExactNeighbours, Neighbours, UnavailableError
 from index.silhouettes import Silhouettes
 from index.store import PoseIndex
-from scripts.load.client import Call, Client
+from scripts.load.loops import BackgroundLoop
 from scripts.load.milvus_server import MilvusProcess
 from scripts.load.overload import calls
 from scripts.load.server import ServerProcess
@@ -62,7 +60,6 @@ SWITCHED_ENTRIES = 20_000
 ALIAS = "measured"
 CLIENTS = 2
 TIMEOUT_S = 120.0
-LONGEST_WAIT_S = 60.0
 
 
 @contextmanager
@@ -256,74 +253,6 @@ def fetch(
     )
 
 
-@dataclass(frozen=True)
-class Reply:
-    """An answer.
-
-    Parameters
-    ----------
-    at : float
-        Monotonic seconds.
-    status : int
-    retry_after : bool
-        Whether it says when to come back.
-    body : bytes
-    """
-
-    at: float
-    status: int
-    retry_after: bool
-    body: bytes
-
-
-class Load:
-    """Clients that send the next request as soon as the last one is answered."""
-
-    def __init__(self, url: str, requests: list[Call]) -> None:
-        self.replies: list[Reply] = []
-        self.broken = 0
-        self._url, self._requests = url, requests
-        self._ended = threading.Event()
-        self._threads = [threading.Thread(target=self._send, args=(i,)) for i in range(CLIENTS)]
-
-    def __enter__(self) -> Load:
-        """Start."""
-        self.started = time.monotonic()
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """End."""
-        self._ended.set()
-        for thread in self._threads:
-            thread.join()
-
-    def _send(self, first: int) -> None:
-        client, number = Client(self._url), first
-        while not self._ended.is_set():
-            try:
-                status, headers, body = client.exchange(
-                    self._requests[number % len(self._requests)]
-                )
-            except (OSError, HTTPException):
-                self.broken += 1
-                continue
-            number += 1
-            self.replies.append(Reply(time.monotonic(), status, "Retry-After" in headers, body))
-            if status == 503:
-                time.sleep(0.1)
-
-    def first(self, status: int, after: float) -> float:
-        """Wait for the first answer of a status after a time; return when it came."""
-        while time.monotonic() < after + LONGEST_WAIT_S:
-            for reply in self.replies:
-                if reply.status == status and reply.at > after:
-                    return reply.at
-            time.sleep(0.01)
-        raise TimeoutError(f"no answer of status {status} came in {LONGEST_WAIT_S:g} s")
-
-
 def service(server: MilvusProcess, artefacts: Path) -> ServerProcess:
     """The service with its index in Milvus."""
     return ServerProcess(
@@ -343,7 +272,7 @@ def outage(index: PoseIndex, path: Path) -> str:
         probe = Milvus(server.address, 1.0)
         with service(server, path) as running:
             running.wait_until_ready()
-            with Load(running.url, requests) as load:
+            with BackgroundLoop(running.url, requests, CLIENTS) as load:
 
                 def note(event: str) -> float:
                     events[event] = time.monotonic()
@@ -416,7 +345,7 @@ def switch(index: PoseIndex) -> str:
         publish(milvus, versions[0], ALIAS, progress=tqdm)
         with service(server, Path(folder)) as running:
             running.wait_until_ready()
-            with Load(running.url, requests) as load:
+            with BackgroundLoop(running.url, requests, CLIENTS) as load:
                 time.sleep(3)
                 publish(milvus, versions[1], ALIAS, progress=tqdm)
                 switched = time.monotonic()

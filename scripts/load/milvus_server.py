@@ -8,13 +8,14 @@ import os
 import platform
 import resource
 import signal
-import socket
 import subprocess
 import time
 import urllib.error
 import urllib.request
 from pathlib import Path
 from types import TracebackType
+
+from scripts.load.server import free_ports
 
 _PORTS = (
     "proxy_port",
@@ -56,7 +57,7 @@ class MilvusProcess:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._ports = dict(zip((*_PORTS, "health"), _free_ports(len(_PORTS) + 1), strict=True))
+        self._ports = dict(zip((*_PORTS, "health"), free_ports(len(_PORTS) + 1), strict=True))
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -150,14 +151,3 @@ def _bind_to_parent() -> None:
     """In the child: end when the parent does, and bound the memory."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_DATA, (_HARD_LIMIT_BYTES, _HARD_LIMIT_BYTES))
-
-
-def _free_ports(count: int) -> list[int]:
-    probes = [socket.socket() for _ in range(count)]
-    try:
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [probe.getsockname()[1] for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()

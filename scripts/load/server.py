@@ -8,11 +8,21 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
 
 from scripts.results import ROOT
+
+
+def free_ports(count: int) -> list[int]:
+    """Find ports of the loopback address that nobody listens on, all different."""
+    with ExitStack() as probes:
+        sockets = [probes.enter_context(socket.socket()) for _ in range(count)]
+        for probe in sockets:
+            probe.bind(("127.0.0.1", 0))
+        return [probe.getsockname()[1] for probe in sockets]
 
 
 class ServerProcess:
@@ -29,9 +39,7 @@ class ServerProcess:
     """
 
     def __init__(self, index: Path, log: Path | None = None, **environment: str) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+        (port,) = free_ports(1)
         self.url = f"http://127.0.0.1:{port}"
         self._environment = {
             **os.environ,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import threading
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,8 @@ from app import __main__ as main
 from app import remote_index
 from index.artefact import load_index, save_index
 from index.store import PoseIndex
+from scripts.load.client import Call
+from scripts.load.loops import BackgroundLoop, Reply
 from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
 from tests.app.test_camera_sessions import send
 from tests.app.test_server import metric
@@ -85,85 +87,27 @@ def server(
         yield running
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a client got.
-
-    Parameters
-    ----------
-    at : float
-        Monotonic seconds.
-    status : int
-    retry_after : str or None
-    versions : set of str
-        Of the index that the answer names, and of the one that each hypothesis comes from.
-    """
-
-    at: float
-    status: int
-    retry_after: str | None
-    versions: set[str]
-
-
-class Load:
-    """Two clients that send one frame after the other, as a context manager.
-
-    Parameters
-    ----------
-    server : Server
-    photo : Photo
-    versions : dict of str to str
-        Versions of indexes by the subjects in them.
-    """
-
-    def __init__(self, server: Server, photo: Photo, versions: dict[str, str]) -> None:
-        self.answers: list[Answer] = []
-        self._server, self._photo, self._versions = server, photo, versions
-        self._ended = threading.Event()
-        self._threads = [threading.Thread(target=self._send) for _ in range(2)]
-
-    def __enter__(self) -> Load:
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._ended.set()
-        for thread in self._threads:
-            thread.join()
-
-    def _send(self) -> None:
-        files = {"frame": self._photo.frame_png, "mask": self._photo.mask_png}
-        with httpx.Client(base_url=self._server.url, timeout=30) as client:
-            while not self._ended.is_set():
-                response = client.post("/pose", files=files)
-                body, versions = response.json(), set()
-                if response.status_code == 200:
-                    (person,) = body["persons"]
-                    subjects = {h["source"]["subject"] for h in person["hypotheses"]}
-                    versions = {self._versions[subject] for subject in subjects}
-                    versions.add(body["index"]["version"])
-                self.answers.append(
-                    Answer(
-                        time.monotonic(),
-                        response.status_code,
-                        response.headers.get("retry-after"),
-                        versions,
-                    )
-                )
-
-    def wait_for(self, status: int, timeout_s: float) -> float:
-        """Wait for an answer of a status that is sent from now on; return the seconds."""
-        started = time.monotonic()
-        while not any(a.status == status and a.at > started for a in self.answers[-20:]):
-            assert time.monotonic() < started + timeout_s, f"no {status} in {timeout_s} s"
-            time.sleep(0.02)
-        return time.monotonic() - started
-
-
 @pytest.fixture
-def load(server: Server, photo: Photo, sticks: PoseIndex, others: PoseIndex) -> Load:
-    return Load(server, photo, {"stick": sticks.version, "other": others.version})
+def load(server: Server, photo: Photo) -> BackgroundLoop:
+    """Two clients that send one frame after the other."""
+    parts = {"frame": photo.frame_png, "mask": photo.mask_png}
+    return BackgroundLoop(server.url, [Call("POST", "/pose", parts)])
+
+
+def wait_for(load: BackgroundLoop, status: int) -> None:
+    """Wait for an answer of a status that comes from now on."""
+    load.first(status, time.monotonic(), timeout_s=10)
+
+
+def versions_in(reply: Reply, versions: dict[str, str]) -> set[str]:
+    """Version of the index that an answer names, and of those its hypotheses come from.
+
+    Told by their subjects, each of which is in one of ``versions``.
+    """
+    body = json.loads(reply.body)
+    (person,) = body["persons"]
+    subjects = {hypothesis["source"]["subject"] for hypothesis in person["hypotheses"]}
+    return {body["index"]["version"], *(versions[subject] for subject in subjects)}
 
 
 @needs_milvus
@@ -178,13 +122,13 @@ class TestServing:
         assert answer["index"]["version"] == sticks.version
 
     def test_a_silent_milvus_is_given_up_and_asked_again_later(
-        self, milvus_process: MilvusProcess, server: Server, load: Load
+        self, milvus_process: MilvusProcess, server: Server, load: BackgroundLoop
     ) -> None:
         with load:
-            load.wait_for(200, 10)
+            wait_for(load, 200)
             milvus_process.freeze()
             try:
-                load.wait_for(503, 10)
+                wait_for(load, 503)
                 assert httpx.get(f"{server.url}/healthz").status_code == 200
                 deadline = time.monotonic() + 10
                 while metric(server, "pose_search_breaker_open") == 0:
@@ -192,13 +136,14 @@ class TestServing:
                 assert httpx.get(f"{server.url}/readyz").status_code == 200
             finally:
                 milvus_process.thaw()
-            load.wait_for(200, 10)
-        assert {answer.status for answer in load.answers} == {200, 503}
-        assert all(int(a.retry_after or 0) >= 1 for a in load.answers if a.status == 503)
+            wait_for(load, 200)
+        assert load.broken == 0
+        assert {reply.status for reply in load.replies} == {200, 503}
+        assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
         assert metric(server, 'pose_search_failures_total{reason="deadline"}') >= 3
 
     def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
-        self, milvus: Milvus, server: Server, load: Load, photo: Photo, sticks: PoseIndex,
+        self, milvus: Milvus, server: Server, load: BackgroundLoop, photo: Photo, sticks: PoseIndex,
         others: PoseIndex,
     ) -> None:  # fmt: skip
         with load, httpx.Client(base_url=server.url) as client:
@@ -208,13 +153,15 @@ class TestServing:
             while client.get("/index").json()["version"] != others.version:
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
-            load.wait_for(200, 10)
+            wait_for(load, 200)
             assert send(client, photo).headers["x-session"] == "new"
-        assert {answer.status for answer in load.answers} == {200}
-        assert all(len(answer.versions) == 1 for answer in load.answers)
-        served = [next(iter(answer.versions)) for answer in load.answers]
-        assert served[0] == sticks.version
-        assert served[-1] == others.version
+        assert load.broken == 0
+        assert {reply.status for reply in load.replies} == {200}
+        versions = {"stick": sticks.version, "other": others.version}
+        served = [versions_in(reply, versions) for reply in load.replies]
+        assert all(len(named) == 1 for named in served)
+        assert served[0] == {sticks.version}
+        assert served[-1] == {others.version}
         labels = f'name="{others.name}",version="{others.version}"'
         assert metric(server, f"pose_index_info{{{labels}}}") == 1
         assert metric(server, 'pose_camera_sessions_ended_total{reason="index"}') == 1
@@ -236,22 +183,27 @@ class TestServing:
 @needs_milvus
 @pytest.mark.slow
 def test_killed_and_started_again_it_is_only_missed_meanwhile(
-    milvus_process: MilvusProcess, milvus: Milvus, server: Server, load: Load, artefacts: Path
+    milvus_process: MilvusProcess,
+    milvus: Milvus,
+    server: Server,
+    load: BackgroundLoop,
+    artefacts: Path,
 ) -> None:
     with load:
-        load.wait_for(200, 10)
+        wait_for(load, 200)
         milvus_process.kill()
         with serving(milvus_process, artefacts) as later:
-            load.wait_for(503, 10)
+            wait_for(load, 503)
             wait_for_detail(later, "cannot be reached")
             assert httpx.get(f"{later.url}/healthz").status_code == 200
             milvus_process.start()
             milvus_process.wait_until_healthy()
             wait_until_searched(milvus)
-            load.wait_for(200, 10)
+            wait_for(load, 200)
             wait_until(f"{later.url}/readyz", timeout_s=10)
-    assert {answer.status for answer in load.answers} == {200, 503}
-    assert all(int(a.retry_after or 0) >= 1 for a in load.answers if a.status == 503)
+    assert load.broken == 0
+    assert {reply.status for reply in load.replies} == {200, 503}
+    assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
 
 
 def wait_until_searched(milvus: Milvus) -> None:

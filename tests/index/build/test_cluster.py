@@ -21,6 +21,7 @@ from index.build.body import Avatar
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.build.workers import Result, Task, WorkersError
+from scripts.load.server import free_ports
 from tests.conftest import ROOT
 from tests.index.build.test_simulate import assert_same
 
@@ -75,16 +76,10 @@ def test_refuses_workers_of_other_code(scheduler: str, monkeypatch: pytest.Monke
         Cluster(scheduler)
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "nonsense", "http://127.0.0.1:1"])
 def test_says_that_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_S", 0.3)
-    address = address.format(port=free_port())
+    address = address.format(port=free_ports(1)[0])
     with pytest.raises(WorkersError, match=f"no Dask scheduler answers at {address}"):
         Cluster(address)
 
@@ -119,7 +114,7 @@ def test_says_that_no_worker_joined() -> None:
 
 @pytest.mark.slow
 def test_an_unreachable_scheduler_ends_the_command_in_a_sentence(tmp_path: Path) -> None:
-    address = f"tcp://127.0.0.1:{free_port()}"
+    address = f"tcp://127.0.0.1:{free_ports(1)[0]}"
     built = subprocess.run(
         [sys.executable, "-m", "scripts.build_index", "--scheduler", address,
          "--out", str(tmp_path / "out" / "index")],
@@ -167,7 +162,7 @@ class TestProcesses:
     @pytest.fixture
     def processes(self, stack: ExitStack, tmp_path: Path) -> list[subprocess.Popen[bytes]]:
         """A scheduler and two workers without nannies."""
-        port = str(free_port())
+        port = str(free_ports(1)[0])
         self.address = f"tcp://127.0.0.1:{port}"
         started = [stack.enter_context(dask("scheduler", "--host", "127.0.0.1", "--port", port))]
         for _ in range(2):
