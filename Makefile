@@ -18,8 +18,9 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
 
+# Two processes; a module stays in one, since its tests share a server or an index.
 test: $(DEV)/.stamp
-	$(DEV)/bin/python -m pytest -q $(ARGS)
+	$(DEV)/bin/python -m pytest -q -n 2 --dist loadfile $(ARGS)
 
 # Also what is slow, and what needs the build extra (torch), ../shared, Chromium, Node.js or Java;
 # -rs says which of them are missing.
