@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -76,24 +77,29 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
     if mask.ndim != 2:
         raise ValueError(f"expected a mask of shape (H, W), got shape {mask.shape}")
     filled = mask != 0
-    rows = np.flatnonzero(filled.any(axis=1))
-    columns = np.flatnonzero(filled.any(axis=0))
-    if rows.size == 0:
+    left, top, width, height = bounding_box(filled)
+    if height == 0:
         raise ValueError("expected a mask with at least one pixel set, got an empty one")
-    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-    scale = min(HEIGHT / (bottom - top), WIDTH / (right - left))
+    bottom, right = top + height, left + width
+    scale = min(HEIGHT / height, WIDTH / width)
     placement = Placement(
         float(scale),
         float((WIDTH - 1) / 2 - scale * (left + right - 1) / 2),
         float((HEIGHT - 1) / 2 - scale * (top + bottom - 1) / 2),
     )
-    block = max(1, max(bottom - top, right - left) // _LARGEST_PX)
+    block = max(1, max(height, width) // _LARGEST_PX)
     crop = averaged(filled[top:bottom, left:right], block)
     vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
     horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
     grey = vertical @ crop @ horizontal.T
     # A lower threshold keeps a mask too thin to cover half of any pixel: never empty.
     return (grey >= min(0.5, grey.max())).astype(np.uint8), placement
+
+
+def bounding_box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the tight bounding box of a mask; all 0 of an empty one."""
+    left, top, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+    return left, top, width, height
 
 
 def averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
@@ -117,10 +123,8 @@ def averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
 
 def is_wide(mask: NDArray[np.generic]) -> bool:
     """Whether the bounding box of a mask is wider than high."""
-    filled = mask != 0
-    return bool(
-        np.ptp(np.flatnonzero(filled.any(axis=0))) > np.ptp(np.flatnonzero(filled.any(axis=1)))
-    )
+    _, _, width, height = bounding_box(mask != 0)
+    return width > height
 
 
 def principal_axis_deg(mask: NDArray[np.generic]) -> float:

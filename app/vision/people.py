@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from descriptor.silhouette import bounding_box
+
 SegmenterName = Literal["network", "background", "mask"]
 
 COCO_NAMES = (
@@ -246,8 +248,8 @@ def silhouette_from_mask(
 
     None if no pixel is set.
     """
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if rows.size == 0:
+    x, y, width, height = bounding_box(mask)
+    if width == 0:
         return None
-    crop = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy()
-    return Silhouette(crop, left + int(columns[0]), top + int(rows[0]), segmenter, truncated)
+    crop = mask[y : y + height, x : x + width].copy()
+    return Silhouette(crop, left + x, top + y, segmenter, truncated)

@@ -22,9 +22,9 @@ SMALLEST_PERSON_PX = 38.0
 WORTHWHILE = 1.1
 """Least ratio of the tiles' resolution to the overview's; below it tiles add nothing."""
 
-LONGEST_PX = 1280
-"""Longer side at the finest resolution: people under a 30th of a frame's longer side are not
-searched for, and a frame of any size takes a bounded time."""
+LONGEST_PX, LARGEST_PX = 1280, 1280 * 720
+"""Longer side and area at the finest resolution: people under a 30th of a frame's longer side, a
+25th of a square one's, are not searched for, and a frame of any size takes a bounded time."""
 
 LARGEST_TILE_PX = 160_000
 """Area of a tile as shown, in pixels."""
@@ -75,7 +75,11 @@ def tiles_of(width: int, height: int, min_person_px: float) -> list[Tile]:
     """
     longer, shorter = max(width, height), min(width, height)
     overview = min(OVERVIEW_PX / longer, SMALLEST_PERSON_PX / min_person_px, 1.0)
-    fine = min(LONGEST_PX / longer, SMALLEST_PERSON_PX / min_person_px)
+    fine = min(
+        LONGEST_PX / longer,
+        math.sqrt(LARGEST_PX / (width * height)),
+        SMALLEST_PERSON_PX / min_person_px,
+    )
     if fine <= WORTHWHILE * OVERVIEW_PX / longer:
         overview = fine = min(fine, OVERVIEW_PX / longer)
     if shorter * fine < THINNEST_PX:

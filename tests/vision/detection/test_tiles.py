@@ -11,6 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from app.vision.detection.tiles import (
+    LARGEST_PX,
     LARGEST_TILE_PX,
     LONGEST_PX,
     OVERLAP_PX,
@@ -78,8 +79,11 @@ def test_the_smallest_wanted_person_is_shown_as_large_as_needed(
     tiles = tiles_of(width, height, min_person_px)
     assume(tiles)
     finest = max(tile.factor for tile in tiles)
-    longer = max(width, height)
-    wanted = min(SMALLEST_PERSON_PX / min_person_px, LONGEST_PX / longer)
+    wanted = min(
+        SMALLEST_PERSON_PX / min_person_px,
+        LONGEST_PX / max(width, height),
+        math.sqrt(LARGEST_PX / (width * height)),
+    )
     assert finest * WORTHWHILE >= wanted * (1 - 1e-9)
     # Nor finer than that.
     assert finest <= wanted * (1 + 1e-9)
@@ -109,7 +113,7 @@ def test_a_frame_of_any_size_takes_a_bounded_time(
 ) -> None:
     tiles = tiles_of(width, height, min_person_px)
     # The finest resolution, every pixel of it twice at most, and the overview.
-    assert shown_px(tiles) <= 2 * LONGEST_PX**2 + OVERVIEW_PX**2
+    assert shown_px(tiles) <= 2 * LARGEST_PX + OVERVIEW_PX**2
 
 
 @pytest.mark.parametrize("frame", [(2000, 2), (2, 2000), (10**6, 12), (1, 1), (11, 11)])
