@@ -5,6 +5,7 @@
     python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts.evaluate growth       the same as the index grows
     python -m scripts.evaluate sizing       what to spend an index's entries on
+    python -m scripts.evaluate coverage     what its entries could answer at best
     python -m scripts.evaluate real         photographs and videos of ../shared/real
     python -m scripts.evaluate actions      actions, postures and falls of tracks; Weizmann
     python -m scripts.evaluate truncation   people cut by the edge of a photograph
@@ -29,6 +30,7 @@ EXPERIMENTS = {
     "simulation": "scripts.experiments.strict",
     "growth": "scripts.experiments.growth",
     "sizing": "scripts.experiments.sizing",
+    "coverage": "scripts.experiments.coverage",
     "real": "scripts.experiments.real",
     "scales": "scripts.experiments.scales",
     "actions": "scripts.experiments.actions",
