@@ -14,7 +14,7 @@ Window = tuple[int, int, int, int]
 Scalar = TypeVar("Scalar", np.uint8, np.float32)
 
 # Windows with more pixels are not cut out before they are resized.
-_LARGEST_CUT = 2**24
+_LARGEST_CUT = 2**22
 
 
 def cut(image: NDArray[Scalar], window: Window) -> NDArray[Scalar]:
