@@ -15,6 +15,8 @@ import httpx
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from hypothesis import HealthCheck
+from hypothesis import settings as property_settings
 from numpy.typing import NDArray
 
 from app.estimator import Estimator
@@ -29,6 +31,12 @@ from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
 from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
 from scripts.load.server import free_ports
+
+# Tests do not time: the machine may be busy.
+property_settings.register_profile(
+    "untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+property_settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
 PIXELS_PER_METRE = 100.0

@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import bounding_box
-
 SegmenterName = Literal["network", "background", "mask"]
 
 COCO_NAMES = (
@@ -248,7 +246,7 @@ def silhouette_from_mask(
 
     None if no pixel is set.
     """
-    x, y, width, height = bounding_box(mask)
+    x, y, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     if width == 0:
         return None
     crop = mask[y : y + height, x : x + width].copy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -127,7 +127,6 @@ def test_keypoints_come_back_to_the_frame(angle: float) -> None:
     assert_array_equal(keypoints.scores, observed.scores[rows])
 
 
-@settings(deadline=None)
 @given(
     angle=st.floats(-180, 180),
     points=st.lists(st.tuples(st.floats(-50, 100), st.floats(-50, 200)), min_size=2, max_size=4),

@@ -7,7 +7,7 @@ import tracemalloc
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -262,7 +262,6 @@ def has_axis(mask: Mask) -> bool:
     return bool(long - short > 1e-6)
 
 
-@settings(deadline=None)
 @given(angle=st.integers(-90, 90), short=st.integers(5, 40))
 def test_principal_axis_of_an_ellipse_is_its_long_axis(angle: int, short: int) -> None:
     found = principal_axis_deg(ellipse(angle, short=short))

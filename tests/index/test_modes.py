@@ -53,7 +53,7 @@ def bone_directions(pose: Points) -> Points:
     return bones / np.linalg.norm(bones, axis=1, keepdims=True)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 999),
     size=st.integers(1, 60),

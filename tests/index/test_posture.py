@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
@@ -170,7 +170,6 @@ def test_each_has_its_own_speed_and_its_own_up() -> None:
     ]  # fmt: skip
 
 
-@settings(deadline=None)
 @given(yaw=st.floats(-180, 180), scale=st.floats(0.5, 2.0), shift=st.floats(-5, 5))
 def test_neither_heading_size_nor_place_matters(yaw: float, scale: float, shift: float) -> None:
     moved = scale * SKELETONS @ rotated(1, yaw).T + np.array([shift, -shift, 2 * shift])
@@ -185,14 +184,12 @@ def test_only_joints_count() -> None:
     assert postures(SKELETONS[:, : len(JOINT_NAMES)]) == EXPECTED
 
 
-@settings(deadline=None)
 @given(azimuth=st.floats(0, 360), elevation=st.floats(-5, 70))
 def test_cameras_that_know_their_elevation_tell_the_same(azimuth: float, elevation: float) -> None:
     seen = SKELETONS @ camera_rotation(azimuth, elevation).T
     assert postures(seen, camera_up(elevation)) == EXPECTED
 
 
-@settings(deadline=None)
 @given(elevation=st.floats(-90, 90), azimuth=st.floats(0, 360))
 def test_camera_up_is_up_as_the_camera_sees_it(elevation: float, azimuth: float) -> None:
     up = camera_up(elevation)
@@ -200,7 +197,6 @@ def test_camera_up_is_up_as_the_camera_sees_it(elevation: float, azimuth: float)
     assert_allclose(camera_up(np.array([elevation, 0.0])), [up, [0, -1, 0]], atol=1e-12)
 
 
-@settings(deadline=None)
 @given(
     azimuth=st.floats(0, 360),
     elevation=st.floats(0, MAX_ELEVATION_DEG),
@@ -218,7 +214,6 @@ def test_the_elevation_that_levels_a_trunk_is_the_cameras(
     assert lying_elevation_deg(seen) == pytest.approx([elevation], abs=1e-6)
 
 
-@settings(deadline=None)
 @given(azimuth=st.floats(0, 360), elevation=st.floats(-90, 90))
 def test_the_elevation_that_levels_a_trunk_is_one_that_cameras_have(
     azimuth: float, elevation: float

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -168,7 +168,6 @@ def test_a_single_pixel_can_be_rotated() -> None:
     assert rotate_silhouette(dot, 33.0)[0].any()
 
 
-@settings(deadline=None)
 @given(rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60))
 def test_likely_rotations_are_few_and_the_most_frequent(rolls: list[float]) -> None:
     found = likely_rotations(np.array(rolls))
@@ -237,7 +236,6 @@ class TestRotateClockwise:
         up = np.array([[0.0, -1.0, 0.3]])
         assert_allclose(rotate_clockwise(up, 90.0), [[1.0, 0.0, 0.3]], atol=1e-12)
 
-    @settings(deadline=None)
     @given(angle=st.floats(-360, 360), other=st.floats(-360, 360))
     def test_rotations_add_up(self, angle: float, other: float) -> None:
         points = np.random.default_rng(0).normal(size=(5, 3))
