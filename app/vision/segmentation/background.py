@@ -75,6 +75,11 @@ class BackgroundSegmenter:
         ValueError
             If the sizes of frame and background differ.
         """
+        least_px = 0.8 * self._min_person_px
+        rows, columns = frame.shape[:2]
+        too_thin = rows < least_px or columns < _ASPECTS[0] * least_px
+        if too_thin and frame.shape == self._background.shape:
+            return []
         changed = foreground(frame, self._background)
         reach = max(1, round(self._min_person_px / 12))
         # Joins the parts of a body whose belt has the pavement's colour.
@@ -83,7 +88,7 @@ class BackgroundSegmenter:
         count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
         found = []
         for label, (left, top, width, height, _) in enumerate(stats[1:count].tolist(), start=1):
-            if height < 0.8 * self._min_person_px:
+            if height < least_px:
                 continue
             part = np.s_[top : top + height, left : left + width]
             own = changed[part] & (labels[part] == label)

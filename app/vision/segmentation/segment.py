@@ -71,7 +71,7 @@ class NetworkSegmenter:
         visible = [
             (i, _up_to_edges(box, width, height))
             for i, whole in enumerate(boxes)
-            if (box := whole.clip(width, height))
+            if (box := whole.clip(width, height)) and _holds_a_pixel(box, width, height)
         ]
         windows = [body_window(box, height) for _, box in visible]
         maps = [self._network.probability(frame, window) for window in windows]
@@ -86,6 +86,12 @@ class NetworkSegmenter:
                 box, windows[own], maps[own], [(windows[other], maps[other]) for other in others]
             )
         return with_truncation(found, boxes, frame.shape)
+
+
+def _holds_a_pixel(box: Box, width: int, height: int) -> bool:
+    """Whether the pixels of a box begin inside the frame; those of a sliver at its edge do not."""
+    left, top, _, _ = box.pixels()
+    return left < width and top < height
 
 
 def _up_to_edges(box: Box, width: int, height: int) -> Box:

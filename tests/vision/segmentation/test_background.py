@@ -94,3 +94,21 @@ def test_an_unchanged_scene_is_empty(empty: np.ndarray) -> None:
 def test_sizes_must_agree(empty: np.ndarray) -> None:
     with pytest.raises(ValueError, match="background of shape"):
         foreground(empty[:-1], empty)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(39, 400), (400, 5)])
+def test_thin_frames_are_not_even_compared(
+    rows: int, columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = np.full((rows, columns, 3), 90, np.uint8)
+    segmenter = BackgroundSegmenter(scene, min_person_px=50)
+    monkeypatch.delattr("app.vision.segmentation.background.foreground")
+    assert segmenter.detect(255 - scene) == []
+
+
+def test_the_smallest_wanted_person_is_found_in_a_frame_of_that_height() -> None:
+    scene = np.full((40, 60, 3), 90, np.uint8)
+    frame = scene.copy()
+    frame[:, 20:32] = 200
+    (found,) = BackgroundSegmenter(scene, min_person_px=50).detect(frame)
+    assert found.box.height == 40

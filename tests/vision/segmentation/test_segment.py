@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -158,6 +158,8 @@ def test_odd_boxes_and_blank_walls_are_survived(
     x=st.floats(-60, 380), y=st.floats(-60, 300), width=st.floats(0.01, 400),
     height=st.floats(0.01, 300),
 )  # fmt: skip
+@example(x=0.0, y=239.0, width=2.0, height=2.0)
+@example(x=319.0, y=0.0, width=2.0, height=2.0)
 def test_silhouettes_lie_in_the_frame_whatever_the_box(
     x: float, y: float, width: float, height: float
 ) -> None:
