@@ -21,7 +21,7 @@ from index.skeleton import NATIVE
 from index.store import PoseIndex
 from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 _SILHOUETTES, _NEIGHBOURS = "silhouettes.npy", "neighbours.faiss"
 
@@ -44,6 +44,7 @@ def save_index(index: PoseIndex, path: Path) -> str:
         "clips": list(index.clips),
         "subjects": list(index.subjects),
         "actions": list(index.actions),
+        "silhouette_step": index.silhouette_store.step,
         "parameters": index.parameters,
         "files": {
             name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
@@ -217,6 +218,7 @@ def _restore(
             files["silhouettes"],
             np.cumsum(files["silhouette-lengths"], dtype=np.int64),
             files["silhouette-dictionary"],
+            manifest["silhouette_step"],
         ),
         parameters=manifest["parameters"],
         version=manifest["version"],
