@@ -161,7 +161,7 @@ def _deflate(
 def _halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Silhouettes ``(B, 64, 24)``: what most of four pixels show, and the first where they tie."""
     blocks = silhouettes.reshape(len(silhouettes), HEIGHT // 2, 2, WIDTH // 2, 2)
-    return (2 * blocks.sum(axis=(2, 4)) + blocks[:, :, 0, :, 0] > 4).astype(np.uint8)
+    return np.asarray(2 * blocks.sum(axis=(2, 4)) + blocks[:, :, 0, :, 0] > 4, np.uint8)
 
 
 def _by_columns(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -47,6 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("names", nargs="*", metavar="experiment", help=", ".join(EXPERIMENTS))
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
+    parser.add_argument(
+        "--strict-index",
+        type=Path,
+        metavar="FOLDER",
+        help="index without the held-out clips, kept here once it is built; by default "
+        "whichever experiment needs it builds it anew",
+    )
     known, _ = parser.parse_known_args(arguments)
     unknown = [name for name in known.names if name not in EXPERIMENTS]
     if unknown:

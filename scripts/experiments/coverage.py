@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from index.artefact import load_index
 from index.build.avatars import HELD_OUT_AVATARS, make_avatars
-from index.build.builder import Asked, Plan, simulate_queries
+from index.build.builder import Asked, simulate_queries
 from index.build.calibrate import Queries, run_trial
 from index.build.motion import read_manifest
 from index.confidence import RIGHT_BELOW_PX
@@ -24,9 +23,9 @@ from index.store import PoseIndex
 from scripts.experiments.report import table, write
 from scripts.experiments.strict import (
     QUERY_SEED,
-    build_strict,
     hold_out,
     posture_groups,
+    strict_index,
     true_postures,
 )
 
@@ -42,10 +41,7 @@ COMPARED = 4000
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
-    """Add this experiment's options to the command line."""
-    parser.add_argument(
-        "--strict-index", type=Path, metavar="FOLDER", help="built before; by default built anew"
-    )
+    """Add no options."""
 
 
 def run(options: argparse.Namespace) -> None:
@@ -56,7 +52,7 @@ def run(options: argparse.Namespace) -> None:
 def coverage(shared: Path, out: Path, folder: Path | None) -> None:
     """Compare what is answered with the nearest entries, by posture and by size of the index."""
     motion = shared / "mocap"
-    index = load_index(folder) if folder else build_strict(shared, Plan())
+    index = strict_index(shared, folder)
     _, held = hold_out(read_manifest(motion))
     avatars = make_avatars(HELD_OUT_AVATARS, shared / "garments")
     simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.posture import vote_posture
+from index.artefact import load_index, save_index
 from index.build.avatars import HELD_OUT_AVATARS, make_avatars
 from index.build.builder import (
     Asked,
@@ -60,16 +61,15 @@ COMMAND = "python -m scripts.evaluate simulation"
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
-    """Add this experiment's options to the command line."""
-    parser.add_argument("--entries", type=int, default=Plan.entries, help="size of the index")
+    """Add no options."""
 
 
 def run(options: argparse.Namespace) -> None:
     """Run the experiment as the command line asks."""
-    strict(options.shared, options.out, entries=options.entries)
+    strict(options.shared, options.out, options.strict_index)
 
 
-def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
+def strict(shared: Path, out: Path, folder: Path | None) -> None:
     """Run the experiment and write ``strict.md``, ``strict.json`` and pictures.
 
     Parameters
@@ -78,13 +78,12 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
         Folder with ``mocap/`` and ``garments/``.
     out : Path
         Folder of the results.
-    entries : int
-        Size of the index; the shipped one by default.
+    folder : Path or None
+        See :func:`strict_index`.
     """
     motion, garments = shared / "mocap", shared / "garments"
     _, held = hold_out(read_manifest(motion))
-    plan = Plan(entries=entries)
-    index = build_strict(shared, plan)
+    index = strict_index(shared, folder)
     avatars = make_avatars(HELD_OUT_AVATARS, garments)
     simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)
     queries = Queries.of(simulated)
@@ -102,7 +101,8 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
         f"`{COMMAND}`\n",
         f"Index: {len(index):,} entries: {index.parameters['poses']:,} poses, each on "
         f"{index.parameters['bodies_per_pose']} of the {len(index.subjects)} avatars, "
-        f"{plan.views} views of each; each stands for its mirror image too. Queries: "
+        f"{index.parameters['views_per_body']} views of each; each stands for its mirror image "
+        "too. Queries: "
         f"{ASKED.upright:,} frames spread evenly over the held-out clips of upright motion, on 4 "
         "bodies and in clothes of their own, one random view each (elevation -5 to "
         "60 degrees, 3 to 20 m, 2 degrees of roll). Right: mean joint reprojection error "
@@ -156,11 +156,24 @@ def strict(shared: Path, out: Path, *, entries: int = Plan.entries) -> None:
     (out / "strict.json").write_text(json.dumps({"command": COMMAND, **results}, indent=1) + "\n")
 
 
-def build_strict(shared: Path, plan: Plan) -> PoseIndex:
-    """Build an index as the shipped one is, but without the held-out clips."""
+def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
+    """An index built as the shipped one is, but without the held-out clips.
+
+    Parameters
+    ----------
+    shared : Path
+        Folder with ``mocap/`` and ``garments/``.
+    folder : Path or None
+        Where it was kept before, or is kept from now on.
+    """
+    if folder is not None and folder.exists():
+        return load_index(folder)
     motion, garments = shared / "mocap", shared / "garments"
     kept, _ = hold_out(read_manifest(motion))
-    return build(motion, garments, plan, name="strict", segments=kept, progress=True, say=print)
+    index = build(motion, garments, Plan(), name="strict", segments=kept, progress=True, say=print)
+    if folder is not None:
+        save_index(index, folder)
+    return index
 
 
 def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]:

@@ -26,7 +26,6 @@ from app.hypotheses import fit_poses, set_upright
 from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
-from index.artefact import load_index
 from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
@@ -38,7 +37,7 @@ from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.experiments.report import table, write
 from scripts.experiments.sequences import FPS, Filmed, film
-from scripts.experiments.strict import build_strict, hold_out
+from scripts.experiments.strict import hold_out, strict_index
 from scripts.experiments.tracking_pictures import draw_sequences
 
 COMMAND = "python -m scripts.evaluate tracking"
@@ -120,7 +119,6 @@ class Followed:
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
     """Add this experiment's options to the command line."""
-    parser.add_argument("--strict-index", type=Path, help="built before, by this or `simulation`")
     parser.add_argument("--fit-tracks", action="store_true", help="fit the confidence instead")
 
 
@@ -129,11 +127,7 @@ def run(options: argparse.Namespace) -> None:
     if options.fit_tracks:
         fit(options.shared)
         return
-    index = (
-        load_index(options.strict_index)
-        if options.strict_index
-        else build_strict(options.shared, Plan())
-    )
+    index = strict_index(options.shared, options.strict_index)
     _, held = hold_out(read_manifest(options.shared / "mocap"))
     sequences = film_segments(options.shared, held, HELD_OUT_AVATARS, VIEWS)
     persons = [ask(index, filmed) for filmed in tqdm(sequences, desc="matching", unit="sequence")]
