@@ -2,6 +2,8 @@
 # Two stages: the first has pip, the second only serves. Networks, index and page are in the package.
 
 FROM python:3.11-slim AS build
+# milvus, for an index in Milvus; nothing by default.
+ARG EXTRAS=
 WORKDIR /src
 RUN python -m venv /srv/.venv
 COPY LICENSE LICENSE
@@ -10,7 +12,7 @@ COPY pyproject.toml ./
 COPY app app
 COPY descriptor descriptor
 COPY index index
-RUN /srv/.venv/bin/pip install --no-cache-dir .
+RUN /srv/.venv/bin/pip install --no-cache-dir ".${EXTRAS:+[$EXTRAS]}"
 
 FROM python:3.11-slim
 ARG REVISION=unknown

@@ -31,6 +31,15 @@ def test_what_the_dockerfile_copies_is_there_and_not_ignored() -> None:
         assert source in allowed, f"{source} does not reach the build: see .dockerignore"
 
 
+def test_the_container_takes_the_extras_that_compose_names() -> None:
+    assert "EXTRAS: ${EXTRAS:-}" in (ROOT / "compose.yaml").read_text()
+    (asked,) = re.findall(r"pip install --no-cache-dir (\S+)$", DOCKERFILE, re.MULTILINE)
+    for extras, expected in (("", "."), ("milvus", ".[milvus]")):
+        command = ["sh", "-c", f"echo {asked}"]
+        shell = subprocess.run(command, env={"EXTRAS": extras}, capture_output=True, text=True)
+        assert shell.stdout.strip() == expected
+
+
 def test_the_container_is_no_root_and_checks_its_health() -> None:
     final = DOCKERFILE.split("\nFROM ")[-1]
     assert re.search(r"^USER \d+:\d+$", final, re.MULTILINE)
