@@ -21,12 +21,16 @@ from index.skeleton import NATIVE
 from index.store import PoseIndex
 from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 _SILHOUETTES, _NEIGHBOURS = "silhouettes.npy", "neighbours.faiss"
 
 _INCOMPRESSIBLE = (_SILHOUETTES, _NEIGHBOURS)
 """Stored as they are; every other file is compressed."""
+
+_LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
+"""Without the context of the byte before and of the place: decompresses a third faster, for 1 %
+more bytes."""
 
 
 def save_index(index: PoseIndex, path: Path) -> str:
@@ -44,13 +48,16 @@ def save_index(index: PoseIndex, path: Path) -> str:
         "clips": list(index.clips),
         "subjects": list(index.subjects),
         "actions": list(index.actions),
+        "silhouette_step": index.silhouette_store.step,
         "parameters": index.parameters,
         "files": {
             name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
         },
     }
     stored = {
-        _stored_name(name): content if name in _INCOMPRESSIBLE else lzma.compress(content, preset=6)
+        _stored_name(name): content
+        if name in _INCOMPRESSIBLE
+        else lzma.compress(content, filters=_LZMA)
         for name, content in files.items()
     }
     return _write(path, *_with_search(manifest, stored, index.neighbours))
@@ -217,6 +224,7 @@ def _restore(
             files["silhouettes"],
             np.cumsum(files["silhouette-lengths"], dtype=np.int64),
             files["silhouette-dictionary"],
+            manifest["silhouette_step"],
         ),
         parameters=manifest["parameters"],
         version=manifest["version"],

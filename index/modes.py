@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -139,9 +139,7 @@ def find_modes(
         if not (next_densest := list(islice(densest, missing))):
             break
         modes = modes.append(_interpolate(candidates, offsets, next_densest))
-    modes = modes.take(distinct)
-    skeletons = candidates.points_3d[modes.centres]
-    return replace(modes, points_3d=with_bones_of(skeletons, modes.points_3d))
+    return modes.take(distinct)
 
 
 def _distinct(modes: Modes) -> list[int]:
@@ -225,7 +223,7 @@ def _interpolate(
         np.array(centres),
         weights.sum(axis=1).astype(np.float64),
         np.linalg.norm(combinations @ candidates.offsets, axis=1).astype(np.float64),
-        _combine(combinations, candidates.points_3d),
+        with_bones_of(candidates.points_3d[centres], _combine(combinations, candidates.points_3d)),
         _combine(combinations, candidates.points_normalised),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,11 @@ from descriptor.silhouette import HEIGHT, WIDTH, unpack
 
 PACKED_BYTES = HEIGHT * WIDTH // 8
 
-_DICTIONARY_SILHOUETTES = 42
-"""As many as fit into the 32 KiB window of deflate."""
+_WINDOW_BYTES = 32 * 1024
+"""How far back deflate looks, and therefore the most that is of use in a dictionary."""
+
+_BLOCK = 4096
+"""Silhouettes decompressed at a time where all are."""
 
 _LEVEL = 6
 _RAW_DEFLATE = -15
@@ -34,13 +37,22 @@ class Silhouettes:
     ends : (E,) int64 array
         End of each in ``data``; ascending, the last is B.
     dictionary : (D,) uint8 array
+    step : int
+        Pixels of the normalised frame for each stored one, both ways: 1, or 2 after
+        :meth:`halved`.
     """
 
     data: NDArray[np.uint8]
     ends: NDArray[np.int64]
     dictionary: NDArray[np.uint8]
+    step: int = 1
 
     def __post_init__(self) -> None:
+        if self.step not in (1, 2):
+            raise ValueError(
+                f"expected silhouettes stored at every or every second pixel, "
+                f"got a step of {self.step!r}"
+            )
         for name, kind in (("data", np.uint8), ("ends", np.int64), ("dictionary", np.uint8)):
             array = getattr(self, name)
             if array.ndim != 1 or array.dtype != kind:
@@ -67,28 +79,33 @@ class Silhouettes:
         """
         if bits.ndim != 2 or bits.shape[1] != PACKED_BYTES or len(bits) == 0:
             raise ValueError(f"expected silhouettes of shape (E, {PACKED_BYTES}), got {bits.shape}")
-        columns = _by_columns(bits)
-        dictionary = _by_columns(bits[sampled(len(bits))] if sample is None else sample).ravel()
-        fresh = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE, 9, zdict=dictionary.tobytes())
-        parts = []
-        for row in columns:
-            packer = fresh.copy()
-            parts.append(packer.compress(row.tobytes()) + packer.flush())
-        return cls(
-            np.frombuffer(b"".join(parts), np.uint8),
-            np.cumsum([len(part) for part in parts], dtype=np.int64),
-            dictionary,
-        )
+        sample = bits[sampled(len(bits))] if sample is None else sample
+        return cls(*_deflate(_by_columns(unpack(bits)), _by_columns(unpack(sample)).ravel()))
+
+    def halved(self) -> Silhouettes:
+        """The same at half the resolution, in half the bytes: outlines move by 0.4 px."""
+        if self.step != 1:
+            raise ValueError("expected silhouettes at full resolution, got halved ones")
+        blocks = [
+            _by_columns(_halve(self.take(np.arange(start, min(start + _BLOCK, len(self))))))
+            for start in range(0, len(self), _BLOCK)
+        ]
+        columns = np.concatenate(blocks)
+        dictionary = columns[sampled(len(self), step=2)].ravel()
+        return Silhouettes(*_deflate(columns, dictionary), step=2)
 
     @classmethod
     def joined(cls, parts: Sequence[Silhouettes]) -> Silhouettes:
         """Put silhouettes of the same dictionary one after another."""
         first = parts[0]
-        if any(not np.array_equal(part.dictionary, first.dictionary) for part in parts):
-            raise ValueError("expected silhouettes of the same dictionary")
+        if any(
+            part.step != first.step or not np.array_equal(part.dictionary, first.dictionary)
+            for part in parts
+        ):
+            raise ValueError("expected silhouettes of the same dictionary and resolution")
         lengths = np.concatenate([np.diff(part.ends, prepend=0) for part in parts])
         data = np.concatenate([part.data for part in parts])
-        return cls(data, np.cumsum(lengths, dtype=np.int64), first.dictionary)
+        return replace(first, data=data, ends=np.cumsum(lengths, dtype=np.int64))
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Silhouettes:
         """Some silhouettes, still compressed."""
@@ -96,7 +113,7 @@ class Silhouettes:
         ends = self.ends[rows]
         spans = zip(starts.tolist(), ends.tolist(), strict=True)
         data = np.concatenate([self.data[:0], *(self.data[start:end] for start, end in spans)])
-        return Silhouettes(data, np.cumsum(ends - starts, dtype=np.int64), self.dictionary)
+        return replace(self, data=data, ends=np.cumsum(ends - starts, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -109,34 +126,54 @@ class Silhouettes:
         IndexError
             If there is no such silhouette.
         """
-        dictionary = self.dictionary.tobytes()
-        rows = np.empty((len(numbers), PACKED_BYTES), np.uint8)
-        for row, number in zip(rows, numbers, strict=True):
+        dictionary, size = self.dictionary.tobytes(), PACKED_BYTES // self.step**2
+        columns = np.empty((len(numbers), size), np.uint8)
+        for row, number in zip(columns, numbers, strict=True):
             if not 0 <= number < len(self):
                 raise IndexError(f"expected a silhouette below {len(self)}, got {number}")
             start = self.ends[number - 1] if number else 0
             unpacker = zlib.decompressobj(_RAW_DEFLATE, zdict=dictionary)
             row[:] = np.frombuffer(
-                unpacker.decompress(self.data[start : self.ends[number]].tobytes(), PACKED_BYTES),
-                np.uint8,
+                unpacker.decompress(self.data[start : self.ends[number]].tobytes(), size), np.uint8
             )
-        return unpack(_by_rows(rows))
+        return _from_columns(columns, self.step)
 
 
-def sampled(count: int) -> NDArray[np.int64]:
+def sampled(count: int, *, step: int = 1) -> NDArray[np.int64]:
     """Rows of ``count`` silhouettes that make their dictionary: spread evenly."""
-    return np.linspace(0, count - 1, min(count, _DICTIONARY_SILHOUETTES)).astype(np.int64)
+    fitting = _WINDOW_BYTES * step**2 // PACKED_BYTES
+    return np.linspace(0, count - 1, min(count, fitting)).astype(np.int64)
 
 
-def _by_columns(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Reorder bytes column by column: most outlines are vertical, which compresses better."""
-    return np.ascontiguousarray(bits.reshape(len(bits), HEIGHT, WIDTH // 8).swapaxes(1, 2)).reshape(
-        bits.shape
-    )
+def _deflate(
+    columns: NDArray[np.uint8], dictionary: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8]]:
+    """Compress each row; returns data, ends and dictionary."""
+    fresh = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE, 9, zdict=dictionary.tobytes())
+    parts = []
+    for row in columns:
+        packer = fresh.copy()
+        parts.append(packer.compress(row.tobytes()) + packer.flush())
+    ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
+    return np.frombuffer(b"".join(parts), np.uint8), ends, dictionary
 
 
-def _by_rows(columns: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Undo :func:`_by_columns`."""
-    return np.ascontiguousarray(
-        columns.reshape(len(columns), WIDTH // 8, HEIGHT).swapaxes(1, 2)
-    ).reshape(columns.shape)
+def _halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Silhouettes ``(B, 64, 24)``: what most of four pixels show, and the first where they tie."""
+    blocks = silhouettes.reshape(len(silhouettes), HEIGHT // 2, 2, WIDTH // 2, 2)
+    return np.asarray(2 * blocks.sum(axis=(2, 4)) + blocks[:, :, 0, :, 0] > 4, np.uint8)
+
+
+def _by_columns(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Pack silhouettes ``(B, H, W)``, one column of bytes after the other.
+
+    Most outlines are vertical, which compresses better so.
+    """
+    packed = np.packbits(silhouettes, axis=2).swapaxes(1, 2)
+    return np.ascontiguousarray(packed).reshape(len(silhouettes), -1)
+
+
+def _from_columns(columns: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
+    """Undo :func:`_by_columns`, and enlarge to ``(B, 128, 48)``."""
+    packed = columns.reshape(len(columns), WIDTH // 8 // step, HEIGHT // step).swapaxes(1, 2)
+    return np.unpackbits(packed, axis=2).repeat(step, axis=1).repeat(step, axis=2)

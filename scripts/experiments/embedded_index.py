@@ -25,7 +25,6 @@ from index.keypoints import Keypoints
 from index.matching import CANDIDATES, Match, match
 from index.neighbours import STEPS, ExactNeighbours, Neighbours
 from index.rotations import rotate_clockwise
-from index.silhouettes import Silhouettes
 from index.skeleton import JOINTS
 from index.store import DEFAULT_PATH, PoseIndex
 from index.verified_files import read_bytes
@@ -272,7 +271,7 @@ def memory_of_the_rest(size: int = 1_000_000) -> Figures:
         entries=entries,
         skeletons=np.tile(index.skeletons, (times, 1, 1)),
         skeleton_labels=np.tile(index.skeleton_labels, times),
-        silhouette_store=Silhouettes(np.tile(store.data, times), ends, store.dictionary),
+        silhouette_store=replace(store, data=np.tile(store.data, times), ends=ends),
     )
     del entries, ends
     resident = (anonymous_mib() - before) * 2**20 / len(grown)

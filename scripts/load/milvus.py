@@ -27,7 +27,6 @@ from index.build.noise import degrade
 from index.milvus import Contents, Milvus, MilvusNeighbours
 from index.milvus_publication import BATCH, publish
 from index.neighbours import STEPS, ExactNeighbours, Neighbours, UnavailableError
-from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 from scripts.load.loops import BackgroundLoop
 from scripts.load.milvus_server import MilvusProcess
@@ -379,7 +378,7 @@ def first_entries(index: PoseIndex, count: int) -> PoseIndex:
         index,
         vectors=index.vectors[:count],
         entries=index.entries[:count],
-        silhouette_store=Silhouettes(store.data[: ends[-1]], ends, store.dictionary),
+        silhouette_store=replace(store, data=store.data[: ends[-1]], ends=ends),
     )
 
 

@@ -5,6 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import pack, unpack
+from index.build.simulate import Simulation
+from index.outline import outline_distances
 from index.silhouettes import Silhouettes, sampled
 from index.store import PoseIndex
 
@@ -55,6 +57,45 @@ def test_selects_without_decompressing(noise: np.ndarray, rows: np.ndarray) -> N
     assert_array_equal(selected.take(np.arange(len(selected))), unpack(noise[rows]))
 
 
+class TestHalved:
+    def test_each_stored_pixel_shows_what_most_of_four_do(self) -> None:
+        blocks = np.random.default_rng(0).integers(0, 2, (100, 64, 24), np.uint8)
+        whole = blocks.repeat(2, axis=1).repeat(2, axis=2)
+        one_off = whole.copy()
+        one_off[:, 1::2, 1::2] ^= 1
+        for silhouettes in (whole, one_off):
+            halved = Silhouettes.compress(pack(silhouettes)).halved()
+            assert_array_equal(halved.take(np.arange(100)), whole)
+
+    def test_is_as_large_as_before_on_average(self, noise: np.ndarray) -> None:
+        halved = Silhouettes.compress(noise).halved().take(np.arange(100))
+        assert abs(halved.mean() - unpack(noise).mean()) < 0.01
+
+    def test_outlines_hardly_move_and_take_half_the_bytes(self, simulation: Simulation) -> None:
+        stored = simulation.silhouette_store
+        rows = np.arange(len(stored))
+        pairs = zip(stored.take(rows), stored.halved().take(rows), strict=True)
+        moved = [outline_distances(whole, halved[None])[0] for whole, halved in pairs]
+        assert np.mean(moved) < 0.5
+        assert len(stored.halved().data) < 0.6 * len(stored.data)
+
+    def test_selects_and_joins_as_before(self, noise: np.ndarray) -> None:
+        halved = Silhouettes.compress(noise).halved()
+        parts = [halved.select(np.arange(60)), halved.select(np.arange(60, 100))]
+        assert_array_equal(
+            Silhouettes.joined(parts).take(np.arange(100)), halved.take(np.arange(100))
+        )
+
+    def test_is_not_halved_twice(self, noise: np.ndarray) -> None:
+        with pytest.raises(ValueError, match="at full resolution"):
+            Silhouettes.compress(noise).halved().halved()
+
+    def test_is_not_joined_with_whole_ones(self, noise: np.ndarray) -> None:
+        whole = Silhouettes.compress(noise)
+        with pytest.raises(ValueError, match="of the same"):
+            Silhouettes.joined([whole, whole.halved()])
+
+
 @pytest.mark.parametrize("number", [-1, 100])
 def test_refuses_what_is_not_there(noise: np.ndarray, number: int) -> None:
     with pytest.raises(IndexError, match=f"below 100, got {number}"):
@@ -74,6 +115,7 @@ def test_compresses_packed_silhouettes_only(shape: tuple[int, ...]) -> None:
         ("data", np.zeros((2, 2), np.uint8), "expected data of silhouettes as a row"),
         ("ends", np.zeros(3, np.int64), "ascending ends"),
         ("ends", np.zeros(0, np.int64), "ascending ends"),
+        ("step", 3, "every or every second pixel"),
         ("dictionary", np.zeros(3, np.int64), "expected dictionary of silhouettes as a row"),
     ],
 )
