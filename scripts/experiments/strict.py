@@ -41,8 +41,13 @@ from scripts.experiments.strict_pictures import draw_hard_queries, draw_postures
 ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground whose actions have too few clips for one to be held out of each."""
 
-ASKED = Asked(upright=2000, near_ground=1000, laid_down=600)
+ASKED = Asked(upright=4000, near_ground=2000, laid_down=1200)
+"""So many that a share of upright people is known to 0.8 points (one standard deviation)."""
+
 QUERY_SEED = 99
+DISTURBED_EVERY = 2
+"""Of the upright queries, one in so many is asked again with noise."""
+
 NOISE_STD_PX = (1.0, 2.0)
 ELEVATIONS_DEG = ((-5, 10), (10, 25), (25, 45), (45, 60))
 
@@ -91,10 +96,11 @@ def strict(shared: Path, out: Path, folder: Path | None) -> None:
     everybody = run_trial(index, queries, progress=True)
     clean = everybody.take(np.arange(ASKED.upright))
     trials = {"contour noise 0 px": clean}
+    some = upright.take(np.arange(0, ASKED.upright, DISTURBED_EVERY))
     for std in NOISE_STD_PX:
-        disturbed_trial = run_trial(index, disturbed(upright, std), progress=True)
+        disturbed_trial = run_trial(index, disturbed(some, std), progress=True)
         trials[f"contour noise {std:g} px"] = disturbed_trial
-    trials["degraded"] = run_trial(index, upright.degraded(QUERY_SEED), progress=True)
+    trials["degraded"] = run_trial(index, some.degraded(QUERY_SEED), progress=True)
     postures = true_postures(simulated)
     lines = [
         "# Strict: unseen bodies, clips and views\n",
@@ -221,12 +227,16 @@ def by_posture(postures: NDArray[np.int64], trial: Trial) -> list[str]:
     told = voted_postures(trial)
     lying = POSTURES.index("lying")
     right_of_lying = 100 * ((told == lying) == (postures == lying)).mean()
+    nearest = np.take_along_axis(trial.postures, trial.error_m.argmin(axis=1)[:, None], axis=1)
+    offered = (trial.postures == postures[:, None]).any(axis=1)
     return [
         f"{row(name, trial, rows)} {100 * (told == postures)[rows].mean():.1f} % |"
         for name, rows in posture_groups(postures).items()
     ] + [
         f"\nPosture right for {100 * (told == postures).mean():.1f} % of all, lying against all "
-        f"else for {right_of_lying:.1f} %."
+        f"else for {right_of_lying:.1f} %. At the best: of the seven hypotheses the nearest in 3D "
+        f"is in the right posture for {100 * (nearest[:, 0] == postures).mean():.1f} %, any for "
+        f"{100 * offered.mean():.1f} %."
     ]
 
 
