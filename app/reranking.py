@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimates import PlacedHypothesis
 from app.facing import Facing, azimuth_deg, faces_camera, front_share
 from app.vision.weights import fitted
 from index.matching import Hypothesis
@@ -132,6 +133,22 @@ def nearest_of_both_facings(
     kept = set(others[: max(1, n // PER_OPPOSITE_FACING)])
     alike = [i for i in order if i not in kept][: n - len(kept)]
     return [i for i in order if i in kept.union(alike)]
+
+
+def keep_nearest(hypotheses: Sequence[PlacedHypothesis], n: int) -> tuple[PlacedHypothesis, ...]:
+    """The nearest ``n``, a few of which face the opposite way; see :func:`nearest_of_both_facings`.
+
+    Parameters
+    ----------
+    hypotheses : sequence of PlacedHypothesis
+        Nearest first.
+    n : int
+    """
+    if not hypotheses:
+        return ()
+    azimuths = _azimuths([placed.hypothesis for placed in hypotheses])
+    distances = np.array([placed.distance for placed in hypotheses])
+    return tuple(hypotheses[i] for i in nearest_of_both_facings(azimuths, distances, n))
 
 
 def _azimuths(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:

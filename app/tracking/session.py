@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from app.estimates import Evidence, ObservedPerson, Scene
 from app.estimator import Estimator
 from app.finder import Check
+from app.reranking import keep_nearest
 from app.stopwatch import Stopwatch
 from app.tracking.association import associate
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
@@ -325,7 +326,7 @@ class CameraSession:
                 else track.carry(observed, timestamp)
             )
             self._events += track.take_events()
-            shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
+            shown = replace(result.person, hypotheses=keep_nearest(result.person.hypotheses, n))
             tracked.append(replace(result, person=shown))
         return tuple(tracked)
 
