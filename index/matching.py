@@ -28,7 +28,7 @@ from index.rotations import (
 from index.skeleton import POINTS, wrap_degrees
 from index.store import PoseIndex
 
-CANDIDATES = 240
+CANDIDATES = 160
 """Nearest entries considered without keypoints; more add few useful modes."""
 
 SILHOUETTE_CANDIDATES, KEYPOINT_CANDIDATES = 150, 150

@@ -21,6 +21,9 @@ Posture = Literal[
 
 POSTURES: tuple[Posture, ...] = get_args(Posture)
 
+UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
+"""Postures of straight bodies on their legs: neither low nor bending."""
+
 LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
 """Postures in which the legs do not stand."""
 

@@ -6,7 +6,7 @@ import math
 
 from app.posture import VotedPosture
 from app.tracking.results import Event, EventName, EventState
-from index.posture import Posture
+from index.posture import UPRIGHT, Posture
 
 SETTLING_S = 0.5
 """Time constant with which the evidence follows the frames."""
@@ -23,7 +23,6 @@ DOWN_WITHIN_S = 4.0
 STAYS_DOWN_S = 1.5
 """Seconds on the ground after which somebody fell."""
 
-UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
 DOWN: tuple[Posture, ...] = ("lying", "crawling")
 """Who fell need not lie flat."""
 
@@ -59,7 +58,9 @@ class EventDetector:
         self._upright_at: float | None = None
         self._fallen = False
 
-    def update(self, track_id: int, timestamp: float, posture: VotedPosture) -> tuple[Event, ...]:
+    def update(
+        self, track_id: int, timestamp: float, posture: VotedPosture, confidence: float
+    ) -> tuple[Event, ...]:
         """Take in a frame of the track and return what begins or ends with it.
 
         Parameters
@@ -69,8 +70,12 @@ class EventDetector:
             Seconds, after those of the frames before.
         posture : VotedPosture
             Of this frame.
+        confidence : float
+            Of this frame's pose. A frame counts by it: a silhouette that nobody fits, of a person
+            half hidden or cut out wrongly, says nothing.
         """
         step = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
+        step *= confidence
         self._last = timestamp
         probability = posture.probability
 

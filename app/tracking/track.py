@@ -205,7 +205,9 @@ class Track:
         self._facing, self._posture = smoothed.facing, smoothed.posture
         self._action = self._recogniser.update(timestamp, person, smoothed)
         if self.track_id is not None:
-            self._events += self._detector.update(self.track_id, timestamp, smoothed.posture)
+            self._events += self._detector.update(
+                self.track_id, timestamp, smoothed.posture, smoothed.pose.confidence
+            )
         person = replace(person, facing=smoothed.facing, posture=smoothed.posture)
         return self._tracked(person, smoothed.pose)
 

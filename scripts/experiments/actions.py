@@ -341,7 +341,9 @@ def told_falls(tracks: Sequence[Track]) -> Falls:
             for timestamp, smoothed in zip(
                 track.timestamps.tolist(), track.smoothed, strict=True
             )
-            for event in detector.update(1, timestamp, smoothed.posture)
+            for event in detector.update(
+                1, timestamp, smoothed.posture, smoothed.pose.confidence
+            )
             if event.event == "fell" and event.state == "begin"
         ]  # fmt: skip
         if track.action == FALL:

@@ -27,16 +27,17 @@ Figures = Mapping[str, Any]
 
 def report(figures: Figures, sizes: Sequence[int], command: str, out: Path) -> None:
     """Write the page, the figures and the plot from the figures of all cases."""
-    vectors = figures["answers"]["vectors_a_search"]
+    made, vectors = figures["vectors"], figures["answers"]["vectors_a_search"]
     text = [
         "Searches in the process of the service, by size",
         f"Machine: {machine()}; one thread. Other jobs ran beside it: times are of the processor, "
-        "of searches those of the fastest tenth, and their ratios count. The first 138,000 vectors "
-        "are those of the shipped index, all others copies of them with Gaussian noise of 3 steps "
-        "(of 1/8) on each of the 48 values: two copies are about 29 steps apart, neighbours in the "
-        "shipped index 37. Such noise fills all 48 dimensions, as new poses would not, so that the "
-        "recall above 138,000 entries is a rough guide. "
-        f"Queries: {figures['vectors']['queries']} silhouettes of entries, degraded "
+        "of searches those of the fastest tenth, and their ratios count. The first "
+        f"{made['shipped']:,} vectors are those of the shipped index, all others copies of them "
+        "with Gaussian noise of 3 steps (of 1/8) on each of the 48 values: two copies are about 29 "
+        f"steps apart, neighbours in the shipped index {made['neighbour_steps']:.0f} (median). "
+        "Such noise fills all 48 dimensions, as new poses would not, so that the recall above "
+        "their number is a rough guide. "
+        f"Queries: {made['queries']} silhouettes of entries, degraded "
         "(`index/build/noise.py`), and their mirror images.",
         "## By size",
         "Milliseconds of a search for one silhouette and its mirror image, k = 160; recall of the "

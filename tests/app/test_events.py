@@ -15,7 +15,10 @@ FPS = 10
 
 
 def watch(
-    parts: Iterable[tuple[Posture, float]], fps: float = FPS, probability: float = 0.9
+    parts: Iterable[tuple[Posture, float]],
+    fps: float = FPS,
+    probability: float = 0.9,
+    confidence: float = 1.0,
 ) -> list[Event]:
     """Events of somebody who is in each posture for some seconds."""
     detector = EventDetector()
@@ -23,7 +26,8 @@ def watch(
     frame = 0
     for posture, seconds in parts:
         for _ in range(round(seconds * fps)):
-            events += detector.update(7, frame / fps, VotedPosture(posture, probability))
+            voted = VotedPosture(posture, probability)
+            events += detector.update(7, frame / fps, voted, confidence)
             frame += 1
     return events
 
@@ -81,6 +85,10 @@ def test_raised_arms_begin_and_end() -> None:
 
 def test_doubtful_postures_are_no_events() -> None:
     assert watch([("standing", 2), ("lying", 5)], probability=0.4) == []
+
+
+def test_poses_that_are_hardly_right_are_no_events() -> None:
+    assert watch([("standing", 2), ("lying", 2)], confidence=0.05) == []
 
 
 def test_who_is_down_but_not_flat_fell() -> None:
