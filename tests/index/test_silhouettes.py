@@ -63,9 +63,19 @@ class TestHalved:
         whole = blocks.repeat(2, axis=1).repeat(2, axis=2)
         one_off = whole.copy()
         one_off[:, 1::2, 1::2] ^= 1
-        for silhouettes in (whole, one_off):
-            halved = Silhouettes.compress(pack(silhouettes)).halved()
-            assert_array_equal(halved.take(np.arange(100)), whole)
+        stored, same = (Silhouettes.compress(pack(s)).halved() for s in (whole, one_off))
+        assert_array_equal(stored.data, same.data)
+        assert_array_equal(stored.dictionary, same.dictionary)
+
+    def test_enlarging_cuts_stairs_off_and_nothing_else(self) -> None:
+        stairs = np.zeros((1, 128, 48), np.uint8)
+        for step in range(10):
+            stairs[0, 40 + 2 * step : 80, 10 + 2 * step : 12 + 2 * step] = 1
+        (enlarged,) = Silhouettes.compress(pack(stairs)).halved().take([0])
+        changed = {tuple(pixel) for pixel in np.argwhere(enlarged != stairs[0]).tolist()}
+        inner = {(41 + 2 * step, 12 + 2 * step) for step in range(9)}
+        outer = {(40 + 2 * step, 11 + 2 * step) for step in range(1, 10)}
+        assert changed == inner | outer | {(79, 10), (79, 29)}
 
     def test_is_as_large_as_before_on_average(self, noise: np.ndarray) -> None:
         halved = Silhouettes.compress(noise).halved().take(np.arange(100))
@@ -76,7 +86,7 @@ class TestHalved:
         rows = np.arange(len(stored))
         pairs = zip(stored.take(rows), stored.halved().take(rows), strict=True)
         moved = [outline_distances(whole, halved[None])[0] for whole, halved in pairs]
-        assert np.mean(moved) < 0.5
+        assert np.mean(moved) < 0.4
         assert len(stored.halved().data) < 0.6 * len(stored.data)
 
     def test_selects_and_joins_as_before(self, noise: np.ndarray) -> None:
