@@ -126,8 +126,8 @@ def neighbour_steps(index: PoseIndex) -> float:
     """Median distance of an entry's vector to the nearest other one, in steps."""
     numbers = np.random.default_rng(SEED).choice(len(index), QUERIES, replace=False)
     vectors = index.vectors[numbers].astype(np.float32)
-    squared, _ = ExactNeighbours(index.vectors).search(vectors, 2)
-    return float(np.median(np.sqrt(squared[:, 1])) * STEPS)
+    distances, _, _ = index.search(vectors[:, None], 2)
+    return float(np.median(distances[:, 1]) * STEPS)
 
 
 def degraded_queries(index: PoseIndex) -> Queries:
