@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import gc
 import resource
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimates import Person
 from app.estimator import Estimator
 from app.executor import Executor
 from app.facing import azimuth_deg
@@ -24,6 +25,7 @@ from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.upload import Upload
+from index.posture import UPRIGHT
 from index.skeleton import mean_joint_distance, wrap_degrees
 
 FRAMES_PER_S = 10.0
@@ -94,6 +96,8 @@ class Report:
         self.overlaps: list[float] = []
         self.changes_m: dict[str, list[float]] = {"alone": [], "smooth": []}
         self.flips: dict[str, list[bool]] = {"alone": [], "smooth": []}
+        self.not_upright: dict[str, list[bool]] = {"alone": [], "smooth": []}
+        self.events: Counter[str] = Counter()
         self._last: dict[tuple[str, int], NDArray[np.float64]] = {}
         self.pictures: list[NDArray[np.uint8]] = []
 
@@ -111,6 +115,8 @@ class Report:
             self.found_by[observed.source] += 1
             self._compare(tracked)
             self.cut_by[observed.silhouette.segmenter if observed.silhouette else "none"] += 1
+            self._count_posture(tracked.person)
+        self.events.update(event.event for event in result.events if event.state == "begin")
         if estimator is None or number % every:
             return
         for tracked in result.persons:
@@ -122,6 +128,12 @@ class Report:
                 first = silhouette.mask(result.frame.shape)
                 second = by_network.mask(result.frame.shape)
                 self.overlaps.append(float((first & second).sum() / (first | second).sum()))
+
+    def _count_posture(self, person: Person) -> None:
+        if person.hypotheses:
+            self.not_upright["alone"].append(person.hypotheses[0].hypothesis.posture not in UPRIGHT)
+        if person.posture is not None:
+            self.not_upright["smooth"].append(person.posture.label not in UPRIGHT)
 
     def _compare(self, tracked: TrackedPerson) -> None:
         """Compare a person's poses with the last ones: how far joints moved, who turned round."""
@@ -156,11 +168,13 @@ class Report:
         ]
         lines += [
             f"  {kind}: 3D change from pose to pose mean {1000 * np.mean(changes):.0f} mm, median "
-            f"{1000 * np.median(changes):.0f} mm; front/back flips {100 * np.mean(flips):.1f} %"
+            f"{1000 * np.median(changes):.0f} mm; front/back flips {100 * np.mean(flips):.1f} %; "
+            f"postures not upright {100 * np.mean(self.not_upright[kind]):.1f} %"
             for (kind, changes), flips in zip(
                 self.changes_m.items(), self.flips.values(), strict=True
             )
         ]
+        lines.append(f"  events: {dict(self.events)}")
         if self.overlaps:
             lines.append(
                 f"  IoU of {len(self.overlaps)} background silhouettes with the network's: "
