@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.facing import Facing
 from app.posture import VotedPosture
-from app.vision.people import Box, ObservedKeypoints, Silhouette
+from app.vision.people import Box, Landmarks, PersonWindow, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
 
@@ -35,18 +35,21 @@ class ObservedPerson:
         None if the caller said where people are.
     silhouette : Silhouette or None
         In the original frame; None if none was found in a caller's box.
-    keypoints : ObservedKeypoints or None
+    landmarks : Landmarks or None
         Pixels of the frame; None if none were read.
-    quarter_turns : int
-        Quarter turns that set the person upright; see :class:`app.vision.people.Detection`.
+    presence : float or None
+        Probability that a person is there, as the landmark network gives it; None if not asked.
+    next_window : PersonWindow or None
+        Where the landmark network would look for them next.
     """
 
     box: Box
     source: Source
     detection_score: float | None
     silhouette: Silhouette | None
-    keypoints: ObservedKeypoints | None = None
-    quarter_turns: int = 0
+    landmarks: Landmarks | None = None
+    presence: float | None = None
+    next_window: PersonWindow | None = None
 
     @property
     def whole_box(self) -> Box:

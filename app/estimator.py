@@ -19,11 +19,12 @@ from app.stopwatch import Stopwatch
 from app.upload import DecodedUpload, Upload, UploadDecoder
 from app.upright import UprightPerson
 from app.vision.detection.detector import Detector, HogDetector, NetworkDetector
+from app.vision.detection.pose_detection import PoseDetection
 from app.vision.keypoints.movenet import MoveNet
 from app.vision.keypoints.reader import KeypointReader
-from app.vision.people import Box, ObservedKeypoints
-from app.vision.segmentation.body_network import BodyNetwork
-from app.vision.segmentation.segment import NetworkSegmenter, Segmenter
+from app.vision.people import Box
+from app.vision.person.landmarks import LandmarkNetwork
+from app.vision.person.reader import PersonReader
 from app.vision.weights import network_path
 from index.artefact import load_index
 from index.matching import CANDIDATES_PER_HYPOTHESIS, match
@@ -52,9 +53,8 @@ class Estimator:
     ----------
     index : PoseIndex
     detector : Detector
-    segmenter : Segmenter
-    keypoint_reader : KeypointReader
-    min_person_px : float
+    reader : PersonReader
+    min_person_px : float or None
         Height of the smallest person wanted, if a background is given.
     max_pixels : int
         Of each image.
@@ -69,19 +69,17 @@ class Estimator:
         self,
         index: PoseIndex,
         detector: Detector,
-        segmenter: Segmenter,
-        keypoint_reader: KeypointReader,
+        reader: PersonReader,
         *,
-        min_person_px: float,
+        min_person_px: float | None,
         max_pixels: int,
         max_persons: int,
         map_parts: Map = map_serially,
     ) -> None:
         self.index = index
         self.detector = detector
-        self.segmenter = segmenter
         self._decoder = UploadDecoder(max_pixels, max_persons, map_parts)
-        self.finder = PeopleFinder(detector, segmenter, keypoint_reader, min_person_px, max_persons)
+        self.finder = PeopleFinder(detector, reader, min_person_px, max_persons, map_parts)
         self.map_parts = map_parts
 
     @classmethod
@@ -112,19 +110,24 @@ class Estimator:
             assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
             index = load_index(settings.index)
         threads, copies = network_threads(available_cores(), settings.concurrency)
-        movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
-        body = BodyNetwork(network_path("body_mask"), threads=threads, copies=copies)
+        share = {"threads": threads, "copies": copies}
+        movenet = MoveNet(network_path("movenet"), **share)
+        landmarks = LandmarkNetwork(network_path("pose_landmarks"), **share)
         smallest = settings.min_person_px
         detector: Detector = (
             HogDetector(min_person_px=smallest)
             if settings.detector == "hog"
-            else NetworkDetector(movenet, min_person_px=smallest)
+            else NetworkDetector(
+                movenet,
+                PoseDetection(network_path("pose_detection"), **share),
+                landmarks,
+                min_person_px=smallest,
+            )
         )
         return cls(
             index,
             detector,
-            NetworkSegmenter(body),
-            KeypointReader(movenet),
+            PersonReader(landmarks, KeypointReader(movenet)),
             min_person_px=smallest,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
@@ -142,8 +145,7 @@ class Estimator:
         frame = np.full((240, 320, 3), 127, np.uint8)
         box = Box(120.0, 40.0, 60.0, 160.0)
         self.detector.detect(frame)
-        self.segmenter.segment(frame, [box])
-        self.read_keypoints(frame, box)
+        self.finder.reader.read(frame, box)
         match(self.index, self.index.silhouette(0), 1)
 
     def estimate(
@@ -158,7 +160,7 @@ class Estimator:
         check : callable
             Called between steps; raises where the work is no longer wanted.
         evidence : str
-            ``photograph``: silhouettes and the keypoints that it shows; ``silhouette``: the
+            ``photograph``: silhouettes and the landmarks that it shows; ``silhouette``: the
             silhouettes alone, as in the paper.
 
         Raises
@@ -168,8 +170,6 @@ class Estimator:
         """
         stopwatch = Stopwatch()
         scene = self.find_people(upload, check, stopwatch, evidence)
-        if evidence == "photograph" and upload.frame is not None:
-            scene = self.with_keypoints(scene, check, stopwatch)
         persons = self.with_hypotheses(scene, n, check, stopwatch)
         return Estimate(
             scene.frame, persons, {**stopwatch.milliseconds, "total": stopwatch.total()}
@@ -190,15 +190,6 @@ class Estimator:
     def decode(self, upload: Upload) -> DecodedUpload:
         """Decode the images of an upload; raises :class:`UploadError`."""
         return self._decoder.decode(upload)
-
-    def with_keypoints(self, scene: Scene, check: Check, stopwatch: Stopwatch) -> Scene:
-        """Read the keypoints of people with silhouettes from the photograph."""
-        people = []
-        with stopwatch.stage("keypoints"):
-            for person in scene.people:
-                check()
-                people.append(self.finder.with_keypoints(scene.frame, person))
-        return replace(scene, people=tuple(people))
 
     def with_hypotheses(
         self,
@@ -229,7 +220,3 @@ class Estimator:
         pixels = self._decoder.decode_frame(frame)
         check()
         return self.finder.detect(pixels)
-
-    def read_keypoints(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
-        """Read the keypoints of the upright person in a box, in pixels of the frame."""
-        return self.finder.reader.read(frame, box)

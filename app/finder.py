@@ -1,4 +1,4 @@
-"""Finds the people of a frame: boxes, silhouettes and keypoints, also of people who lie."""
+"""Finds the people of a frame: boxes, and in one pass each their silhouettes and landmarks."""
 
 from __future__ import annotations
 
@@ -9,25 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Source
+from app.executor import Map, map_serially
 from app.stopwatch import Stopwatch
 from app.upload import DecodedUpload
 from app.vision.decoding.decode import LabelImage
-from app.vision.detection.detector import Detector
-from app.vision.keypoints.reader import KeypointReader
-from app.vision.people import Box, Silhouette
-from app.vision.rotation import (
-    find_quarter_turns,
-    rotate_box,
-    rotate_keypoints,
-    rotate_shape,
-    rotate_silhouette,
-)
+from app.vision.detection.detector import Detector, smallest_person_px
+from app.vision.people import Box, Detection, Silhouette
+from app.vision.person.landmarks import Reading
+from app.vision.person.reader import PersonReader
+from app.vision.person.silhouettes import silhouettes_of
 from app.vision.segmentation.background import BackgroundSegmenter
-from app.vision.segmentation.segment import Segmenter, silhouettes_from_labels
+from app.vision.segmentation.labels import silhouettes_from_labels
 from app.vision.segmentation.truncation import end_beyond_border
 
 Check = Callable[[], None]
 """Called between steps; raises where the work is no longer wanted."""
+
+SAME_BODY = 0.12
+"""Mean distance of landmarks, in sizes of the body, below which two readings are of one person."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +36,20 @@ class PeopleFinder:
     Parameters
     ----------
     detector : Detector
-    segmenter : Segmenter
-    reader : KeypointReader
-    min_person_px : float
+    reader : PersonReader
+    min_person_px : float or None
         Height of the smallest person wanted, where a background is given.
     max_persons : int
         Detections beyond are dropped, the least sure first.
+    map_parts : callable
+        Works on the people of a frame; see :class:`app.executor.Map`.
     """
 
     detector: Detector
-    segmenter: Segmenter
-    reader: KeypointReader
-    min_person_px: float
+    reader: PersonReader
+    min_person_px: float | None
     max_persons: int
+    map_parts: Map = map_serially
 
     def find(
         self, upload: DecodedUpload, reads: bool, check: Check, stopwatch: Stopwatch
@@ -60,134 +60,134 @@ class PeopleFinder:
         ----------
         upload : DecodedUpload
         reads : bool
-            Whether keypoints are read to find the quarter turns of wide boxes.
+            Whether landmarks count, else the silhouettes alone.
         check : callable
         stopwatch : Stopwatch
         """
         frame = upload.frame
         background = upload.background is not None and BackgroundSegmenter(
-            upload.background, min_person_px=self.min_person_px
+            upload.background, min_person_px=smallest_person_px(frame.shape, self.min_person_px)
         )
         if upload.mask is not None:
-            return self._in_mask(upload.mask, frame, reads, stopwatch)
-        if upload.boxes is not None:
-            segmenter = background or self.segmenter
-            return self._in_boxes(upload.boxes, frame, segmenter, reads, stopwatch)
-        if background:
-            return self._detected(frame, "background", background, background, check, stopwatch)
-        return self._detected(frame, "detector", self.detector, self.segmenter, check, stopwatch)
+            people = self._in_mask(upload.mask, frame, reads, check, stopwatch)
+        elif upload.boxes is not None:
+            found = [Detection(box, 1.0) for box in upload.boxes]
+            people = self._read("boxes", found, frame, background or None, reads, check, stopwatch)
+            people = [replace(person, detection_score=None) for person in people]
+        else:
+            with stopwatch.stage("detect"):
+                detections = (background or self.detector).detect(frame)[: self.max_persons]
+            check()
+            source: Source = "background" if background else "detector"
+            people = self._read(
+                source, detections, frame, background or None, reads, check, stopwatch
+            )
+            # A detection without a silhouette was hardly a person.
+            people = [person for person in people if person.silhouette is not None]
+        if reads:
+            return people
+        return [replace(person, landmarks=None) for person in people]
 
     def detect(self, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
         """Find people by their boxes alone, the surest first."""
         return tuple(
-            ObservedPerson(
-                found.box, "detector", found.score, None, quarter_turns=found.quarter_turns
-            )
+            ObservedPerson(found.box, "detector", found.score, None)
             for found in self.detector.detect(frame)[: self.max_persons]
         )
 
-    def with_keypoints(self, frame: NDArray[np.uint8], person: ObservedPerson) -> ObservedPerson:
-        """Read the keypoints of a person with a silhouette.
+    def read(
+        self, frame: NDArray[np.uint8], found: Sequence[Detection], check: Check
+    ) -> list[Reading]:
+        """Read each person of a frame."""
 
-        They show truncation by the frame that the silhouette may not show.
-        """
-        silhouette = person.silhouette
-        if silhouette is None:
-            return person
-        turned = np.rot90(frame, person.quarter_turns)
-        box = rotate_box(person.box, frame.shape, person.quarter_turns)
-        keypoints = self.reader.read(turned, box)
-        if keypoints is None:
-            return person
-        if person.quarter_turns:
-            shape = rotate_shape(frame.shape, person.quarter_turns)
-            keypoints = rotate_keypoints(keypoints, shape, -person.quarter_turns)
-        if end_beyond_border(person.box, keypoints, frame.shape, person.quarter_turns):
-            silhouette = replace(silhouette, truncated=True)
-        return replace(person, silhouette=silhouette, keypoints=keypoints)
+        def read_one(one: Detection) -> Reading:
+            check()
+            return self.reader.read(frame, one.box, one.keypoints, one.windows)
 
-    def _detected(
+        return self.map_parts(read_one, found)
+
+    def _read(
         self,
-        frame: NDArray[np.uint8],
         source: Source,
-        detector: Detector | BackgroundSegmenter,
-        segmenter: Segmenter,
+        found: Sequence[Detection],
+        frame: NDArray[np.uint8],
+        background: BackgroundSegmenter | None,
+        reads: bool,
         check: Check,
         stopwatch: Stopwatch,
     ) -> list[ObservedPerson]:
-        with stopwatch.stage("detect"):
-            detections = detector.detect(frame)[: self.max_persons]
-        check()
+        boxes = [one.box for one in found]
+        readings: Sequence[Reading | None] = [None] * len(found)
+        if reads or background is None:
+            with stopwatch.stage("keypoints"):
+                read = self.read(frame, found, check)
+            if source != "boxes":
+                kept = distinct_bodies(read)
+                found, read = [found[i] for i in kept], [read[i] for i in kept]
+                boxes = [boxes[i] for i in kept]
+            readings = read
         with stopwatch.stage("segment"):
-            silhouettes = segment_turned(
-                segmenter,
-                frame,
-                [detection.box for detection in detections],
-                [detection.quarter_turns for detection in detections],
+            silhouettes = (
+                silhouettes_of(read, boxes, frame.shape, exact=source == "boxes")
+                if background is None
+                else background.segment(frame, boxes)
             )
-        # A detection without a silhouette was hardly a person.
         return [
-            ObservedPerson(
-                found.box, source, found.score, silhouette, quarter_turns=found.quarter_turns
-            )
-            for found, silhouette in zip(detections, silhouettes, strict=True)
-            if silhouette is not None
-        ]
-
-    def _in_boxes(
-        self,
-        boxes: Sequence[Box],
-        frame: NDArray[np.uint8],
-        segmenter: Segmenter,
-        reads: bool,
-        stopwatch: Stopwatch,
-    ) -> list[ObservedPerson]:
-        with stopwatch.stage("keypoints"):
-            quarter_turns = [self._quarter_turns(frame, box) if reads else 0 for box in boxes]
-        with stopwatch.stage("segment"):
-            # The difference from a background does not depend on the orientation.
-            up = quarter_turns if segmenter is self.segmenter else [0] * len(quarter_turns)
-            silhouettes = segment_turned(segmenter, frame, boxes, up)
-        return [
-            ObservedPerson(box, "boxes", None, silhouette, quarter_turns=turn)
-            for box, silhouette, turn in zip(boxes, silhouettes, quarter_turns, strict=True)
+            observed(frame, one.box, source, one.score, silhouette, reading)
+            for one, silhouette, reading in zip(found, silhouettes, readings, strict=True)
         ]
 
     def _in_mask(
-        self, mask: LabelImage, frame: NDArray[np.uint8], reads: bool, stopwatch: Stopwatch
+        self,
+        mask: LabelImage,
+        frame: NDArray[np.uint8],
+        reads: bool,
+        check: Check,
+        stopwatch: Stopwatch,
     ) -> list[ObservedPerson]:
         with stopwatch.stage("segment"):
             silhouettes = silhouettes_from_labels(mask)
+        if not reads:
+            return [ObservedPerson(one.box, "mask", None, one) for one in silhouettes]
         with stopwatch.stage("keypoints"):
-            quarter_turns = [
-                self._quarter_turns(frame, person.box) if reads else 0 for person in silhouettes
-            ]
+            readings = self.read(frame, [Detection(one.box, 1.0) for one in silhouettes], check)
         return [
-            ObservedPerson(silhouette.box, "mask", None, silhouette, quarter_turns=turn)
-            for silhouette, turn in zip(silhouettes, quarter_turns, strict=True)
+            observed(frame, one.box, "mask", None, one, reading)
+            for one, reading in zip(silhouettes, readings, strict=True)
         ]
 
-    def _quarter_turns(self, frame: NDArray[np.uint8], box: Box) -> int:
-        """Quarter turns that set the person in a caller's box upright, 0 unless the box is wide."""
-        if box.width <= box.height:
-            return 0
-        return find_quarter_turns(self.reader.read(frame, box))
 
-
-def segment_turned(
-    segmenter: Segmenter,
+def observed(
     frame: NDArray[np.uint8],
-    boxes: Sequence[Box],
-    quarter_turns: Sequence[int],
-) -> list[Silhouette | None]:
-    """Segment people, each in the frame turned so that they are upright."""
-    found: list[Silhouette | None] = [None] * len(boxes)
-    for turn in sorted(set(quarter_turns)):
-        rows = [i for i, other in enumerate(quarter_turns) if other == turn]
-        upright = np.ascontiguousarray(np.rot90(frame, turn))
-        silhouettes = segmenter.segment(
-            upright, [rotate_box(boxes[i], frame.shape, turn) for i in rows]
-        )
-        for i, silhouette in zip(rows, silhouettes, strict=True):
-            found[i] = silhouette and rotate_silhouette(silhouette, upright.shape, -turn)
-    return found
+    box: Box,
+    source: Source,
+    score: float | None,
+    silhouette: Silhouette | None,
+    reading: Reading | None,
+) -> ObservedPerson:
+    """What is seen of a person; landmarks show truncation that the silhouette may not show."""
+    if reading is None:
+        return ObservedPerson(box, source, score, silhouette)
+    landmarks = reading.landmarks
+    if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
+        silhouette = replace(silhouette, truncated=True)
+    return ObservedPerson(
+        box, source, score, silhouette, landmarks, reading.presence, reading.next_window
+    )
+
+
+def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
+    """Rows of readings that are not of the same body as one before them."""
+    kept: list[int] = []
+    for row, reading in enumerate(readings):
+        if all(_apart(reading, readings[other]) >= SAME_BODY for other in kept):
+            kept.append(row)
+    return kept
+
+
+def _apart(first: Reading, second: Reading) -> float:
+    """Mean distance between the landmarks of two readings, in sizes of the body."""
+    offsets = first.landmarks.positions - second.landmarks.positions
+    weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3
+    distance = float(weights @ np.linalg.norm(offsets, axis=1) / weights.sum())
+    return distance / (min(first.next_window.side, second.next_window.side) / 2.5)

@@ -18,7 +18,7 @@ def set_upright(person: ObservedPerson) -> UprightPerson | None:
     """Normalise a person's silhouette; None where there is none."""
     if person.silhouette is None:
         return None
-    return UprightPerson.of(person.silhouette, person.keypoints)
+    return UprightPerson.of(person.silhouette, person.landmarks)
 
 
 def fit_poses(
@@ -49,6 +49,7 @@ def fit_poses(
         n,
         keypoints,
         roll_deg=upright.roll_deg,
+        whole=upright.whole,
         candidates_per_hypothesis=candidates_per_hypothesis,
     ).hypotheses
     ranked = rank_by_silhouette(matched, n) if keypoints is None else rank_by_keypoints(matched, n)

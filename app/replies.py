@@ -17,13 +17,16 @@ from app.estimates import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
 from app.posture import VotedPosture
 from app.vision.detection.detector import DetectorName
-from app.vision.keypoints.movenet import LEAST_KEYPOINT_SCORE
 from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
 METRE_DIGITS, PIXEL_DIGITS = 4, 2
 """Joints are rounded to tenths of millimetres and hundredths of pixels."""
+
+
+LEAST_SCORE = 0.05
+"""Keypoints below were not read."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,9 @@ def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm)
         "detection_score": _rounded(observed.detection_score, 4),
         "source": observed.source,
         "silhouette": _silhouette(silhouette, frame_shape, form) if silhouette else None,
-        "observed_keypoints": _observed(observed.keypoints) if observed.keypoints else None,
+        "observed_keypoints": (
+            _observed(observed.landmarks.keypoints()) if observed.landmarks else None
+        ),
         "facing": _facing(facing) if facing else None,
         "posture": _posture(person.posture) if person.posture else None,
         "hypotheses": [
@@ -149,7 +154,7 @@ def _run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> schema
 def _observed(keypoints: ObservedKeypoints) -> list[schemas.ObservedKeypoint | None]:
     return [
         schemas.ObservedKeypoint(name=name, x=round(x, 2), y=round(y, 2), score=round(score, 4))
-        if score >= LEAST_KEYPOINT_SCORE
+        if score >= LEAST_SCORE
         else None
         for name, (x, y), score in zip(
             COCO_NAMES, keypoints.positions.tolist(), keypoints.scores.tolist(), strict=True

@@ -15,14 +15,7 @@ from app.estimates import PlacedHypothesis
 from app.facing import Facing, azimuth_deg, faces_camera, front_share
 from app.vision.weights import fitted
 from index.matching import Hypothesis
-
-DISTANCE_WEIGHT, KEYPOINT_WEIGHT, SIDE_WEIGHT = 4.0, 1.0, 0.3
-"""Weights of the log distance of the descriptors (against a hypothesis), of the keypoints' log
-likelihood and of the log odds of their sides. Chosen on the street people of even-numbered
-photographs."""
-
-LEAN_SCALE_DEG = 60.0
-"""Few people lean: a lean of this size makes a hypothesis 1/e as likely."""
+from index.ranking import DISTANCE_WEIGHT
 
 PER_OPPOSITE_FACING = 7
 """Of every seven hypotheses, one faces the opposite way to the first: keypoints may mislead."""
@@ -81,26 +74,14 @@ def rank_by_keypoints(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
     n : int
     """
     azimuths = _azimuths(hypotheses)
-    distances = fused_distances(hypotheses)
+    distances = np.array([hypothesis.fused_distance for hypothesis in hypotheses])
     confidences = fused_confidences(distances)
     chosen = nearest_of_both_facings(azimuths, distances, n)
     return Ranked(
         Facing(front_share(azimuths, confidences), "image"),
         tuple(hypotheses[i] for i in chosen),
-        tuple(distances[chosen].tolist()),
+        tuple(np.maximum.accumulate(distances[chosen]).tolist()),
         tuple(confidences[chosen].tolist()),
-    )
-
-
-def fused_distances(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
-    """Distances ``(N,)`` of hypotheses from silhouette and keypoints together."""
-    likelihood = (
-        KEYPOINT_WEIGHT * np.array([hypothesis.log_likelihood for hypothesis in hypotheses])
-        + SIDE_WEIGHT * np.array([hypothesis.side_odds for hypothesis in hypotheses])
-        - np.abs([hypothesis.tilt_deg for hypothesis in hypotheses]) / LEAN_SCALE_DEG
-    )
-    return np.array([hypothesis.distance for hypothesis in hypotheses]) * np.exp(
-        -likelihood / DISTANCE_WEIGHT
     )
 
 
@@ -117,8 +98,8 @@ def nearest_of_both_facings(
 ) -> list[int]:
     """Choose ``n`` hypotheses, nearest first, a few of which face the opposite way.
 
-    The nearest of those that face the opposite way to the first are among them however far they
-    are; see :data:`PER_OPPOSITE_FACING`.
+    The last of every :data:`PER_OPPOSITE_FACING` faces the opposite way to the first, however far
+    it is, if none before it does. The first k of n are those chosen for k.
 
     Parameters
     ----------
@@ -127,12 +108,15 @@ def nearest_of_both_facings(
     """
     order: list[int] = np.argsort(distances, kind="stable").tolist()
     front = faces_camera(azimuths_deg)
-    others = [i for i in order if front[i] != front[order[0]]]
-    if n == 1 or not others:
-        return order[:n]
-    kept = set(others[: max(1, n // PER_OPPOSITE_FACING)])
-    alike = [i for i in order if i not in kept][: n - len(kept)]
-    return [i for i in order if i in kept.union(alike)]
+    chosen: list[int] = []
+    while order and len(chosen) < n:
+        opposite = [i for i in order if front[i] != front[chosen[0]]] if chosen else []
+        wanted = (len(chosen) + 1) // PER_OPPOSITE_FACING
+        have = sum(bool(front[i] != front[chosen[0]]) for i in chosen)
+        following = opposite[0] if opposite and have < wanted else order[0]
+        order.remove(following)
+        chosen.append(following)
+    return chosen
 
 
 def keep_nearest(hypotheses: Sequence[PlacedHypothesis], n: int) -> tuple[PlacedHypothesis, ...]:

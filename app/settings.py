@@ -60,10 +60,11 @@ class Settings(BaseSettings):
         default="network",
         description="What finds people: `network` (MoveNet, with HOG beside it) or `hog` alone.",
     )
-    min_person_px: int = Field(
-        default=50,
+    min_person_px: int | None = Field(
+        default=None,
         ge=16,
-        description="Height of the smallest person looked for; smaller is slower.",
+        description="Height of the smallest person looked for, in pixels; smaller is slower. By "
+        "default a twelfth of the frame's height.",
     )
 
     max_upload_bytes: int = Field(default=16 * 1024**2, ge=1024, description="Of a whole request.")

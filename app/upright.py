@@ -8,16 +8,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import ObservedKeypoints, Silhouette
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.keypoints import Keypoints
+from index.landmark_search import rotate_clockwise
 from index.rotations import rotate_silhouette
-from index.skeleton import COCO17, LIMBS
+from index.skeleton import LIMBS, POINT_NAMES
 
-# The limbs and the nose: the index has its eyes and ears in other places than COCO.
-_COMPARED = [i for i, name in enumerate(COCO17.names) if name in (*LIMBS, "nose")]
+# The limbs, the nose and the toes: the index has its eyes and ears in other places.
+_LANDMARK_OF = {name: name for name in (*LIMBS, "nose")} | {
+    f"{side}_toe": f"{side}_foot_index" for side in ("left", "right")
+}
+_COMPARED = [LANDMARK_NAMES.index(name) for name in _LANDMARK_OF.values()]
+_ROWS = [POINT_NAMES.index(name) for name in _LANDMARK_OF]
+_LIMBS = [LANDMARK_NAMES.index(name) for name in LIMBS]
+_ANKLES = [LANDMARK_NAMES.index(f"{side}_ankle") for side in ("left", "right")]
+_FACE = [LANDMARK_NAMES.index(name) for name in ("nose", "left_ear", "right_ear")]
 _LEAST_SCORE = 0.05
 _FEWEST = 4
+# Visibility of the surer ankle, and of the surest point of the head, of somebody seen whole.
+_FEET_SEEN, _HEAD_SEEN = 0.35, 0.2
 
 
 @dataclass(frozen=True)
@@ -31,43 +41,57 @@ class UprightPerson:
         How far it was rotated clockwise, as if the camera had been rolled; 0 unless it is wide.
     to_frame : (2, 3) float64 array
         Affine transform from pixels of ``normalised`` to pixels of the frame.
-    observed : ObservedKeypoints or None
+    landmarks : Landmarks or None
         Pixels of the frame; None if nothing was read.
     """
 
     normalised: NDArray[np.uint8]
     roll_deg: float
     to_frame: NDArray[np.float64]
-    observed: ObservedKeypoints | None
+    landmarks: Landmarks | None
 
     @classmethod
-    def of(cls, silhouette: Silhouette, observed: ObservedKeypoints | None) -> UprightPerson:
-        """Normalise a person; silhouette and keypoints are given in the frame."""
+    def of(cls, silhouette: Silhouette, landmarks: Landmarks | None) -> UprightPerson:
+        """Normalise a person; silhouette and landmarks are given in the frame."""
         corner = np.array([silhouette.left, silhouette.top], np.float64)
         if is_wide(silhouette.crop):
             roll_deg = -principal_axis_deg(silhouette.crop)
             normalised, to_frame = rotate_silhouette(silhouette.crop, roll_deg)
             to_frame = to_frame.copy()
             to_frame[:, 2] += corner
-            return cls(normalised, roll_deg, to_frame, observed)
+            return cls(normalised, roll_deg, to_frame, landmarks)
         normalised, placement = normalise(silhouette.crop)
         offset = np.array([placement.offset_x, placement.offset_y])
         scale = 1 / placement.scale
         to_frame = np.column_stack([scale * np.eye(2), corner - scale * offset])
-        return cls(normalised, 0.0, to_frame, observed)
+        return cls(normalised, 0.0, to_frame, landmarks)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the photograph shows the person from head to feet, as far as is known."""
+        if self.landmarks is None:
+            return True
+        visibility = self.landmarks.visibility
+        return bool(
+            visibility[_ANKLES].max() >= _FEET_SEEN and visibility[_FACE].max() >= _HEAD_SEEN
+        )
 
     def keypoints(self) -> Keypoints | None:
-        """The keypoints in the normalised frame, for an index; None if too few."""
-        if self.observed is None:
+        """The landmarks in the normalised frame, for an index; None if too few are seen."""
+        if self.landmarks is None:
             return None
-        used = [i for i in _COMPARED if self.observed.scores[i] > _LEAST_SCORE]
+        scores = self.landmarks.visibility[_COMPARED]
+        used = np.flatnonzero(scores > _LEAST_SCORE)
         if len(used) < _FEWEST:
             return None
         to_normalised = np.asarray(cv2.invertAffineTransform(self.to_frame), np.float64)
+        positions = self.landmarks.positions[_COMPARED][used]
         return Keypoints(
-            tuple(COCO17.indices[i] for i in used),
-            _transformed(self.observed.positions[used], to_normalised),
-            self.observed.scores[used],
+            tuple(_ROWS[i] for i in used),
+            _transformed(positions, to_normalised),
+            np.minimum(scores[used], 1.0),
+            rotate_clockwise(self.landmarks.metres[_LIMBS], self.roll_deg),
+            self.landmarks.visibility[_LIMBS],
         )
 
     def points_in_frame(self, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:

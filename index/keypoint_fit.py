@@ -1,9 +1,12 @@
-"""Fitting skeletons to the keypoints of a photograph.
+"""Fitting skeletons to the landmarks of a photograph.
 
-An index gives the nearest of its recorded poses. The fit then rotates bones towards the keypoints:
-points move in the picture and keep their depth, and the bones are reset to their lengths. It goes
-from coarse to fine, so that limbs far from their keypoints are found as well. Points without a
-keypoint keep their position relative to their parents.
+An index gives the nearest of its recorded poses. The fit then rotates bones towards the landmarks
+and resets the bones to their lengths. In the picture it goes from coarse to fine, so that limbs far
+from their keypoints are found as well. Points without a landmark keep their position relative to
+their parents.
+
+In depth the landmarks are one opinion, the pose another. The first skeleton meets them half way; the
+others only where they nearly agree, so that they keep their other ways to read the depth.
 """
 
 from __future__ import annotations
@@ -13,14 +16,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from index.keypoints import Keypoints
+from index.keypoints import SPREAD_M, Keypoints
 from index.modes import with_bones_of
-from index.skeleton import JOINTS, POINT_NAMES, exchange_sides
+from index.skeleton import JOINTS, LIMBS, POINT_NAMES, exchange_sides
 
 STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 4))
 """Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
 iteration, and iterations. Chosen on the street people of even-numbered photographs."""
 
+DEPTH_SHARE = 0.5
+"""Share of the way to the landmarks' depths that the fit goes in all."""
+
+_LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 _HIPS = [POINT_NAMES.index("left_hip"), POINT_NAMES.index("right_hip")]
 
 
@@ -33,7 +40,7 @@ def fit_to_keypoints(
     ----------
     keypoints : Keypoints
     points_3d : (M, 24, 3) float64 array
-        Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``.
+        Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``. The likeliest first.
     points_normalised : (M, 24, 2) float64 array
         Pixels of the normalised frame.
 
@@ -44,10 +51,13 @@ def fit_to_keypoints(
     """
     fitted, placed = points_3d, points_normalised
     px_per_metre = _scale(points_3d, points_normalised)[:, None, None]
+    if keypoints.limbs_3d is not None:
+        fitted = with_bones_of(points_3d, _deepened(keypoints, points_3d))
+        placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
     for spread_px, share, iterations in STEPS:
         blurred = replace(keypoints, spread_px=spread_px)
         for _ in range(iterations):
-            moves = share * _pulls(blurred, placed)
+            moves = share * _pulls(blurred, placed, fitted)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
             moved = with_bones_of(points_3d, moved)
@@ -58,9 +68,23 @@ def fit_to_keypoints(
     return fitted, placed
 
 
-def _pulls(keypoints: Keypoints, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:
+def _deepened(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Skeletons moved towards the landmarks' depths."""
+    assert keypoints.limb_scores is not None
+    offsets = keypoints.limb_offsets(points_3d)
+    shares = np.repeat(DEPTH_SHARE * keypoints.limb_scores[None], len(points_3d), axis=0)
+    near = np.exp(-(offsets**2).sum(axis=-1) / (2 * SPREAD_M**2))
+    shares[1:] *= near[1:]
+    moved = points_3d.copy()
+    moved[:, _LIMB_ROWS] += shares[..., None] * offsets
+    return moved
+
+
+def _pulls(
+    keypoints: Keypoints, points_normalised: NDArray[np.float64], points_3d: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Offsets ``(M, 24, 2)`` to the keypoints, for the likelier assignment of left and right."""
-    agreement = keypoints.compare(points_normalised)
+    agreement = keypoints.compare(points_normalised, points_3d)
     pulls = np.zeros_like(points_normalised)
     pulls[:, list(keypoints.rows)] = agreement.pulls
     exchanged = agreement.side_odds < 0

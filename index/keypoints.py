@@ -1,4 +1,4 @@
-"""Keypoints of a photograph, and their agreement with skeletons."""
+"""Landmarks of a photograph, in the picture and in depth, and their agreement with skeletons."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from index.skeleton import POINTS, exchange_sides
+from index.landmark_search import rotate_clockwise
+from index.skeleton import LIMBS, POINT_NAMES, POINTS, exchange_sides
 
 SPREAD_PX = 8.0
 """Standard deviation of a point about its keypoint, in pixels of the normalised frame."""
+
+SPREAD_M = 0.15
+"""Standard deviation of a point about its landmark in three dimensions, in metres."""
 
 DOUBT = 0.05
 """Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
@@ -19,6 +23,11 @@ _MIN_MASS = 1e-6
 
 TEMPER = 0.5
 """Exponent of the joint likelihood: errors of keypoints are correlated (left for right)."""
+
+_LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
+_HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
+# Bodies differ in size by no more than this factor from what landmarks say.
+_SIZES = (0.8, 1.25)
 
 
 @dataclass(frozen=True)
@@ -53,7 +62,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Keypoints:
-    """Positions of points of a skeleton in a photograph.
+    """Positions of points of a skeleton in a photograph, and the limbs in three dimensions.
 
     Parameters
     ----------
@@ -63,6 +72,10 @@ class Keypoints:
         Pixels of the normalised frame.
     scores : (P,) float64 array
         Confidence of each, above 0 and at most 1.
+    limbs_3d : (12, 3) float64 array, optional
+        Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
+    limb_scores : (12,) float64 array, optional
+        Confidence of each limb joint, from 0 to 1.
     spread_px : float
         Standard deviation of a point about its keypoint.
     """
@@ -70,6 +83,8 @@ class Keypoints:
     rows: tuple[int, ...]
     positions: NDArray[np.float64]
     scores: NDArray[np.float64]
+    limbs_3d: NDArray[np.float64] | None = None
+    limb_scores: NDArray[np.float64] | None = None
     spread_px: float = SPREAD_PX
 
     def __post_init__(self) -> None:
@@ -83,20 +98,60 @@ class Keypoints:
             raise ValueError(f"expected rows from 0 to {POINTS - 1}, got {self.rows}")
         if not ((self.scores > 0) & (self.scores <= 1)).all():
             raise ValueError(f"expected scores above 0 and at most 1, got {self.scores}")
+        if (self.limbs_3d is None) != (self.limb_scores is None):
+            raise ValueError("expected limbs in three dimensions with their scores, or neither")
+        if self.limbs_3d is not None and self.limb_scores is not None:
+            shapes = (self.limbs_3d.shape, self.limb_scores.shape)
+            if shapes != ((len(LIMBS), 3), (len(LIMBS),)):
+                raise ValueError(
+                    f"expected limbs of shape ({len(LIMBS)}, 3) and scores of shape "
+                    f"({len(LIMBS)},), got {shapes[0]} and {shapes[1]}"
+                )
 
     def rotated(self, angle_deg: float) -> Keypoints:
         """The same rotated clockwise about the origin."""
         angle = np.deg2rad(angle_deg)
         cosine, sine = np.cos(angle), np.sin(angle)
-        return replace(self, positions=self.positions @ np.array([[cosine, sine], [-sine, cosine]]))
+        return replace(
+            self,
+            positions=self.positions @ np.array([[cosine, sine], [-sine, cosine]]),
+            limbs_3d=None if self.limbs_3d is None else rotate_clockwise(self.limbs_3d, angle_deg),
+        )
 
-    def compare(self, points_normalised: NDArray[np.floating]) -> Agreement:
-        """Compare skeletons ``(K, 24, 2)``, pixels of the normalised frame, with the keypoints."""
+    def compare(
+        self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]
+    ) -> Agreement:
+        """Compare skeletons with the keypoints.
+
+        Parameters
+        ----------
+        points_normalised : (K, 24, 2) array
+            Pixels of the normalised frame.
+        points_3d : (K, 24, 3) array
+            Metres, axes of the normalised frame.
+        """
         points = np.asarray(points_normalised, np.float64)
         own, own_pulls = self._compare_sides(points)
         exchanged, exchanged_pulls = self._compare_sides(exchange_sides(points))
+        if self.limbs_3d is not None:
+            own += self._compare_limbs(points_3d)
+            exchanged += self._compare_limbs(exchange_sides(np.asarray(points_3d, np.float64)))
         pulls = np.where((own >= exchanged)[:, None, None], own_pulls, exchanged_pulls)
         return Agreement(np.maximum(own, exchanged), own - exchanged, pulls)
+
+    def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Offsets ``(K, 12, 3)`` from the limbs of skeletons to the landmarks, in metres.
+
+        Landmarks are first given the size of each skeleton.
+        """
+        assert self.limbs_3d is not None and self.limb_scores is not None
+        limbs = np.asarray(points_3d[:, _LIMB_ROWS], np.float64)
+        limbs = limbs - limbs[:, _HIPS].mean(axis=1, keepdims=True)
+        weights = self.limb_scores[:, None]
+        inner = (weights * limbs * self.limbs_3d).sum(axis=(1, 2))
+        size = inner / max(float((weights * self.limbs_3d**2).sum()), 1e-9)
+        size = np.clip(size, *_SIZES)[:, None, None]
+        return np.asarray(size * self.limbs_3d - limbs)
 
     def _compare_sides(
         self, points: NDArray[np.float64]
@@ -109,3 +164,10 @@ class Keypoints:
         mass[mass < _MIN_MASS] = 0
         trust = mass / (mass + DOUBT)
         return np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1), trust[..., None] * offsets
+
+    def _compare_limbs(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Log likelihoods ``(K,)`` of the limbs in three dimensions."""
+        assert self.limb_scores is not None
+        squares = (self.limb_offsets(points_3d) ** 2).sum(axis=-1)
+        mass = self.limb_scores * np.exp(-squares / (2 * SPREAD_M**2))
+        return np.asarray(np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +13,27 @@ from index.confidence import Calibration
 from index.features import match_features
 from index.keypoint_fit import fit_to_keypoints
 from index.keypoints import Keypoints
+from index.landmark_search import rotate_clockwise
 from index.modes import Modes, find_modes, mode_weights
 from index.outline import outline_distances
 from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
+from index.ranking import fused_distances
 from index.rotations import (
     RotatedQuery,
     compare_rotated_entries,
     find_rotated_candidates,
-    likely_rotations,
-    rotate_clockwise,
+    rotations_of_landmarks,
     seen_from,
     usual_rotations,
 )
-from index.skeleton import POINTS, wrap_degrees
+from index.skeleton import JOINTS, LIMBS, POINT_NAMES, POINTS, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 
 CANDIDATES = 160
 """Nearest entries considered without keypoints; more add few useful modes."""
 
-SILHOUETTE_CANDIDATES, KEYPOINT_CANDIDATES = 150, 150
-"""With keypoints: entries nearest to each rotation of the silhouette, and to the keypoints."""
+SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 150
+"""With keypoints: entries nearest to each rotation of the silhouette, and to the landmarks."""
 
 KEPT_CANDIDATES = 200
 """With keypoints: best candidates of both kinds, of which the modes are made."""
@@ -43,9 +44,20 @@ SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 9
 MAX_LEAN_DEG = 30.0
 """Who seems tilted by more than this in the picture lies rather than stands."""
 
+FIRST_HYPOTHESES = 7
+"""Hypotheses are found in batches of this size, twice it, and so on, each after the one before, so
+that the first k of n are those that are found where k are asked for."""
+
 CANDIDATES_PER_HYPOTHESIS = 20
 MAX_GROWTH = 16
 """Factor by which the number of candidates may grow where they hold too few distinct poses."""
+
+DISTINCT_M = 0.055
+"""Mean joint distance from which a hypothesis of a later batch is another than those before."""
+
+
+_STANDS_DEG = 25.0
+_LEAST_PX_PER_METRE = 5.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +73,8 @@ class Hypothesis:
     distance : float
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose.
+    fused_distance : float
+        The same, shorter where landmarks agree and longer where they disagree; ascending.
     reprojection_error_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
@@ -76,9 +90,8 @@ class Hypothesis:
         Clockwise rotation of the entry in the upright picture, already applied to the points.
     tilt_deg : float
         The same and the roll of the entry's camera: how askew the person would have to be seen.
-    log_likelihood, side_odds : float
-        Agreement with the keypoints, and log odds against left and right exchanged; see
-        :class:`index.keypoints.Agreement`. 0 without keypoints.
+    adjusted_m : float
+        Mean joint distance from the skeleton of the entry.
     """
 
     entry: int
@@ -91,8 +104,8 @@ class Hypothesis:
     posture: Posture = "standing"
     rotation_deg: float = 0.0
     tilt_deg: float = 0.0
-    log_likelihood: float = 0.0
-    side_odds: float = 0.0
+    fused_distance: float = 0.0
+    adjusted_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.points_3d.shape != (POINTS, 3) or self.points_normalised.shape != (POINTS, 2):
@@ -104,7 +117,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Match:
-    """The hypotheses of a silhouette, in ascending distance.
+    """The hypotheses of a silhouette, the nearest first.
 
     Parameters
     ----------
@@ -125,13 +138,13 @@ def match(
     keypoints: Keypoints | None = None,
     *,
     roll_deg: float = 0.0,
+    whole: bool = True,
     candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
 ) -> Match:
-    """Find distinct poses that fit a silhouette, and keypoints if there are any.
+    """Find distinct poses that fit a silhouette, and landmarks if there are any.
 
-    With keypoints, the entries nearest to them are candidates as well, likely rotations are
-    searched, candidates are weighted by their agreement with the keypoints, and the interpolated
-    poses are fitted to the keypoints.
+    With landmarks, the entries nearest to them are candidates as well, candidates are weighted by
+    their agreement with the landmarks, and the interpolated poses are fitted to them.
 
     Parameters
     ----------
@@ -145,61 +158,140 @@ def match(
         Roll of the camera in the silhouette and the keypoints: not 0 where they were rotated
         because the silhouette is wider than high. Skeletons are returned as the camera sees them
         that is not rolled.
+    whole : bool
+        Whether the silhouette shows all of the body. Where it does not and landmarks are given,
+        they alone choose the candidates, and place them.
     candidates_per_hypothesis : int
         Fewer take less time where many hypotheses are wanted: each stands for fewer entries.
 
     Returns
     -------
     Match
+        The first ``k`` hypotheses do not depend on ``n``.
     """
-    rotations = usual_rotations(silhouette, roll_deg)
-    wanted = candidates_per_hypothesis * n
-    if keypoints is None:
-        queries = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        candidates, modes = _modes_of_silhouette(index, queries, n, wanted)
-    else:
-        nearest = index.keypoint_search.nearest(
-            keypoints.rotated(-roll_deg), _growth(wanted) * KEYPOINT_CANDIDATES
+    query = _Query(index, silhouette, keypoints, roll_deg, whole, candidates_per_hypothesis)
+    batch = FIRST_HYPOTHESES
+    found = query.match(batch)
+    while batch < n:
+        batch *= 2
+        more = query.match(batch)
+        known = np.array([hypothesis.points_3d for hypothesis in found.hypotheses])
+        later = [
+            row
+            for row, hypothesis in enumerate(more.hypotheses)
+            if mean_joint_distance(hypothesis.points_3d[None], known).min() >= DISTINCT_M
+        ]
+        farthest = found.hypotheses[-1].fused_distance
+        found = Match(
+            found.hypotheses
+            + [
+                replace(one, fused_distance=max(one.fused_distance, farthest))
+                for one in (more.hypotheses[row] for row in later)
+            ],
+            np.concatenate([found.features, more.features[later]]),
         )
-        nearest = seen_from(index, nearest, roll_deg)
-        likely = [r for r in likely_rotations(nearest.roll_deg) if r not in rotations]
-        queries = [RotatedQuery.of(silhouette, rotation) for rotation in (*rotations, *likely)]
-        by_keypoints = compare_rotated_entries(index, queries, nearest)
-        candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n, wanted)
-    modes = modes.nearest()
-    centres = candidates.take(modes.centres)
-    errors = _outline_errors(index, queries, centres)
-    features = match_features(candidates, modes, errors)
-    confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
-    points_3d, points_normalised = modes.points_3d, modes.points_normalised
-    log_likelihood = side_odds = np.zeros(len(modes))
-    if keypoints is not None:
-        # Compared before the fit: a pose that has to change far to fit is less likely.
-        agreement = keypoints.compare(points_normalised)
-        log_likelihood, side_odds = agreement.log_likelihood, agreement.side_odds
-        points_3d, points_normalised = fit_to_keypoints(keypoints, points_3d, points_normalised)
-    points_3d = rotate_clockwise(points_3d, -roll_deg)
-    rotation_deg = centres.rotation_deg - roll_deg
-    tilt_deg = wrap_degrees(rotation_deg + index.roll_deg(centres.numbers, centres.mirrored))
-    postures = _postures(index, centres.numbers, points_3d, tilt_deg)
-    hypotheses = [
-        Hypothesis(
-            entry=int(centres.numbers[row]),
-            mirrored=bool(centres.mirrored[row]),
-            distance=float(modes.distances[row]),
-            reprojection_error_px=float(errors[row]),
-            confidence=float(confidences[row]),
-            points_3d=points_3d[row],
-            points_normalised=points_normalised[row],
-            posture=postures[row],
-            rotation_deg=float(rotation_deg[row]),
-            tilt_deg=float(tilt_deg[row]),
-            log_likelihood=float(log_likelihood[row]),
-            side_odds=float(side_odds[row]),
-        )
-        for row in range(len(modes))
-    ]
-    return Match(hypotheses, features)
+    return found
+
+
+@dataclass(frozen=True)
+class _Query:
+    """What is asked of an index; see :func:`match`."""
+
+    index: PoseIndex
+    silhouette: NDArray[np.uint8]
+    keypoints: Keypoints | None
+    roll_deg: float
+    whole: bool
+    candidates_per_hypothesis: int
+
+    def match(self, n: int) -> Match:
+        """The hypotheses of one batch."""
+        index, keypoints, roll_deg = self.index, self.keypoints, self.roll_deg
+        wanted = self.candidates_per_hypothesis * n
+        rotations = usual_rotations(self.silhouette, roll_deg)
+        if keypoints is None:
+            queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
+            candidates, modes = _modes_of_silhouette(index, queries, n, wanted)
+        else:
+            queries, candidates, modes = self._modes_of_both(rotations, keypoints, n, wanted)
+        modes = modes.nearest()
+        centres = candidates.take(modes.centres)
+        errors = _outline_errors(index, queries, centres)
+        features = match_features(candidates, modes, errors)
+        confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
+        rotation_deg = centres.rotation_deg - roll_deg
+        tilt_deg = wrap_degrees(rotation_deg + index.roll_deg(centres.numbers, centres.mirrored))
+        points_3d, points_normalised = modes.points_3d, modes.points_normalised
+        fused = modes.distances
+        order = np.arange(len(modes))
+        if keypoints is not None:
+            # Compared before the fit: a pose that has to change far to fit is less likely.
+            agreement = keypoints.compare(points_normalised, points_3d)
+            fused = fused_distances(modes.distances, agreement, tilt_deg)
+            order = np.argsort(fused, kind="stable")
+            points_3d, points_normalised = (
+                fitted[np.argsort(order)]
+                for fitted in fit_to_keypoints(
+                    keypoints, points_3d[order], points_normalised[order]
+                )
+            )
+        moved = mean_joint_distance(points_3d, centres.points_3d)
+        points_3d = rotate_clockwise(points_3d, -roll_deg)
+        postures = _postures(index, centres.numbers, points_3d, tilt_deg)
+        hypotheses = [
+            Hypothesis(
+                entry=int(centres.numbers[row]),
+                mirrored=bool(centres.mirrored[row]),
+                distance=float(modes.distances[row]),
+                reprojection_error_px=float(errors[row]),
+                confidence=float(confidences[row]),
+                points_3d=points_3d[row],
+                points_normalised=points_normalised[row],
+                posture=postures[row],
+                rotation_deg=float(rotation_deg[row]),
+                tilt_deg=float(tilt_deg[row]),
+                fused_distance=float(fused[row]),
+                adjusted_m=float(moved[row]),
+            )
+            for row in order
+        ]
+        return Match(hypotheses, features[order])
+
+    def _modes_of_both(
+        self, usual: Sequence[float], keypoints: Keypoints, n: int, wanted: int
+    ) -> tuple[list[RotatedQuery], Candidates, Modes]:
+        """Modes of the entries near the silhouette and of those near the landmarks."""
+        index, growth = self.index, _growth(wanted)
+        by_landmarks, rotations = None, list(usual)
+        if keypoints.limbs_3d is not None:
+            upright = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
+            nearest = index.landmark_search.nearest(
+                upright, likely_rolls(upright), growth * LANDMARK_CANDIDATES
+            )
+            nearest = seen_from(index, nearest, self.roll_deg)
+            rotations = rotations_of_landmarks(usual, nearest.roll_deg)
+        queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
+        if keypoints.limbs_3d is not None:
+            by_landmarks = compare_rotated_entries(index, queries, nearest)
+        while True:
+            parts = [] if by_landmarks is None else [by_landmarks]
+            if self.whole or by_landmarks is None:
+                k = growth * SILHOUETTE_CANDIDATES
+                parts.append(find_rotated_candidates(index, queries, k))
+            candidates = Candidates.merged(parts).unique()
+            if not self.whole:
+                candidates = _placed_on(keypoints, candidates)
+            agreement = keypoints.compare(candidates.points_normalised, candidates.points_3d)
+            distances = candidates.distances if self.whole else np.ones(len(candidates))
+            weights = mode_weights(distances, agreement)
+            kept = np.argsort(-weights, kind="stable")[: growth * KEPT_CANDIDATES]
+            kept.sort()  # Back in ascending distance.
+            candidates, agreement = candidates.take(kept), agreement.take(kept)
+            modes = find_modes(candidates, n + SPARE_MODES_WITH_KEYPOINTS, agreement=agreement)
+            exhausted = len(candidates) < growth * KEPT_CANDIDATES
+            if len(modes) >= n or exhausted or growth >= MAX_GROWTH:
+                return queries, candidates, modes
+            growth *= 2
 
 
 def _postures(
@@ -230,29 +322,31 @@ def _modes_of_silhouette(
         k *= 2
 
 
-def _modes_of_both(
-    index: PoseIndex,
-    queries: Sequence[RotatedQuery],
-    by_keypoints: Candidates,
-    keypoints: Keypoints,
-    n: int,
-    wanted: int,
-) -> tuple[Candidates, Modes]:
-    """As :func:`_modes_of_silhouette`, with candidates near the keypoints as well."""
-    growth = _growth(wanted)
-    while True:
-        by_silhouette = find_rotated_candidates(index, queries, growth * SILHOUETTE_CANDIDATES)
-        candidates = Candidates.merged([by_silhouette, by_keypoints]).unique()
-        agreement = keypoints.compare(candidates.points_normalised)
-        weights = mode_weights(candidates.distances, agreement)
-        kept = np.argsort(-weights, kind="stable")[: growth * KEPT_CANDIDATES]
-        kept.sort()  # Back in ascending distance.
-        candidates, agreement = candidates.take(kept), agreement.take(kept)
-        modes = find_modes(candidates, n + SPARE_MODES_WITH_KEYPOINTS, agreement=agreement)
-        exhausted = len(candidates) < growth * KEPT_CANDIDATES
-        if len(modes) >= n or exhausted or growth >= MAX_GROWTH:
-            return candidates, modes
-        growth *= 2
+def likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
+    """Rolls of the camera that a person's limbs ``(12, 3)`` suggest: none, and that of the trunk."""
+    ends = [
+        limbs_3d[[LIMBS.index(f"{side}_{part}") for side in ("left", "right")]].mean(axis=0)
+        for part in ("hip", "shoulder")
+    ]
+    right, down, _ = (ends[1] - ends[0]).tolist()
+    lean_deg = float(np.rad2deg(np.arctan2(right, -down)))
+    return (0.0,) if abs(lean_deg) < _STANDS_DEG else (0.0, lean_deg)
+
+
+def _placed_on(keypoints: Keypoints, candidates: Candidates) -> Candidates:
+    """Candidates placed in the picture by the keypoints that are seen, by least squares."""
+    rows = list(keypoints.rows)
+    weights = (keypoints.scores / keypoints.scores.sum())[None, :, None]
+    plane = candidates.points_3d[..., :2]
+    middle = (weights * plane[:, rows]).sum(axis=1, keepdims=True)
+    target = (weights[0] * keypoints.positions).sum(axis=0)
+    from_middle = plane[:, rows] - middle
+    to_keypoints = keypoints.positions - target
+    scale = (weights * from_middle * to_keypoints).sum(axis=(1, 2)) / np.maximum(
+        (weights * from_middle**2).sum(axis=(1, 2)), 1e-9
+    )
+    placed = (plane - middle) * np.maximum(scale, _LEAST_PX_PER_METRE)[:, None, None] + target
+    return replace(candidates, points_normalised=placed)
 
 
 def _growth(wanted: int) -> int:

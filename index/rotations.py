@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import averaged, normalise, principal_axis_deg
 from index.candidates import Candidates, compare_entries, find_candidates_of_each
-from index.keypoint_search import Nearest
+from index.landmark_search import Nearest, rotate_clockwise
 from index.skeleton import wrap_degrees
 from index.store import PoseIndex
 
@@ -26,11 +26,11 @@ NEARLY_SQUARE = 0.75
 STEP_DEG = 15.0
 """With keypoints, rotations are searched in multiples of this."""
 
-MAX_LIKELY = 4
-"""Number of rotations searched beyond the usual ones: those of most entries near the keypoints."""
+MAX_ROTATIONS = 2
+"""Number of rotations that are searched where landmarks tell them."""
 
-MIN_SHARE = 0.03
-"""Smallest share of the entries near the keypoints for which a rotation is searched."""
+MIN_SHARE = 0.2
+"""Smallest share of the entries near the landmarks for which a rotation is searched."""
 
 CANVAS_PX = 256
 """Longer side of a mask while it is rotated."""
@@ -142,23 +142,31 @@ def usual_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[flo
     return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
 
 
-def likely_rotations(roll_deg: NDArray[np.float64]) -> tuple[float, ...]:
-    """The rotations that most entries near the keypoints have.
+def rotations_of_landmarks(
+    usual: Sequence[float], roll_deg: NDArray[np.float64]
+) -> list[float]:
+    """The rotations that are searched where landmarks tell them.
 
     Parameters
     ----------
+    usual : sequence of float
+        Those that are searched without landmarks.
     roll_deg : (K,) float64 array
-        As in :class:`index.keypoint_search.Nearest`.
+        Rotations of the entries near the landmarks; see :class:`index.landmark_search.Nearest`.
 
     Returns
     -------
-    tuple of float
-        Multiples of :data:`STEP_DEG`, the most frequent first.
+    list of float
+        The usual ones or multiples of :data:`STEP_DEG`, those of most entries first.
     """
     rounded = wrap_degrees(np.rint(roll_deg / STEP_DEG) * STEP_DEG)
+    apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
+    nearest = np.array(usual)[apart.argmin(axis=1)]
+    rounded = np.where(apart.min(axis=1) <= STEP_DEG / 2, nearest, rounded)
     rotations, counts = np.unique(rounded, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[:MAX_LIKELY]
-    return tuple(rotations[order][counts[order] >= MIN_SHARE * len(rounded)].tolist())
+    order = np.argsort(-counts, kind="stable")[:MAX_ROTATIONS]
+    likely = rotations[order][counts[order] >= MIN_SHARE * len(rounded)]
+    return [float(one) for one in (likely if len(likely) else rotations[order[:1]])]
 
 
 def _ratio(silhouette: NDArray[np.uint8]) -> float:
@@ -227,14 +235,6 @@ def rotate_silhouette(
     inverse *= block
     inverse[:, 2] += (np.array([mask.shape[1], mask.shape[0]]) - 1) / 2
     return rotated, inverse
-
-
-def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
-    """Rotate points ``(..., 3)`` in camera axes about the optical axis, clockwise as seen."""
-    angle = np.deg2rad(angle_deg)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-    return np.asarray(points_3d @ rotation)
 
 
 def _rotate_candidates(candidates: Candidates, query: RotatedQuery) -> Candidates:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
-from index.keypoint_search import SEARCHED, KeypointSearch
+from index.landmark_search import SEARCHED, LandmarkSearch, pose_vectors
 from index.neighbours import ExactNeighbours, Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
@@ -135,8 +135,8 @@ class PoseIndex:
     searched_by: InitVar[Neighbours | None] = None
     neighbours: Neighbours = field(init=False, repr=False, compare=False)
     """The search among ``vectors``."""
-    keypoint_search: KeypointSearch = field(init=False, repr=False, compare=False)
-    """Search for entries by keypoints."""
+    landmark_search: LandmarkSearch = field(init=False, repr=False, compare=False)
+    """Search for entries by landmarks in three dimensions."""
 
     def __post_init__(self, searched_by: Neighbours | None) -> None:
         count = len(self.entries)
@@ -162,7 +162,7 @@ class PoseIndex:
             raise ValueError(f"expected a search of {count} vectors, got one of {len(neighbours)}")
         object.__setattr__(self, "neighbours", neighbours)
         object.__setattr__(self, "vectors", _compact(self.vectors))
-        object.__setattr__(self, "keypoint_search", KeypointSearch(self._searched_points()))
+        object.__setattr__(self, "landmark_search", LandmarkSearch(self._pose_vectors()))
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -239,17 +239,17 @@ class PoseIndex:
             points_normalised[..., axis] += entries[offset][:, None]
         return points_3d, points_normalised
 
-    def _searched_points(self) -> NDArray[np.float32]:
-        """Points of all entries for the search by keypoints, ``(E, 10, 2)``, cameras upright."""
-        points = np.empty((len(self), len(SEARCHED), 2), np.float32)
+    def _pose_vectors(self) -> NDArray[np.float32]:
+        """Vectors ``(E, 36)`` of all entries for the search by landmarks, cameras upright."""
+        vectors = np.empty((len(self), 3 * len(SEARCHED)), np.float32)
         # In blocks, because all points of a large index would take gigabytes.
         for start in range(0, len(self), _BLOCK):
-            rows = np.arange(start, min(start + _BLOCK, len(self)))
-            roll = np.deg2rad(self.entries["roll_deg"][rows])[:, None]
-            x, y = np.moveaxis(self.points(rows, SEARCHED)[1], -1, 0)
-            points[rows, :, 0] = np.cos(roll) * x + np.sin(roll) * y
-            points[rows, :, 1] = np.cos(roll) * y - np.sin(roll) * x
-        return points
+            entries = self.entries[start : start + _BLOCK]
+            rotations = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"])
+            body = self.skeletons[entries["skeleton"]][:, SEARCHED].astype(np.float32)
+            turned = body @ np.ascontiguousarray(rotations.swapaxes(1, 2).astype(np.float32))
+            vectors[start : start + len(entries)] = pose_vectors(turned)
+        return vectors
 
     def entry(self, number: int, *, mirrored: bool = False) -> Entry:
         """An entry, or its mirror image; raises as :meth:`label` does."""

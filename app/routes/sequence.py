@@ -222,7 +222,7 @@ class _Sequence:
         self._n, self._evidence, self._form = n, evidence, form
         self._max_frames = max_frames
         self._estimator = runtime.ready_estimator()
-        self._session = CameraSession(self._estimator, live=False)
+        self._session = CameraSession(self._estimator)
         self._summary = SequenceSummary()
         self._timeout_s = runtime.settings.sequence_timeout_s
         self._deadline = asyncio.get_running_loop().time() + self._timeout_s

@@ -18,30 +18,15 @@ from app.reranking import keep_nearest
 from app.stopwatch import Stopwatch
 from app.tracking.association import associate
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.search import PeopleSearch
 from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
 from app.upload import Upload
 
-CANDIDATES_PER_HYPOTHESIS = 7
-"""Fewer than a single frame's: a person takes half the time."""
-
 LONGEST_GAP_S = 10.0
 """After a longer gap the session begins anew: the scene may be another."""
 
-FORGOTTEN_AFTER_S, LEAVING_FOR_S, TENTATIVE_FOR_S = 2.0, 0.5, 0.5
+FORGOTTEN_AFTER_S, LEAVING_FOR_S, TENTATIVE_FOR_S = 0.5, 0.5, 0.5
 """How long a track lives unseen: inside the frame, at its edge, and before it is confirmed."""
-
-FOUND_WITHIN_S = 8.0
-"""A track that neither detector nor keypoints show to be a person for this long is dropped: what
-moves may be a car, or a curtain."""
-
-READ_PER_FRAME, READ_EVERY_S = 1, 0.25
-"""People whose keypoints are read at a time, those whose last ones are oldest, and how often."""
-
-POSES_PER_FRAME, LEAST_SHARE_OF_POSES = 2, 0.25
-"""People whose poses are searched for on a live frame, or this share of all if that is more: those
-whose last ones are oldest. The others keep theirs, at the place where they are now."""
 
 # People expected this near to the frame's edge leave it.
 _EDGE_PX = 3.0
@@ -54,37 +39,28 @@ class LateFrameError(ValueError):
 class CameraSession:
     """Frames of one fixed camera; takes one at a time.
 
-    Memory is bounded: by the background model, which has the frame's size, and by the number of
-    tracks, twice that of the people in a frame.
+    Memory is bounded by the number of tracks, twice that of the people in a frame.
 
     Parameters
     ----------
     estimator : Estimator
     clock : callable
         Seconds, for frames without a timestamp.
-    live : bool
-        Whether frames have to be kept up with: poses are then searched for a few people a frame,
-        see :data:`POSES_PER_FRAME`, else for all.
     """
 
     def __init__(
         self,
         estimator: Estimator,
         clock: Callable[[], float] = time.monotonic,
-        *,
-        live: bool = True,
     ) -> None:
         self._estimator = estimator
         self._clock = clock
-        self._live = live
-        self._search = PeopleSearch(estimator.finder, estimator.map_parts)
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
         self._size: tuple[int, ...] | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
-        self._read_at = -math.inf
         # Not told yet.
         self._reset: str | None = None
         self._events: list[Event] = []
@@ -101,8 +77,8 @@ class CameraSession:
 
     @property
     def memory_bytes(self) -> int:
-        """About what the session holds, mostly the background model."""
-        return self._search.memory_bytes + 2000 * len(self._tracks)
+        """About what the session holds."""
+        return 2000 * len(self._tracks)
 
     def process(
         self,
@@ -146,16 +122,10 @@ class CameraSession:
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reads = evidence == "photograph" and upload.frame is not None
-        found: list[tuple[ObservedPerson, Track | None]]
-        if upload.mask is None and upload.boxes is None and upload.background is None:
-            found = self._search.find(frame, timestamp, self._tracks, check, stopwatch)
-        else:
-            people = self._estimator.finder.find(decoded, reads, check, stopwatch)
-            found = [(person, None) for person in people]
+        people = self._estimator.finder.find(decoded, reads, check, stopwatch)
+        found: list[tuple[ObservedPerson, Track | None]] = [(person, None) for person in people]
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
-        if reads and timestamp - self._read_at >= READ_EVERY_S:
-            seen = self._with_keypoints(seen, frame, timestamp, check, stopwatch)
         tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
@@ -196,7 +166,6 @@ class CameraSession:
         else:
             return
         self._reset = reason
-        self._search = PeopleSearch(self._estimator.finder, self._estimator.map_parts)
         for track in self._tracks:
             self._tell("left", track, timestamp)
         self._tracks = []
@@ -255,8 +224,7 @@ class CameraSession:
                 longest = TENTATIVE_FOR_S
             else:
                 longest = LEAVING_FOR_S if self._leaves(track, timestamp) else FORGOTTEN_AFTER_S
-            unseen, unfound = timestamp - track.seen_at, timestamp - track.found_at
-            if unseen <= longest and unfound <= FOUND_WITHIN_S:
+            if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
                 self._tell("left", track, timestamp)
@@ -274,29 +242,6 @@ class CameraSession:
             or box.bottom > height - _EDGE_PX
         )
 
-    def _with_keypoints(
-        self,
-        seen: list[tuple[ObservedPerson, Track]],
-        frame: NDArray[np.uint8],
-        timestamp: float,
-        check: Check,
-        stopwatch: Stopwatch,
-    ) -> list[tuple[ObservedPerson, Track]]:
-        """Read the keypoints of those whose last ones are oldest."""
-        cut_out = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
-        oldest = sorted(cut_out, key=lambda i: seen[i][1].read_at)[:READ_PER_FRAME]
-        result = list(seen)
-        with stopwatch.stage("keypoints"):
-            for i in oldest:
-                check()
-                person, track = seen[i]
-                person = self._estimator.finder.with_keypoints(frame, person)
-                track.read_at = self._read_at = timestamp
-                if person.keypoints is not None:
-                    track.found_at = timestamp
-                result[i] = person, track
-        return result
-
     def _with_poses(
         self,
         seen: list[tuple[ObservedPerson, Track]],
@@ -306,17 +251,9 @@ class CameraSession:
         check: Check,
         stopwatch: Stopwatch,
     ) -> tuple[TrackedPerson, ...]:
-        """Search for the poses of those whose last ones are oldest; the others keep theirs."""
         searched = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
-        if self._live:
-            most = max(POSES_PER_FRAME, math.ceil(LEAST_SHARE_OF_POSES * len(seen)))
-            # Keypoints that have just been read come first.
-            searched.sort(key=lambda i: (seen[i][0].keypoints is None, seen[i][1].posed_at))
-            searched = sorted(searched[:most])
         scene = Scene(frame, tuple(seen[i][0] for i in searched))
-        persons = self._estimator.with_hypotheses(
-            scene, max(n, STATES), check, stopwatch, CANDIDATES_PER_HYPOTHESIS
-        )
+        persons = self._estimator.with_hypotheses(scene, max(n, STATES), check, stopwatch)
         found = dict(zip(searched, persons, strict=True))
         tracked = []
         for i, (observed, track) in enumerate(seen):

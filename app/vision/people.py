@@ -138,6 +138,81 @@ class ObservedKeypoints:
         return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
 
 
+LANDMARK_NAMES = (
+    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
+    "right_eye_outer", "left_ear", "right_ear", "mouth_left", "mouth_right",
+    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+    "left_pinky", "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb",
+    "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+)  # fmt: skip
+"""The 33 landmarks of BlazePose, in their order; left and right are the person's own."""
+
+COCO_ROWS = [LANDMARK_NAMES.index(name) for name in COCO_NAMES]
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Where a photograph shows a person's landmarks, and how far away they are.
+
+    Parameters
+    ----------
+    positions : (33, 2) float64 array
+        Pixels, x before y; rows are :data:`LANDMARK_NAMES`.
+    visibility : (33,) float64 array
+        Probability that each is inside the frame and not hidden, 0 to 1.
+    metres : (33, 3) float64 array
+        About the middle of the hips, axes of the camera: x right, y down, z forward.
+    """
+
+    positions: NDArray[np.float64]
+    visibility: NDArray[np.float64]
+    metres: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(LANDMARK_NAMES)
+        shapes = (self.positions.shape, self.visibility.shape, self.metres.shape)
+        expected = ((count, 2), (count,), (count, 3))
+        if shapes != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
+
+    def box(self) -> Box:
+        """The box about all landmarks, seen or not."""
+        (left, top), (right, bottom) = self.positions.min(axis=0), self.positions.max(axis=0)
+        return Box(
+            float(left), float(top), max(1.0, float(right - left)), max(1.0, float(bottom - top))
+        )
+
+    def keypoints(self) -> ObservedKeypoints:
+        """The 17 of COCO among them."""
+        return ObservedKeypoints(self.positions[COCO_ROWS], self.visibility[COCO_ROWS])
+
+
+@dataclass(frozen=True)
+class PersonWindow:
+    """A square of a frame about a person, turned so that the trunk stands.
+
+    Parameters
+    ----------
+    x, y : float
+        Centre, in pixels of the frame.
+    side : float
+        Positive, in pixels of the frame.
+    roll_deg : float
+        Clockwise rotation of the square in the frame: the direction in which the person's head
+        is, 0 where it is up, 90 where it is on the right.
+    """
+
+    x: float
+    y: float
+    side: float
+    roll_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.x, self.y, self.side, self.roll_deg]).all() and self.side > 0):
+            raise ValueError(f"expected a window of positive finite size, got {self}")
+
+
 @dataclass(frozen=True)
 class Detection:
     """A person found in a frame.
@@ -148,20 +223,20 @@ class Detection:
         Tight around the visible person.
     score : float
         Probability that the box holds a person, 0 to 1.
-    quarter_turns : int
-        Quarter turns counterclockwise that set the person upright, 0 to 3: 1 for a person lying
-        with the head on the right of the picture, 3 with it on the left.
+    keypoints : ObservedKeypoints or None
+        In pixels of the frame; None where the detector reads none.
+    windows : tuple of PersonWindow
+        Where the detector sees the whole body, the likeliest first; may be empty.
     """
 
     box: Box
     score: float
-    quarter_turns: int = 0
+    keypoints: ObservedKeypoints | None = None
+    windows: tuple[PersonWindow, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.score <= 1:
             raise ValueError(f"expected a score from 0 to 1, got {self.score}")
-        if self.quarter_turns not in range(4):
-            raise ValueError(f"expected 0 to 3 quarter turns, got {self.quarter_turns}")
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match
 from index.posture import POSTURES
-from index.rotations import rotate_clockwise
+from index.landmark_search import rotate_clockwise
 from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
 

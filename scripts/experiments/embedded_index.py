@@ -24,7 +24,7 @@ from index.keypoint_search import SEARCHED, KeypointSearch
 from index.keypoints import Keypoints
 from index.matching import CANDIDATES, Match, match
 from index.neighbours import STEPS, ExactNeighbours, Neighbours
-from index.rotations import rotate_clockwise
+from index.landmark_search import rotate_clockwise
 from index.skeleton import JOINTS
 from index.store import DEFAULT_PATH, PoseIndex
 from index.verified_files import read_bytes

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from app.facing import azimuth_deg, front_share
-from index.rotations import rotate_clockwise
+from index.landmark_search import rotate_clockwise
 from index.skeleton import camera_rotation
 
 

@@ -14,7 +14,7 @@ from app.upright import UprightPerson
 from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette, silhouette_from_mask
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.matching import match
-from index.rotations import rotate_clockwise, rotate_silhouette, usual_rotations
+from index.landmark_search import rotate_clockwise, rotate_silhouette, usual_rotations
 from index.skeleton import LIMBS, POINT_NAMES
 from index.store import PoseIndex
 

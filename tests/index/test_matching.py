@@ -14,7 +14,7 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import Hypothesis, match
 from index.posture import Posture
-from index.rotations import rotate_clockwise, rotate_silhouette
+from index.landmark_search import rotate_clockwise, rotate_silhouette
 from index.skeleton import JOINTS, POINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 

@@ -1,8 +1,9 @@
-"""The detectors: the network judged by HOG, and HOG alone."""
+"""The detectors: two networks with HOG beside them, and HOG alone."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 
 from app.vision.boxes import Boxes, averaged, drop_parts, suppress
 from app.vision.detection.hog import person_margin, person_windows
-from app.vision.detection.tiles import LONGEST_PX, Tile, tiles_of
-from app.vision.keypoints.movenet import MoveNet, PersonInPicture
-from app.vision.people import Box, Detection
+from app.vision.detection.pose_detection import BodyCircle, PoseDetection
+from app.vision.detection.tiles import LONGEST_PX, SMALLEST_SHARE, Tile, tiles_of
+from app.vision.keypoints.movenet import MoveNet
+from app.vision.people import Box, Detection, PersonWindow
+from app.vision.person.landmarks import LandmarkNetwork
+from app.vision.person.window import window_about
 from app.vision.resampling import cut, resize
-from app.vision.rotation import find_quarter_turns, rotate_box
 from app.vision.weights import fitted
 
 DetectorName = Literal["network", "hog"]
@@ -31,6 +34,13 @@ _LARGE_PX = 96
 # Boxes that end within this many pixels, as shown, of a tile's edge inside the frame are cut by it.
 _CUT_PX = 4.0
 _LEAST_NETWORK_SCORE = 0.02
+# Scores of BlazePose's detector from which a body is looked at, and the landmark network's presence
+# from which it is a person: walls and trees stay below 0.1, people mostly above 0.9.
+_LEAST_BODY_SCORE, _LEAST_PRESENCE = 0.3, 0.5
+# Probability that somebody whom both networks see is a person.
+_SEEN_BY_BOTH = 0.5
+# Sizes of a body's circle relative to its box at which both are about one person.
+_SAME_SIZE = (0.4, 2.5)
 
 
 class Detector(Protocol):
@@ -55,13 +65,19 @@ class Detector(Protocol):
 
 
 class NetworkDetector:
-    """Find people by MoveNet, and let HOG judge each of them.
+    """Find people by MoveNet and by BlazePose's detector.
+
+    MoveNet finds people of any size, BlazePose's detector large ones in any pose and orientation.
+    HOG's opinion may raise a score, never lower it: it only knows people who stand.
 
     Parameters
     ----------
-    network : MoveNet
-    min_person_px : float
-        Height of the smallest person wanted, in pixels.
+    movenet : MoveNet
+    pose_detection : PoseDetection
+    landmarks : LandmarkNetwork
+        Confirms people whom MoveNet does not see.
+    min_person_px : float, optional
+        Height of the smallest person wanted, in pixels; by default a share of the frame's height.
     min_score : float
         Least probability reported.
     """
@@ -69,54 +85,89 @@ class NetworkDetector:
     name: DetectorName = "network"
 
     def __init__(
-        self, network: MoveNet, *, min_person_px: float = 50, min_score: float = MIN_SCORE
+        self,
+        movenet: MoveNet,
+        pose_detection: PoseDetection,
+        landmarks: LandmarkNetwork,
+        *,
+        min_person_px: float | None = None,
+        min_score: float = MIN_SCORE,
     ) -> None:
-        self._network = network
+        self._movenet = movenet
+        self._pose_detection = pose_detection
+        self._landmarks = landmarks
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
-        boxes, quarter_turns, scores = self.candidates(frame)
-        probabilities = sigmoid(log_odds(scores[:, 0], scores[:, 1])).tolist()
-        detections = map(Detection, boxes, probabilities, quarter_turns)
-        return _best_first(detections, self._min_score)
+        detections, scores = self.candidates(frame)
+        probabilities = detection_probability(scores[:, 0], scores[:, 1]).tolist()
+        found = [
+            replace(detection, score=probability)
+            for detection, probability in zip(detections, probabilities, strict=True)
+        ]
+        bodies = self._pose_detection.bodies(frame, _LEAST_BODY_SCORE)
+        return _best_first(self._merged(frame, found, bodies), self._min_score)
 
     def candidates(
         self, frame: NDArray[np.uint8]
-    ) -> tuple[list[Box], list[int], NDArray[np.float64]]:
-        """Find all candidates of the network, however low their score.
+    ) -> tuple[list[Detection], NDArray[np.float64]]:
+        """Find all candidates of MoveNet, however low their score.
 
         Returns
         -------
-        boxes : list of Box
-            One for each person, best first.
-        quarter_turns : list of int
-            Of each; see :class:`app.vision.people.Detection`.
+        detections : list of Detection
+            One for each person, best first, with MoveNet's score.
         scores : (N, 2) float64 array
-            The network's score, and HOG's margin on the box's window, rotated upright.
+            MoveNet's score, and HOG's margin on the box's window.
         """
         height, width = frame.shape[:2]
         tiles = tiles_of(width, height, self._min_person_px)
-        found: list[tuple[Box, PersonInPicture]] = []
+        found: list[Detection] = []
         preferred: list[bool] = []
         for number, tile in enumerate(tiles):
             picture = resize(cut(frame, tile.window), *tile.size)
-            for person in self._network.people(picture):
+            for person in self._movenet.people(picture):
                 box = _in_frame(person.box, tile, width, height)
                 if box is None or person.score < _LEAST_NETWORK_SCORE:
                     continue
                 large = max(box.width, box.height) * tiles[0].factor >= _LARGE_PX
-                found.append((box, person))
+                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.window[:2])
+                found.append(Detection(box, min(1.0, person.score), keypoints))
                 preferred.append(len(tiles) == 1 or large == (number == 0))
         kept = [found[i] for i in _suppressed(found, preferred)]
-        quarter_turns = [find_quarter_turns(person.keypoints) for _, person in kept]
-        scores = [
-            (person.score, person_margin(np.rot90(frame, turn), rotate_box(box, frame.shape, turn)))
-            for (box, person), turn in zip(kept, quarter_turns, strict=True)
+        scores = [(one.score, person_margin(frame, one.box)) for one in kept]
+        return kept, np.array(scores, np.float64).reshape(-1, 2)
+
+    def _merged(
+        self,
+        frame: NDArray[np.uint8],
+        found: Sequence[Detection],
+        bodies: Sequence[BodyCircle],
+    ) -> list[Detection]:
+        """Give each person the circle about them, and add bodies that MoveNet does not see."""
+        windows: list[list[PersonWindow]] = [[] for _ in found]
+        merged: list[Detection] = []
+        for body in bodies:
+            near = [i for i, one in enumerate(found) if _is_about(body.window, one.box)]
+            if near:
+                windows[max(near, key=lambda i: found[i].score)].append(body.window)
+            elif (alone := self._confirmed(frame, body)) is not None:
+                merged.append(alone)
+        merged += [
+            replace(one, windows=tuple(own), score=max(one.score, _SEEN_BY_BOTH if own else 0.0))
+            for one, own in zip(found, windows, strict=True)
         ]
-        boxes = [box for box, _ in kept]
-        return boxes, quarter_turns, np.array(scores, np.float64).reshape(-1, 2)
+        return merged
+
+    def _confirmed(self, frame: NDArray[np.uint8], body: BodyCircle) -> Detection | None:
+        """A person whom MoveNet does not see, where the landmark network sees one."""
+        reading = self._landmarks.read(frame, body.window)
+        box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
+        if box is None or reading.presence < _LEAST_PRESENCE:
+            return None
+        return Detection(box, reading.presence * body.score, None, (body.window,))
 
 
 class HogDetector:
@@ -130,7 +181,9 @@ class HogDetector:
 
     name: DetectorName = "hog"
 
-    def __init__(self, *, min_person_px: float = 50, min_score: float = MIN_SCORE) -> None:
+    def __init__(
+        self, *, min_person_px: float | None = None, min_score: float = MIN_SCORE
+    ) -> None:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
@@ -150,9 +203,10 @@ class HogDetector:
     def people(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
         """One box for each person, and its margin; see :func:`hog_people`."""
         height, width = frame.shape[:2]
-        factor = min(1.0, 50 / self._min_person_px, LONGEST_PX / max(height, width))
+        smallest = smallest_person_px(frame.shape, self._min_person_px)
+        factor = min(1.0, 50 / smallest, LONGEST_PX / max(height, width))
         small = resize(frame, max(1, round(width * factor)), max(1, round(height * factor)))
-        boxes, margins = hog_people(small, max(min(50, self._min_person_px), 50 * factor))
+        boxes, margins = hog_people(small, max(min(50, smallest), 50 * factor))
         boxes[:, :2] = (boxes[:, :2] + 0.5) / factor - 0.5
         boxes[:, 2:] /= factor
         return boxes, margins
@@ -182,14 +236,17 @@ def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, N
     return averaged(boxes, margins + 0.1, kept), margins[kept]
 
 
-def log_odds(
+def detection_probability(
     network_scores: NDArray[np.float64], hog_margins: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Log odds ``(N,)`` that boxes hold a person, from the scores of both detectors."""
+    """Probability ``(N,)`` that boxes hold a person, from MoveNet's scores and HOG's margins.
+
+    Only margins of people whom HOG takes for people count.
+    """
     constants = fitted("detection")
-    return np.asarray(
+    return sigmoid(
         constants["network"] * logit(network_scores)
-        + constants["hog"] * hog_margins
+        + constants["hog"] * np.maximum(0.0, hog_margins)
         + constants["offset"]
     )
 
@@ -221,13 +278,19 @@ def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:
     return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
 
 
-def _suppressed(
-    found: Sequence[tuple[Box, PersonInPicture]], preferred: Sequence[bool]
-) -> list[int]:
+def _is_about(window: PersonWindow, box: Box) -> bool:
+    """Whether the window of a body is that of the person in a box."""
+    inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
+    ratio = window.side / window_about(box).side
+    return inside and _SAME_SIZE[0] < ratio < _SAME_SIZE[1]
+
+
+def _suppressed(found: Sequence[Detection], preferred: Sequence[bool]) -> list[int]:
     """Non-maximum suppression over all tiles, people shown at the better size first."""
-    boxes = np.array([[b.x, b.y, b.width, b.height] for b, _ in found], np.float64).reshape(-1, 4)
-    scores = np.array([person.score for _, person in found], np.float64)
-    return suppress(boxes, scores + np.array(preferred, np.float64), SAME_PERSON)
+    boxes = [one.box for one in found]
+    corners = np.array([[b.x, b.y, b.width, b.height] for b in boxes], np.float64).reshape(-1, 4)
+    scores = np.array([one.score for one in found], np.float64)
+    return suppress(corners, scores + np.array(preferred, np.float64), SAME_PERSON)
 
 
 def _best_first(detections: Iterable[Detection], min_score: float) -> list[Detection]:
@@ -235,8 +298,13 @@ def _best_first(detections: Iterable[Detection], min_score: float) -> list[Detec
     return sorted(kept, key=lambda detection: -detection.score)
 
 
-def _checked(min_person_px: float, min_score: float) -> float:
-    if not min_person_px > 0:
+def smallest_person_px(shape: tuple[int, ...], min_person_px: float | None) -> float:
+    """Height of the smallest wanted person of a frame, in pixels."""
+    return max(1.0, SMALLEST_SHARE * shape[0]) if min_person_px is None else min_person_px
+
+
+def _checked(min_person_px: float | None, min_score: float) -> float | None:
+    if min_person_px is not None and not min_person_px > 0:
         raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
     if not 0 <= min_score <= 1:
         raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")

@@ -1,8 +1,7 @@
-"""The sizes and tiles in which a frame is shown to the network.
+"""The sizes and tiles in which a frame is shown to MoveNet.
 
-The whole frame is shown once, small, to find large people. Where the smallest wanted person would
-be too small in it, the frame is shown again at a higher resolution, in overlapping tiles to bound
-the memory.
+The whole frame is shown once. Where the smallest wanted person would be too small in it, the frame
+is shown again at a higher resolution, in overlapping tiles to bound the memory.
 """
 
 from __future__ import annotations
@@ -12,19 +11,24 @@ from dataclasses import dataclass
 
 from app.vision.resampling import Window
 
-OVERVIEW_PX = 320
-"""Longer side of the whole frame as it is first shown: of the sizes tried, the one with the highest
-average precision (docs/results/scales.md); above 512, people who fill the frame are missed."""
+OVERVIEW_ROWS, OVERVIEW_COLUMNS = 352, 640
+"""Largest size at which the whole frame is shown: a camera of more pixels does not cost more."""
 
-SMALLEST_PERSON_PX = 38.0
+SMALLEST_SHARE = 1 / 12
+"""Height of the smallest wanted person by default, as a share of the frame's height."""
+
+SMALLEST_PERSON_PX = OVERVIEW_ROWS * SMALLEST_SHARE
 """Height at which the smallest wanted person is shown."""
 
 WORTHWHILE = 1.1
 """Least ratio of the tiles' resolution to the overview's; below it tiles add nothing."""
 
+LARGEST_FACTOR = 1.5
+"""Frames are enlarged by no more than this."""
+
 LONGEST_PX, LARGEST_PX = 1280, 1280 * 720
-"""Longer side and area at the finest resolution: people under a 30th of a frame's longer side, a
-25th of a square one's, are not searched for, and a frame of any size takes a bounded time."""
+"""Longer side and area at the finest resolution, so that a frame of any size takes a bounded
+time."""
 
 LARGEST_TILE_PX = 160_000
 """Area of a tile as shown, in pixels."""
@@ -53,39 +57,41 @@ class Tile:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows as shown."""
+        """Width and height as shown, in pixels."""
         _, _, width, height = self.window
         return max(1, round(width * self.factor)), max(1, round(height * self.factor))
 
 
-def tiles_of(width: int, height: int, min_person_px: float) -> list[Tile]:
-    """Plan the tiles of a frame.
+def tiles_of(width: int, height: int, min_person_px: float | None = None) -> list[Tile]:
+    """The overview of a frame, and the tiles that show people as small as wanted.
 
     Parameters
     ----------
     width, height : int
         Of the frame, in pixels.
-    min_person_px : float
-        Height of the smallest person wanted, in pixels of the frame.
+    min_person_px : float, optional
+        Height of the smallest person wanted, in pixels of the frame; by default
+        :data:`SMALLEST_SHARE` of the frame's height.
 
     Returns
     -------
     list of Tile
         The overview, then the tiles; none for a frame too thin to hold a person.
     """
+    # Portraits are shown as large as landscapes.
     longer, shorter = max(width, height), min(width, height)
-    overview = min(OVERVIEW_PX / longer, SMALLEST_PERSON_PX / min_person_px, 1.0)
+    overview = min(OVERVIEW_COLUMNS / longer, OVERVIEW_ROWS / shorter, LARGEST_FACTOR)
+    if shorter * overview < THINNEST_PX:
+        return []
+    whole = Tile((0, 0, width, height), overview)
+    if min_person_px is None:
+        return [whole]
     fine = min(
         LONGEST_PX / longer,
         math.sqrt(LARGEST_PX / (width * height)),
         SMALLEST_PERSON_PX / min_person_px,
     )
-    if fine <= WORTHWHILE * OVERVIEW_PX / longer:
-        overview = fine = min(fine, OVERVIEW_PX / longer)
-    if shorter * fine < THINNEST_PX:
-        return []
-    whole = Tile((0, 0, width, height), overview)
-    if fine == overview:
+    if fine <= WORTHWHILE * overview:
         return [whole]
     return [whole, *(Tile(window, fine) for window in _grid(width, height, fine))]
 

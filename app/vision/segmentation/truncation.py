@@ -76,9 +76,9 @@ def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool
 
 
 def end_beyond_border(
-    box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...], quarter_turns: int = 0
+    box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...]
 ) -> bool:
-    """Whether the frame cuts off the head or the feet: no keypoint of them is seen.
+    """Whether the frame cuts off the head or the feet: no keypoint of them is seen inside it.
 
     Parameters
     ----------
@@ -87,14 +87,12 @@ def end_beyond_border(
     keypoints : ObservedKeypoints
     frame_shape : tuple of int
         Height and width first.
-    quarter_turns : int
-        Quarter turns that set the person upright; see :class:`app.vision.people.Detection`.
     """
-    # The edges in the frame as it is when the person is upright.
-    _, above, _, below = np.roll(_gaps(box, frame_shape), -quarter_turns)
-    near = _NEAR_UNSEEN * max(box.width, box.height)
-    head, feet = (keypoints.scores[rows].max() >= _LEAST_SCORE for rows in (_HEAD, _FEET))
-    return bool((above <= near and not head) or (below <= near and not feet))
+    near = min(_gaps(box, frame_shape)) <= _NEAR_UNSEEN * max(box.width, box.height)
+    height, width = frame_shape[:2]
+    inside = ((keypoints.positions > -0.5) & (keypoints.positions < [width, height])).all(axis=1)
+    seen = inside & (keypoints.scores >= _LEAST_SCORE)
+    return near and not (seen[_HEAD].any() and seen[_FEET].any())
 
 
 def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, float]:

@@ -18,7 +18,7 @@ from index.build.learn import view_joints
 from index.build.poses import Poses, joints_of, merged
 from index.build.shard import most_foreshortened
 from index.build.simulate import Simulation, simulate
-from index.rotations import rotate_clockwise
+from index.landmark_search import rotate_clockwise
 from index.skeleton import JOINT_NAMES, camera_rotation
 from index.store import PoseIndex
 

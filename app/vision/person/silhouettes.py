@@ -1,0 +1,171 @@
+"""Silhouettes of the people of a frame, from the masks of their readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.people import LANDMARK_NAMES, Box, Silhouette, silhouette_from_mask
+from app.vision.person.landmarks import PIXELS, Reading
+from app.vision.person.window import window_to_frame
+from app.vision.segmentation.mask_cleaning import fill_small_holes, keep_components
+from app.vision.segmentation.truncation import with_truncation
+
+# Probability from which a pixel is the person's; chosen on even-numbered photographs.
+_THRESHOLD = 0.5
+# Masks are drawn at no more than this height before they are cleaned.
+_ROWS = 384
+# Share of a pixel that the mask as drawn covers, from which the pixel is the person's.
+_HALF_COVERED = 0.5
+# Boxes of people cut by the frame may end this far short of its edge. The network sees better than
+# the detector whether the body goes on.
+_NEAR_EDGE_PX = 5.0
+# Less than this share of the box, and the network did not see the person.
+_LEAST_FILL = 0.12
+# Landmarks seen as surely as this lie in the person's box, with this room about them.
+_SEEN, _ROOM = 0.5, 0.04
+_BONES = [
+    (LANDMARK_NAMES.index(start), LANDMARK_NAMES.index(end))
+    for start, end in (
+        ("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"),
+        ("left_shoulder", "left_hip"), ("right_shoulder", "right_hip"),
+        ("left_shoulder", "right_hip"), ("right_shoulder", "left_hip"),
+        ("nose", "left_shoulder"), ("nose", "right_shoulder"),
+        ("left_shoulder", "left_elbow"), ("left_elbow", "left_wrist"),
+        ("right_shoulder", "right_elbow"), ("right_elbow", "right_wrist"),
+        ("left_hip", "left_knee"), ("left_knee", "left_ankle"), ("left_ankle", "left_foot_index"),
+        ("right_hip", "right_knee"), ("right_knee", "right_ankle"),
+        ("right_ankle", "right_foot_index"),
+    )
+]  # fmt: skip
+
+
+def silhouettes_of(
+    readings: Sequence[Reading],
+    boxes: Sequence[Box],
+    frame_shape: tuple[int, ...],
+    *,
+    exact: bool,
+) -> list[Silhouette | None]:
+    """Cut out people; a pixel that several claim is that of the nearest skeleton.
+
+    Parameters
+    ----------
+    readings : sequence of Reading
+        Of all people known in the frame: each one's pixels are kept out of the others'.
+    boxes : sequence of Box
+        Of each.
+    frame_shape : tuple of int
+        Height and width first.
+    exact : bool
+        Whether boxes are tight about the people, else limbs may reach beyond them.
+
+    Returns
+    -------
+    list of Silhouette or None
+        One for each reading, in order; None where nobody could be made out.
+    """
+    height, width = frame_shape[:2]
+    regions = [
+        _region(box if exact else _with_landmarks(box, reading), width, height)
+        for box, reading in zip(boxes, readings, strict=True)
+    ]
+    found: list[Silhouette | None] = []
+    for own, region in enumerate(regions):
+        rivals = [
+            readings[other]
+            for other, theirs in enumerate(regions)
+            if region and theirs and other != own and region.intersection(theirs) > 0
+        ]
+        found.append(_cut_out(readings[own], rivals, region) if region else None)
+    return with_truncation(found, boxes, frame_shape)
+
+
+def _with_landmarks(box: Box, reading: Reading) -> Box:
+    """The box about a box and the landmarks that are seen."""
+    seen = reading.landmarks.visibility >= _SEEN
+    if not seen.any():
+        return box
+    room = _ROOM * max(box.width, box.height)
+    low = reading.landmarks.positions[seen].min(axis=0) - room
+    high = reading.landmarks.positions[seen].max(axis=0) + room
+    left, top = min(box.x, float(low[0])), min(box.y, float(low[1]))
+    return Box(
+        left,
+        top,
+        max(box.right, float(high[0])) - left,
+        max(box.bottom, float(high[1])) - top,
+    )
+
+
+def _region(box: Box, width: int, height: int) -> Box | None:
+    """Part of the frame in which a person is cut out, moved out to edges that it nearly reaches."""
+    inside = box.clip(width, height)
+    if inside is None:
+        return None
+    left, top, _, _ = inside.pixels()
+    if left >= width or top >= height:
+        return None  # A sliver at the edge holds no pixel.
+    sides = np.array([inside.x, inside.y, inside.right, inside.bottom])
+    edges = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
+    near = np.abs(sides - edges) <= _NEAR_EDGE_PX
+    x0, y0, x1, y1 = np.where(near, edges, sides).tolist()
+    return Box(x0, y0, x1 - x0, y1 - y0)
+
+
+def _cut_out(reading: Reading, rivals: Sequence[Reading], region: Box) -> Silhouette | None:
+    """One person's silhouette in a region; None if it is next to empty."""
+    left, top, right, bottom = region.pixels()
+    width, height = right - left, bottom - top
+    scale = min(1.0, _ROWS / max(width, height))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    # From pixels as drawn to pixels of the frame.
+    drawn = np.array(
+        [
+            [width / size[0], 0, left + 0.5 * width / size[0] - 0.5],
+            [0, height / size[1], top + 0.5 * height / size[1] - 0.5],
+        ]
+    )
+    own = _probability(reading, drawn, size)
+    mask = own >= _THRESHOLD
+    for rival in rivals:
+        theirs = _probability(rival, drawn, size)
+        both = mask & (theirs >= _THRESHOLD)
+        if both.any():
+            nearer = _distance(reading, drawn, size) <= _distance(rival, drawn, size)
+            mask &= nearer | ~both
+    mask = fill_small_holes(keep_components(mask, 0.1), 0.01)
+    covered = cv2.resize(mask.astype(np.float32), (width, height))
+    inside = covered >= _HALF_COVERED
+    if np.count_nonzero(inside) < _LEAST_FILL * inside.size:
+        return None
+    return silhouette_from_mask(inside, left=left, top=top, segmenter="network", truncated=False)
+
+
+def _probability(
+    reading: Reading, drawn: NDArray[np.float64], size: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Probability of a reading's mask at the pixels of a region as drawn."""
+    from_frame = cv2.invertAffineTransform(window_to_frame(reading.window, PIXELS))
+    linear = from_frame[:, :2] @ drawn[:, :2]
+    offset = from_frame[:, :2] @ drawn[:, 2] + from_frame[:, 2]
+    matrix = np.column_stack([linear, offset])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
+
+
+def _distance(
+    reading: Reading, drawn: NDArray[np.float64], size: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Distance ``(h, w)`` of the pixels of a region as drawn from a person's bones."""
+    to_drawn = cv2.invertAffineTransform(drawn)
+    points = reading.landmarks.positions @ to_drawn[:, :2].T + to_drawn[:, 2]
+    # Farther away OpenCV's whole numbers would overflow.
+    points = np.clip(np.rint(points), -(2**14), 2**14).astype(int)
+    canvas: NDArray[np.uint8] = np.full((size[1], size[0]), 255, np.uint8)
+    for start, end in _BONES:
+        cv2.line(canvas, points[start].tolist(), points[end].tolist(), (0,))
+    return np.asarray(cv2.distanceTransform(canvas, cv2.DIST_L2, 3))
