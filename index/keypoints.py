@@ -16,6 +16,9 @@ SPREAD_PX = 8.0
 SPREAD_M = 0.15
 """Standard deviation of a point about its landmark in three dimensions, in metres."""
 
+LIMB_WEIGHT = 0.25
+"""Weight of the landmarks' depths beside their places in the picture, which are surer."""
+
 DOUBT = 0.05
 """Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
 
@@ -170,4 +173,4 @@ class Keypoints:
         assert self.limb_scores is not None
         squares = (self.limb_offsets(points_3d) ** 2).sum(axis=-1)
         mass = self.limb_scores * np.exp(-squares / (2 * SPREAD_M**2))
-        return np.asarray(np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1))
+        return np.asarray(LIMB_WEIGHT * np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1))

@@ -32,7 +32,7 @@ from index.store import PoseIndex
 CANDIDATES = 160
 """Nearest entries considered without keypoints; more add few useful modes."""
 
-SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 150
+SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 50
 """With keypoints: entries nearest to each rotation of the silhouette, and to the landmarks."""
 
 KEPT_CANDIDATES = 200

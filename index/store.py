@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
-from index.landmark_search import SEARCHED, LandmarkSearch, pose_vectors
+from index.landmark_search import DIMENSION, SEARCHED, LandmarkSearch, pose_vectors
 from index.neighbours import ExactNeighbours, Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
@@ -240,8 +240,8 @@ class PoseIndex:
         return points_3d, points_normalised
 
     def _pose_vectors(self) -> NDArray[np.float32]:
-        """Vectors ``(E, 36)`` of all entries for the search by landmarks, cameras upright."""
-        vectors = np.empty((len(self), 3 * len(SEARCHED)), np.float32)
+        """Vectors ``(E, 48)`` of all entries for the search by landmarks, cameras upright."""
+        vectors = np.empty((len(self), DIMENSION), np.float32)
         # In blocks, because all points of a large index would take gigabytes.
         for start in range(0, len(self), _BLOCK):
             entries = self.entries[start : start + _BLOCK]
