@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimates import Estimate, Person, Scene
-from index.skeleton import KeypointSet
+from app.vision.people import LANDMARK_NAMES
+from index.skeleton import POINT_NAMES, KeypointSet
 
 PEOPLE = (
     (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224),
@@ -21,7 +24,19 @@ SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 1
 
 OUTLINE = (255, 255, 255)
 
-LEGEND = (("person's left", SIDES["left"]), ("right", SIDES["right"]), ("silhouette", OUTLINE))
+LEGEND = (
+    ("person's left", SIDES["left"], False),
+    ("right", SIDES["right"], False),
+    ("unsure", SIDES["middle"], True),
+    ("silhouette", OUTLINE, False),
+)
+"""What a line means, its colour, and whether it is dashed."""
+
+SURE = 0.5
+"""Visibility of a landmark, and confidence of a hypothesis, below which lines are dashed."""
+
+# Drawn parts of a dashed line, as shares of its length.
+_DASHES = ((0.0, 0.2), (0.4, 0.6), (0.8, 1.0))
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_PX = 22
@@ -83,19 +98,34 @@ def _draw_person(
     if person.hypotheses:
         points = person.hypotheses[0].points_2d[list(keypoints.indices)]
         bone = min(line + 1, max(1, round(box.height / 60)))
-        draw_skeleton(picture, points, keypoints, bone)
+        draw_skeleton(picture, points, keypoints, bone, _unsure(person, keypoints))
+
+
+def _unsure(person: Person, keypoints: KeypointSet) -> list[bool]:
+    """Which keypoints of a person the photograph does not show well."""
+    landmarks = person.observed.landmarks
+    if person.hypotheses[0].confidence < SURE:
+        return [True] * len(keypoints.names)
+    if landmarks is None:
+        return [False] * len(keypoints.names)
+    seen = dict(zip(LANDMARK_NAMES, (landmarks.visibility >= SURE).tolist(), strict=True))
+    names = [POINT_NAMES[row].replace("_toe", "_foot_index") for row in keypoints.indices]
+    return [not seen.get(name, True) for name in names]
 
 
 def _legend(width: int, letter: int) -> NDArray[np.uint8]:
     """Draw a strip that explains the colours; in a narrow one the letters shrink."""
-    text = "   ".join(name for name, _ in LEGEND)
+    text = "   ".join(name for name, *_ in LEGEND)
     samples = 2 * letter * len(LEGEND)
     wide = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0] + samples + 2 * letter
     letter = max(1, min(letter, letter * width // wide))
     strip = np.full((3 * letter, width, 3), 32, np.uint8)
     left = letter
-    for name, colour in LEGEND:
-        cv2.line(strip, (left, 3 * letter // 2), (left + letter, 3 * letter // 2), colour, 3)
+    for name, colour, dashed in LEGEND:
+        middle = 3 * letter // 2
+        for start, end in _DASHES if dashed else ((0.0, 1.0),):
+            ends = [(left + round(share * letter), middle) for share in (start, end)]
+            cv2.line(strip, ends[0], ends[1], colour, 3)
         left = write_text(
             strip, name, (left + 3 * letter // 2, 2 * letter), letter, (235, 235, 235)
         )
@@ -152,10 +182,11 @@ def draw_skeleton(
     points: NDArray[np.float64],
     keypoints: KeypointSet,
     line: int,
+    unsure: Sequence[bool] = (),
 ) -> None:
     """Draw bones into a BGR picture, with a dark outline; points that are not finite are left out.
 
-    Left and right have the colours of :data:`SIDES`.
+    Left and right have the colours of :data:`SIDES`; bones with an unsure end are dashed.
 
     Parameters
     ----------
@@ -166,6 +197,8 @@ def draw_skeleton(
     keypoints : KeypointSet
     line : int
         Pixels.
+    unsure : sequence of bool, optional
+        Of each keypoint.
     """
     # OpenCV takes fixed-point coordinates, here with four fractional bits.
     fixed = np.round(np.nan_to_num(points) * 16).astype(int)
@@ -173,9 +206,15 @@ def draw_skeleton(
     for seam in (2, 0):
         for parent, child in keypoints.bones:
             if drawable[parent] and drawable[child]:
-                ends = fixed[parent].tolist(), fixed[child].tolist()
                 colour = (0, 0, 0) if seam else SIDES[_side(keypoints, parent, child)]
-                cv2.line(picture, *ends, colour, line + seam, cv2.LINE_AA, 4)
+                dashed = bool(unsure) and (unsure[parent] or unsure[child])
+                along = fixed[child] - fixed[parent]
+                for start, end in _DASHES if dashed else ((0.0, 1.0),):
+                    first, last = (
+                        np.rint(fixed[parent] + share * along).astype(int).tolist()
+                        for share in (start, end)
+                    )
+                    cv2.line(picture, first, last, colour, line + seam, cv2.LINE_AA, 4)
 
 
 def _side(keypoints: KeypointSet, *points: int) -> str:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.cores import available_cores
 from app.estimates import Estimate, Evidence, ObservedPerson, Person, Scene

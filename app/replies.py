@@ -17,7 +17,7 @@ from app.estimates import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
 from app.posture import VotedPosture
 from app.vision.detection.detector import DetectorName
-from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette
+from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
@@ -38,6 +38,8 @@ class ReplyForm:
     keypoints : KeypointSet
     silhouettes : str
         ``none``, or COCO's ``rle`` or ``polygon``.
+    observed : str
+        Keypoints of the photograph: ``coco17`` or ``blazepose33``.
     joints : str
         ``full``: as objects; ``compact``: as plain numbers; ``none``.
     """
@@ -45,6 +47,7 @@ class ReplyForm:
     keypoints: KeypointSet
     silhouettes: schemas.SilhouetteForm = "none"
     joints: schemas.JointForm = "full"
+    observed: schemas.ObservedSetName = "coco17"
 
 
 def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
@@ -123,7 +126,7 @@ def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm)
         "source": observed.source,
         "silhouette": _silhouette(silhouette, frame_shape, form) if silhouette else None,
         "observed_keypoints": (
-            _observed(observed.landmarks.keypoints()) if observed.landmarks else None
+            _observed(observed.landmarks, form.observed) if observed.landmarks else None
         ),
         "facing": _facing(facing) if facing else None,
         "posture": _posture(person.posture) if person.posture else None,
@@ -151,14 +154,21 @@ def _run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> schema
     return schemas.RunLengths(counts=counts, size=list(frame_shape[:2]))
 
 
-def _observed(keypoints: ObservedKeypoints) -> list[schemas.ObservedKeypoint | None]:
+def _observed(
+    landmarks: Landmarks, keypoints: schemas.ObservedSetName
+) -> list[schemas.ObservedKeypoint | None]:
+    names = COCO_NAMES if keypoints == "coco17" else LANDMARK_NAMES
+    rows = [LANDMARK_NAMES.index(name) for name in names]
+    values = np.column_stack([landmarks.positions, landmarks.metres[:, 2], landmarks.visibility])[
+        rows
+    ]
     return [
-        schemas.ObservedKeypoint(name=name, x=round(x, 2), y=round(y, 2), score=round(score, 4))
+        schemas.ObservedKeypoint(
+            name=name, x=round(x, 2), y=round(y, 2), z=round(z, 4), score=round(score, 4)
+        )
         if score >= LEAST_SCORE
         else None
-        for name, (x, y), score in zip(
-            COCO_NAMES, keypoints.positions.tolist(), keypoints.scores.tolist(), strict=True
-        )
+        for name, (x, y, z, score) in zip(names, values.tolist(), strict=True)
     ]
 
 
@@ -187,6 +197,7 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas
         silhouette_distance=round(hypothesis.distance, 6),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(placed.confidence, 4),
+        adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
         **joint_fields(hypothesis.points_3d, placed.points_2d, form),
         source=_source(label),

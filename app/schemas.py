@@ -9,7 +9,8 @@ from typing_extensions import TypedDict
 
 from index.posture import Posture as PostureLabel
 
-KeypointSetName = Literal["native", "coco17"]
+KeypointSetName = Literal["native", "coco17", "h36m17"]
+ObservedSetName = Literal["coco17", "blazepose33"]
 PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
 Evidence = Literal["photograph", "silhouette"]
 SilhouetteForm = Literal["none", "rle", "polygon"]
@@ -188,13 +189,19 @@ class SilhouetteSummary(Model):
 
 
 class ObservedKeypoint(Model):
-    """Where the photograph shows one of the 17 COCO keypoints."""
+    """Where the photograph shows a keypoint."""
 
     name: str = Field(description="Left and right are the person's own.", examples=["nose"])
     x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
     y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
+    z: FiniteFloat = Field(
+        description="Metres behind the middle of the hips, negative in front of it, as the network "
+        "reads it.",
+        examples=[-0.21],
+    )
     score: Probability = Field(
-        description="How certain the network is, higher is more certain; not calibrated.",
+        description="Visibility: how certain the network is that the keypoint is inside the frame "
+        "and not hidden. Hidden ones are guessed from the rest of the body.",
         examples=[0.81],
     )
 
@@ -217,11 +224,15 @@ class Facing(Model):
 class Posture(Model):
     """What the person's body does, told by its 3D skeleton."""
 
-    label: PostureLabel = Field(
-        description="The posture with most of the hypotheses' confidence.", examples=["walking"]
+    label: PostureLabel | Literal["unclear"] = Field(
+        description="The likeliest posture; `unclear` where none is right with a probability of a "
+        "half.",
+        examples=["walking"],
     )
     probability: Probability = Field(
-        description="Its share of the hypotheses' confidence.", examples=[0.88]
+        description="Calibrated probability that the label is right; of `unclear`, that of the "
+        "likeliest posture.",
+        examples=[0.88],
     )
 
 
@@ -290,13 +301,21 @@ class Hypothesis(Model):
         "account.",
         examples=[0.87],
     )
+    adjusted_mm: FiniteFloat = Field(
+        ge=0,
+        description="Mean distance of the joints from those of the entry's own skeleton, in "
+        "millimetres: how far it was moved to fit this person. `GET /index/entries/{entry}` has "
+        "the entry's own.",
+        examples=[41.0],
+    )
     posture: PostureLabel = Field(
         description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
     )
     joints_3d: list[Point3D | None] | None = Field(
-        description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
-        "at the pelvis, at the size of the indexed body. Null where the entry lacks one, and as "
-        "a whole with `joints=compact` or `none`.",
+        description="The entry's skeleton fitted to this person, in metres: interpolated between "
+        "near entries and moved to the landmarks in three dimensions, its bones as long as the "
+        "indexed body's. Camera axes (x right, y down, z forward), origin at the pelvis. Null "
+        "where the entry lacks one, and as a whole with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
     joints_2d: list[Point2D | None] | None = Field(

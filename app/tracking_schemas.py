@@ -190,7 +190,9 @@ class SequenceFrame(_TrackedFrame, _FrameLine):
 class PostureTime(Model):
     """How long a person kept a posture."""
 
-    label: PostureLabel = Field(description="The posture.", examples=["walking"])
+    label: PostureLabel | Literal["unclear"] = Field(
+        description="The posture.", examples=["walking"]
+    )
     seconds: FiniteFloat = Field(ge=0, description="In all.", examples=[11.8])
 
 

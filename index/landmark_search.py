@@ -27,8 +27,8 @@ centimetre, far less than landmarks err by."""
 
 _LARGEST_STEP = 127
 DIMENSION = 48
-"""Numbers of a vector: three a limb joint, then zeros, since FAISS compares vectors of a multiple of
-16 bytes twelve times faster than others."""
+"""Numbers of a vector: three a limb joint, then zeros, since FAISS compares vectors of a multiple
+of 16 bytes twelve times faster than others."""
 _HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
 _BONES = [
     (LIMBS.index(f"{side}_{start}"), LIMBS.index(f"{side}_{end}"))

@@ -26,7 +26,7 @@ from index.rotations import (
     seen_from,
     usual_rotations,
 )
-from index.skeleton import JOINTS, LIMBS, POINT_NAMES, POINTS, mean_joint_distance, wrap_degrees
+from index.skeleton import LIMBS, POINTS, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 
 CANDIDATES = 160
@@ -323,7 +323,7 @@ def _modes_of_silhouette(
 
 
 def likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
-    """Rolls of the camera that a person's limbs ``(12, 3)`` suggest: none, and that of the trunk."""
+    """Rolls of the camera that a person's limbs ``(12, 3)`` suggest: none, and the trunk's."""
     ends = [
         limbs_3d[[LIMBS.index(f"{side}_{part}") for side in ("left", "right")]].mean(axis=0)
         for part in ("hip", "shoulder")

@@ -142,9 +142,7 @@ def usual_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[flo
     return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
 
 
-def rotations_of_landmarks(
-    usual: Sequence[float], roll_deg: NDArray[np.float64]
-) -> list[float]:
+def rotations_of_landmarks(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
     """The rotations that are searched where landmarks tell them.
 
     Parameters

@@ -61,12 +61,17 @@ class KeypointSet:
 
 
 def _keypoint_set(
-    name: str, names: tuple[str, ...], bones: tuple[tuple[str, str], ...]
+    name: str,
+    names: tuple[str, ...],
+    bones: tuple[tuple[str, str], ...],
+    points: dict[str, str] | None = None,
 ) -> KeypointSet:
+    """A set whose keypoints are points of the same name, or those that ``points`` gives."""
+    renamed = points or {}
     return KeypointSet(
         name,
         names,
-        tuple(POINT_NAMES.index(point) for point in names),
+        tuple(POINT_NAMES.index(renamed.get(keypoint, keypoint)) for keypoint in names),
         tuple((names.index(parent), names.index(child)) for parent, child in bones),
     )
 
@@ -121,6 +126,30 @@ COCO17 = _keypoint_set(
     ),
 )  # fmt: skip
 
+H36M17 = _keypoint_set(
+    "h36m17",
+    (
+        "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle",
+        "spine", "thorax", "nose", "head",
+        "left_shoulder", "left_elbow", "left_wrist",
+        "right_shoulder", "right_elbow", "right_wrist",
+    ),
+    (
+        ("pelvis", "right_hip"),
+        ("pelvis", "left_hip"),
+        ("pelvis", "spine"),
+        ("spine", "thorax"),
+        ("thorax", "nose"),
+        ("nose", "head"),
+        ("thorax", "left_shoulder"),
+        ("thorax", "right_shoulder"),
+        *_limbs("left"),
+        *_limbs("right"),
+    ),
+    # Human3.6M's spine lies between pelvis and thorax, its thorax at the base of the neck.
+    {"spine": "chest", "thorax": "neck"},
+)  # fmt: skip
+
 _OTHER_SIDE = np.array(
     [
         POINT_NAMES.index(
@@ -152,7 +181,7 @@ def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return mirrored
 
 
-KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17)}
+KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17, H36M17)}
 
 
 def mean_joint_distance(

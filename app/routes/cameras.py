@@ -21,6 +21,7 @@ from app.routes.uploads import (
     HypothesisCount,
     JointsQuery,
     KeypointSetQuery,
+    ObservedSetQuery,
     SilhouettesQuery,
     TrackUploadForm,
 )
@@ -80,6 +81,7 @@ async def track_frame(
     evidence: EvidenceQuery = "photograph",
     silhouettes: SilhouettesQuery = "none",
     joints: JointsQuery = "full",
+    observed: ObservedSetQuery = "coco17",
 ) -> Response:
     """Track the people in the next frame of a fixed camera.
 
@@ -91,7 +93,7 @@ async def track_frame(
     """
     runtime = runtime_of(request)
     estimator, sessions = runtime.searching_estimator(), runtime.sessions
-    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
+    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
     upload, timestamp = frame
 
     def work(token: CancellationToken) -> bytes:

@@ -21,6 +21,7 @@ from app.routes.uploads import (
     HypothesisCount,
     JointsQuery,
     KeypointSetQuery,
+    ObservedSetQuery,
     SilhouettesQuery,
     UploadForm,
 )
@@ -62,6 +63,7 @@ async def estimate_pose(
     evidence: EvidenceQuery = "photograph",
     silhouettes: SilhouettesQuery = "none",
     joints: JointsQuery = "full",
+    observed: ObservedSetQuery = "coco17",
 ) -> Response:
     """Estimate the 3D poses of the people in a frame.
 
@@ -70,7 +72,7 @@ async def estimate_pose(
     """
     runtime = runtime_of(request)
     estimator = runtime.searching_estimator()
-    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
+    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
 
     def work(token: CancellationToken) -> bytes:
         estimate = estimator.estimate(upload, n, token.check, evidence)

@@ -10,7 +10,14 @@ from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationErro
 from app.errors import ProblemError, is_image, is_multipart, unsupported_body
 from app.messages import expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
-from app.schemas import Evidence, FrameUpload, JointForm, KeypointSetName, SilhouetteForm
+from app.schemas import (
+    Evidence,
+    FrameUpload,
+    JointForm,
+    KeypointSetName,
+    ObservedSetName,
+    SilhouetteForm,
+)
 from app.tracking_schemas import LATEST_TIMESTAMP_S, TrackUpload
 from app.upload import Upload
 from app.vision.people import Box
@@ -32,8 +39,18 @@ HypothesisCount = Annotated[
 KeypointSetQuery = Annotated[
     KeypointSetName,
     Query(
-        description="`native`: the 19 joints of the index; `coco17`: the 17 COCO keypoints.",
+        description="`native`: the 19 joints of the index; `coco17`: the 17 COCO keypoints; "
+        "`h36m17`: the 17 of Human3.6M.",
         examples=["native"],
+    ),
+]
+
+ObservedSetQuery = Annotated[
+    ObservedSetName,
+    Query(
+        description="Which keypoints `observed_keypoints` lists: `coco17`, or `blazepose33`, all "
+        "33 landmarks that are read.",
+        examples=["coco17"],
     ),
 ]
 

@@ -13,9 +13,9 @@ from index.build.learn import view_joints
 from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
+from index.landmark_search import rotate_clockwise
 from index.matching import match
 from index.posture import POSTURES
-from index.landmark_search import rotate_clockwise
 from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
 

@@ -110,9 +110,7 @@ class NetworkDetector:
         bodies = self._pose_detection.bodies(frame, _LEAST_BODY_SCORE)
         return _best_first(self._merged(frame, found, bodies), self._min_score)
 
-    def candidates(
-        self, frame: NDArray[np.uint8]
-    ) -> tuple[list[Detection], NDArray[np.float64]]:
+    def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
         """Find all candidates of MoveNet, however low their score.
 
         Returns
@@ -181,9 +179,7 @@ class HogDetector:
 
     name: DetectorName = "hog"
 
-    def __init__(
-        self, *, min_person_px: float | None = None, min_score: float = MIN_SCORE
-    ) -> None:
+    def __init__(self, *, min_person_px: float | None = None, min_score: float = MIN_SCORE) -> None:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 

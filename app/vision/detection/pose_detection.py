@@ -1,7 +1,7 @@
 """BlazePose's person detector: large people in any orientation, with the circle about each body.
 
-Anchors lie at the centres of the cells of strides 8 (two a cell), 16 (two) and 32 (six); the network
-gives each a score and the offsets of a box and of four points, of which the first is the middle of
+Anchors lie at the centres of the cells of strides 8 (two a cell), 16 (two) and 32 (six); the
+network gives each a score and the offsets of a box and of four points, of which the first is the middle of
 the hips and the second lies on the circle about the whole body, towards the head [1]_.
 
 References
@@ -99,9 +99,7 @@ class PoseDetection:
         # Pixel centres of the picture to those of the frame.
         scale = np.array([width / columns, height / rows])
         points = (points - [left, top]) * scale - 0.5
-        return [
-            BodyCircle(window_of_circle(*points[i, :2]), float(scores[used[i]])) for i in kept
-        ]
+        return [BodyCircle(window_of_circle(*points[i, :2]), float(scores[used[i]])) for i in kept]
 
 
 def decode(

@@ -24,9 +24,7 @@ def window_about(box: Box, roll_deg: float = 0.0) -> PersonWindow:
     return PersonWindow(box.x + box.width / 2, box.y + box.height / 2, side, roll_deg)
 
 
-def window_of_circle(
-    centre: NDArray[np.floating], on_circle: NDArray[np.floating]
-) -> PersonWindow:
+def window_of_circle(centre: NDArray[np.floating], on_circle: NDArray[np.floating]) -> PersonWindow:
     """Window about the circle around a body.
 
     Parameters

@@ -75,9 +75,7 @@ def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool
     return False
 
 
-def end_beyond_border(
-    box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...]
-) -> bool:
+def end_beyond_border(box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...]) -> bool:
     """Whether the frame cuts off the head or the feet: no keypoint of them is seen inside it.
 
     Parameters
