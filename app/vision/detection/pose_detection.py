@@ -1,8 +1,8 @@
 """BlazePose's person detector: large people in any orientation, with the circle about each body.
 
-Anchors lie at the centres of the cells of strides 8 (two a cell), 16 (two) and 32 (six); the
-network gives each a score and the offsets of a box and of four points, of which the first is the middle of
-the hips and the second lies on the circle about the whole body, towards the head [1]_.
+Anchors lie at the centres of the cells of strides 8 (two a cell), 16 (two) and 32 (six). The
+network gives each a score and the offsets of a box and of four points, of which the first is the
+middle of the hips and the second lies on the circle about the whole body, towards the head [1]_.
 
 References
 ----------
