@@ -17,6 +17,7 @@ from app.finder import Check
 from app.reranking import keep_nearest
 from app.stopwatch import Stopwatch
 from app.tracking.association import associate
+from app.tracking.following import PeopleFollower
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
@@ -55,6 +56,7 @@ class CameraSession:
     ) -> None:
         self._estimator = estimator
         self._clock = clock
+        self._follower = PeopleFollower(estimator.finder)
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -122,8 +124,12 @@ class CameraSession:
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reads = evidence == "photograph" and upload.frame is not None
-        people = self._estimator.finder.find(decoded, reads, check, stopwatch)
-        found: list[tuple[ObservedPerson, Track | None]] = [(person, None) for person in people]
+        found: list[tuple[ObservedPerson, Track | None]]
+        if reads and upload.mask is None and upload.boxes is None and upload.background is None:
+            found = self._follower.find(frame, timestamp, self._tracks, check, stopwatch)
+        else:
+            people = self._estimator.finder.find(decoded, reads, check, stopwatch)
+            found = [(person, None) for person in people]
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
         tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
@@ -166,6 +172,7 @@ class CameraSession:
         else:
             return
         self._reset = reason
+        self._follower = PeopleFollower(self._estimator.finder)
         for track in self._tracks:
             self._tell("left", track, timestamp)
         self._tracks = []

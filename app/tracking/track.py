@@ -16,7 +16,7 @@ from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
-from app.vision.people import Box, Silhouette
+from app.vision.people import Box, PersonWindow, Silhouette
 
 SURE_SCORE = 0.6
 """Somebody detected with this probability, or named by the caller, is confirmed at once, ..."""
@@ -153,12 +153,10 @@ class Track:
         self.sightings = 0
         self.score = 0.0
         """Highest probability of the detector that this is a person; 1 if the caller said so."""
-        self.seen_at = self.found_at = self.searched_at = timestamp
-        """When the track was last seen, last found by more than its motion, last searched for."""
-        self.read_at = -math.inf
-        """When keypoints were last read."""
-        self.cut_at = -math.inf
-        """When the silhouette was last cut out."""
+        self.seen_at = timestamp
+        """When the track was last seen."""
+        self.next_window: PersonWindow | None = observed.next_window
+        """Where the person is looked for next."""
         self.clothes = sighting.clothes
         self.posed_at = -math.inf
         """When poses were last searched for."""
@@ -178,7 +176,7 @@ class Track:
     def see(self, sighting: Sighting, timestamp: float) -> None:
         """Take in where the person is in this frame."""
         observed = sighting.observed
-        if self.sightings and observed.source != "track":
+        if self.sightings:
             whole = observed.silhouette is None or not observed.silhouette.truncated
             self.motion.correct(observed.box, timestamp, whole=whole)
         self.sightings += 1
@@ -186,9 +184,7 @@ class Track:
         if observed.source not in ("background", "track"):
             score = 1.0 if observed.detection_score is None else observed.detection_score
             self.score = max(self.score, score)
-            self.found_at = timestamp
-        if observed.silhouette is not None:
-            self.cut_at = timestamp
+        self.next_window = observed.next_window
         # People who overlap others in the picture would wear their clothes.
         clear = observed.silhouette is not None and not observed.silhouette.truncated
         if sighting.clothes is not None and self.clothes is None:

@@ -1,0 +1,160 @@
+"""Finds the people of a camera's frame: each track by its own window, newcomers by a search.
+
+Everybody who is tracked is read on every frame, in the window that their last landmarks point to.
+Every so often the whole frame is searched, for newcomers and to check the tracks: MoveNet, which
+needs no window, says where a track has gone astray.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimates import ObservedPerson
+from app.finder import Check, PeopleFinder, distinct_bodies, observed
+from app.stopwatch import Stopwatch
+from app.tracking.track import Track
+from app.vision.people import Box, Detection
+from app.vision.person.landmarks import Reading
+from app.vision.person.silhouettes import silhouettes_of
+
+SEARCH_EVERY_S = 0.4
+"""Time between two searches of the whole frame."""
+
+FOLLOWED_FOR_S = 0.5
+"""How long after it was read a track's window still says where the person is."""
+
+LEAST_PRESENCE = 0.5
+"""Presence from which the network sees a person in a track's window: it stays below 0.1 where
+somebody has left."""
+
+MOST_DRIFT = 0.35
+"""How far a window may be from the next: one that drifts farther has lost the body."""
+
+SAME_PERSON = 0.3
+"""Overlap (IoU) of a detection and the place expected of a track, from which both are one person."""
+
+
+class PeopleFollower:
+    """Finds people frame by frame; one frame at a time.
+
+    Parameters
+    ----------
+    finder : PeopleFinder
+    """
+
+    def __init__(self, finder: PeopleFinder) -> None:
+        self._finder = finder
+        self._searched_at = -math.inf
+
+    def find(
+        self,
+        frame: NDArray[np.uint8],
+        timestamp: float,
+        tracks: Sequence[Track],
+        check: Check,
+        stopwatch: Stopwatch,
+    ) -> list[tuple[ObservedPerson, Track | None]]:
+        """Find the people of a frame with their silhouettes and landmarks.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) uint8 array
+            BGR.
+        timestamp : float
+            Seconds.
+        tracks : sequence of Track
+        check : callable
+        stopwatch : Stopwatch
+
+        Returns
+        -------
+        list of (ObservedPerson, Track or None)
+            The track whose window shows the person, None where the search found them.
+        """
+        detections: list[Detection] = []
+        if timestamp - self._searched_at >= SEARCH_EVERY_S or not tracks:
+            with stopwatch.stage("detect"):
+                detections = self._finder.detector.detect(frame)[: self._finder.max_persons]
+            self._searched_at = timestamp
+        check()
+        followed = [
+            (track, _expected(track, timestamp))
+            for track in tracks
+            if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
+        ]
+        wanted, owners = _assign(detections, followed)
+        with stopwatch.stage("keypoints"):
+            readings = self._finder.map_parts(
+                lambda pair: self._read(frame, *pair, check),
+                zip(wanted, owners, strict=True),
+            )
+        rows = [row for row, one in enumerate(readings) if one is not None]
+        kept = distinct_bodies([one for one in readings if one is not None])
+        rows = [rows[row] for row in kept]
+        found = [one for row in rows if (one := readings[row]) is not None]
+        boxes = [
+            found[i].landmarks.box() if wanted[row].score == 0 else wanted[row].box
+            for i, row in enumerate(rows)
+        ]
+        with stopwatch.stage("segment"):
+            silhouettes = silhouettes_of(found, boxes, frame.shape, exact=False)
+        people: list[tuple[ObservedPerson, Track | None]] = []
+        for row, box, reading, silhouette in zip(rows, boxes, found, silhouettes, strict=True):
+            if silhouette is None:
+                continue
+            owner, by_track = owners[row], wanted[row].score == 0
+            person = observed(
+                frame,
+                silhouette.box if by_track else box,
+                "detector",
+                max(owner.score, reading.presence) if owner else wanted[row].score,
+                silhouette,
+                reading,
+            )
+            people.append((person, owner))
+        return people
+
+    def _read(
+        self, frame: NDArray[np.uint8], one: Detection, owner: Track | None, check: Check
+    ) -> Reading | None:
+        """Read a person; None where a track's window no longer shows anybody."""
+        check()
+        if one.score > 0 or owner is None:
+            return self._finder.reader.read(frame, one.box, one.keypoints, one.windows)
+        reading = self._finder.reader.network.read(frame, one.windows[0])
+        lost = reading.presence < LEAST_PRESENCE or reading.drift > MOST_DRIFT
+        return None if lost else reading
+
+
+def _expected(track: Track, timestamp: float) -> Box:
+    return track.motion.expect(timestamp)
+
+
+def _assign(
+    detections: Sequence[Detection], followed: Sequence[tuple[Track, Box]]
+) -> tuple[list[Detection], list[Track | None]]:
+    """Who is read: detections, with the windows of the tracks they are about, and other tracks.
+
+    A track that no detection is about has a score of 0.
+    """
+    wanted: list[Detection] = []
+    owners: list[Track | None] = []
+    free = list(followed)
+    for one in detections:
+        about = max(free, key=lambda pair: pair[1].iou(one.box), default=None)
+        if about is not None and about[1].iou(one.box) >= SAME_PERSON:
+            free.remove(about)
+            window = about[0].next_window
+            assert window is not None
+            one = Detection(one.box, one.score, one.keypoints, (*one.windows, window))
+        wanted.append(one)
+        owners.append(None)
+    for track, box in free:
+        assert track.next_window is not None
+        wanted.append(Detection(box, 0.0, None, (track.next_window,)))
+        owners.append(track)
+    return wanted, owners
