@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.facing import Facing
-from app.posture import VotedPosture
+from app.posture import EstimatedPosture
 from app.vision.people import Box, Landmarks, PersonWindow, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
@@ -99,7 +99,7 @@ class Person:
 
     observed: ObservedPerson
     facing: Facing | None
-    posture: VotedPosture | None
+    posture: EstimatedPosture | None
     hypotheses: tuple[PlacedHypothesis, ...]
 
 

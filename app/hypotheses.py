@@ -7,11 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from app.estimates import ObservedPerson, Person, PlacedHypothesis
-from app.posture import vote_posture
+from app.posture import estimate_posture, vote_posture
 from app.reranking import rank_by_keypoints, rank_by_silhouette
 from app.upright import UprightPerson
-from index.matching import CANDIDATES_PER_HYPOTHESIS, Hypothesis, match
+from index.matching import (
+    CANDIDATES_PER_HYPOTHESIS,
+    FIRST_HYPOTHESES,
+    Hypothesis,
+    match,
+)
 from index.store import Label, PoseIndex
+
+VOTERS = FIRST_HYPOTHESES
+"""Hypotheses that vote for a posture, however many are asked for."""
 
 
 def set_upright(person: ObservedPerson) -> UprightPerson | None:
@@ -52,19 +60,26 @@ def fit_poses(
         whole=upright.whole,
         candidates_per_hypothesis=candidates_per_hypothesis,
     ).hypotheses
-    ranked = rank_by_silhouette(matched, n) if keypoints is None else rank_by_keypoints(matched, n)
+    # As many as vote, so that postures do not depend on how many are asked for.
+    most = max(n, VOTERS)
+    ranked = (
+        rank_by_silhouette(matched, most) if keypoints is None else rank_by_keypoints(matched, most)
+    )
+    presence = 1.0 if observed.presence is None else observed.presence
+    confidences = [presence * confidence for confidence in ranked.confidences]
+    votes = vote_posture(
+        [hypothesis.posture for hypothesis in ranked.hypotheses[:VOTERS]], confidences[:VOTERS]
+    )
     points_2d = upright.points_in_frame(
-        np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses])
+        np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses[:n]])
     )
     placed = [
         PlacedHypothesis(hypothesis, distance, confidence, _label(index, hypothesis), points)
         for hypothesis, distance, confidence, points in zip(
-            ranked.hypotheses, ranked.distances, ranked.confidences, points_2d, strict=True
+            ranked.hypotheses[:n], ranked.distances[:n], confidences[:n], points_2d, strict=True
         )
     ]
-    posture = vote_posture(
-        [hypothesis.posture for hypothesis in ranked.hypotheses], ranked.confidences
-    )
+    posture = estimate_posture(votes, observed.landmarks, presence)
     return Person(observed, ranked.facing, posture, tuple(placed))
 
 

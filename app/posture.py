@@ -1,33 +1,183 @@
-"""A person's posture, as the hypotheses vote."""
+"""A person's posture: what the hypotheses vote, and what the landmarks say of lying.
+
+Hypotheses vote with their confidences. Where landmarks are read, a logistic model of the body's
+geometry says how likely the person lies or is on all fours; the votes only share out that
+probability, and the rest. The largest share is then calibrated.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
-from index.posture import Posture
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.people import LANDMARK_NAMES, Landmarks
+from app.vision.weights import fitted
+from index.posture import POSTURES, Posture
+
+GROUNDED: tuple[Posture, ...] = ("lying", "crawling")
+"""Postures of a trunk that is not carried by legs or by a seat."""
+
+CLEAR_FROM = 0.5
+"""Probability from which a posture is told."""
+
+_LEAST_SHARE = 0.02
+
+
+def _rows(*joints: str) -> list[int]:
+    return [LANDMARK_NAMES.index(f"{side}_{joint}") for joint in joints for side in _SIDES]
+
+
+_SIDES = ("left", "right")
+_SHOULDERS, _HIPS, _KNEES, _ANKLES = (
+    _rows(joint) for joint in ("shoulder", "hip", "knee", "ankle")
+)
+_HEAD = [LANDMARK_NAMES.index("nose"), *_rows("ear")]
 
 
 @dataclass(frozen=True)
-class VotedPosture:
-    """The posture with most of the hypotheses' confidence, and its share of it."""
+class EstimatedPosture:
+    """How likely a person is in each posture.
 
-    label: Posture
+    Parameters
+    ----------
+    label : str
+        The likeliest, ``unclear`` below :data:`CLEAR_FROM`.
+    probability : float
+        Calibrated probability of the likeliest.
+    shares : (10,) float64 array
+        Of each of ``POSTURES``; they sum to 1.
+    """
+
+    label: Posture | Literal["unclear"]
     probability: float
+    shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(POSTURES)))
+
+    def share(self, postures: Sequence[Posture]) -> float:
+        """Sum of the shares of some postures."""
+        return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
-def vote_posture(postures: Sequence[Posture], confidences: Sequence[float]) -> VotedPosture:
-    """Let hypotheses vote, each with the weight of its confidence.
+def vote_posture(postures: Sequence[Posture], weights: Sequence[float]) -> NDArray[np.float64]:
+    """Let hypotheses vote.
 
     Parameters
     ----------
     postures : sequence of str
-        Of at least one hypothesis, the best first, which decides ties.
-    confidences : sequence of float
+        Of at least one hypothesis.
+    weights : sequence of float
+
+    Returns
+    -------
+    (10,) float64 array
+        Share of each of ``POSTURES``.
     """
-    weights: dict[Posture, float] = {}
-    for posture, confidence in zip(postures, confidences, strict=True):
-        weights[posture] = weights.get(posture, 0.0) + confidence
-    label = max(weights, key=lambda posture: weights[posture])
-    total = sum(weights.values())
-    return VotedPosture(label, weights[label] / total if total else 1 / len(weights))
+    votes = np.zeros(len(POSTURES))
+    for posture, weight in zip(postures, weights, strict=True):
+        votes[POSTURES.index(posture)] += weight + 1e-9  # Equal votes if all weights are 0.
+    return np.asarray(votes / votes.sum())
+
+
+def estimate_posture(
+    votes: NDArray[np.float64], landmarks: Landmarks | None, presence: float = 1.0
+) -> EstimatedPosture:
+    """Tell a posture.
+
+    Parameters
+    ----------
+    votes : (10,) float64 array
+        Of :func:`vote_posture`.
+    landmarks : Landmarks or None
+        None where none were read.
+    presence : float
+        Probability that there is a person at all.
+    """
+    if landmarks is not None:
+        votes = with_grounded(votes, grounded_probability(landmarks))
+    return posture_of(votes, presence)
+
+
+def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedPosture:
+    """The likeliest posture of shares ``(10,)``, its probability calibrated."""
+    best = int(shares.argmax())
+    constants = fitted("posture")
+    share = float(np.clip(shares[best], 1e-3, 1 - 1e-3))
+    odds = constants["slope"] * np.log(share / (1 - share)) + constants["offset"]
+    probability = float(presence / (1 + np.exp(-odds)))
+    label = POSTURES[best] if probability >= CLEAR_FROM else "unclear"
+    return EstimatedPosture(label, probability, shares)
+
+
+def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
+    """Votes ``(10,)``, scaled so that those for the ground have this probability."""
+    grounded = np.array([posture in GROUNDED for posture in POSTURES])
+    # Where nobody votes for one of the two, its first posture stands for it.
+    shares = np.where(votes > 0, votes, 0.0)
+    for group, stand_in in ((grounded, "lying"), (~grounded, "sitting")):
+        if shares[group].sum() < _LEAST_SHARE:
+            shares[POSTURES.index(stand_in)] += _LEAST_SHARE
+    scale = np.where(grounded, probability, 1 - probability)
+    totals = np.where(grounded, shares[grounded].sum(), shares[~grounded].sum())
+    return np.asarray(scale * shares / totals)
+
+
+def grounded_probability(landmarks: Landmarks) -> float:
+    """Probability that a person lies or is on all fours."""
+    constants = fitted("grounded")
+    features = (body_features(landmarks) - constants["means"]) / constants["scales"]
+    odds = float(features @ np.array(constants["weights"]) + constants["offset"])
+    return float(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
+
+
+def body_features(landmarks: Landmarks) -> NDArray[np.float64]:
+    """Geometry of a body that tells lying from all else, ``(22,)``.
+
+    Directions of trunk, body, thighs and shanks against the vertical, heights of head, shoulders
+    and hips, spread, and which parts are seen; left and right count alike.
+    """
+    metres, places = landmarks.metres, landmarks.positions
+    size = (
+        np.linalg.norm(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
+        + np.linalg.norm(metres[_KNEES] - metres[_HIPS], axis=1).mean()
+        + np.linalg.norm(metres[_ANKLES] - metres[_KNEES], axis=1).mean()
+    )
+    width, height = np.ptp(places, axis=0)
+    extent = max(width, height) + 1e-6
+    trunk = _unit(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
+    trunk_2d = _unit(_middle(places, _SHOULDERS) - _middle(places, _HIPS))
+    body_2d = _unit(_middle(places, _SHOULDERS) - _middle(places, _ANKLES))
+    thighs = [float(_unit(bone)[1]) for bone in metres[_KNEES] - metres[_HIPS]]
+    shanks = [float(_unit(bone)[1]) for bone in metres[_ANKLES] - metres[_KNEES]]
+
+    def rise(points: NDArray[np.float64], above: list[int], below: list[int]) -> float:
+        return float(_middle(points, below)[1] - _middle(points, above)[1])
+
+    return np.array(
+        [
+            -trunk[1], abs(trunk[2]), trunk[2], -trunk_2d[1], abs(trunk_2d[0]), -body_2d[1],
+            np.mean(thighs), max(thighs), np.mean(shanks), max(shanks), min(shanks),
+            rise(metres, _HEAD, _HIPS) / size,
+            rise(metres, _HIPS, _ANKLES) / size,
+            rise(metres, _SHOULDERS, _KNEES) / size,
+            rise(places, _HEAD, _ANKLES) / extent,
+            rise(places, _HIPS, _ANKLES) / extent,
+            rise(places, _SHOULDERS, _HIPS) / extent,
+            np.log((width + 1) / (height + 1)),
+            np.ptp(metres[:, 1]) / size,
+            landmarks.visibility[_ANKLES].max(),
+            landmarks.visibility[_KNEES].max(),
+            landmarks.visibility[_HEAD].max(),
+        ],
+        np.float64,
+    )  # fmt: skip
+
+
+def _middle(points: NDArray[np.float64], rows: list[int]) -> NDArray[np.float64]:
+    return np.asarray(points[rows].mean(axis=0))
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-6))

@@ -15,7 +15,7 @@ from app import schemas
 from app.coco import compressed, polygon, run_lengths
 from app.estimates import Estimate, Person, PlacedHypothesis
 from app.facing import Facing
-from app.posture import VotedPosture
+from app.posture import EstimatedPosture
 from app.vision.detection.detector import DetectorName
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
@@ -178,7 +178,7 @@ def _facing(facing: Facing) -> schemas.Facing:
     )
 
 
-def _posture(posture: VotedPosture) -> schemas.Posture:
+def _posture(posture: EstimatedPosture) -> schemas.Posture:
     return schemas.Posture(label=posture.label, probability=round(posture.probability, 4))
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
-from app.posture import VotedPosture
+import numpy as np
+from numpy.typing import NDArray
+
 from app.tracking.results import Event, EventName, EventState
-from index.posture import UPRIGHT, Posture
+from index.posture import POSTURES, UPRIGHT, Posture
 
 SETTLING_S = 0.5
 """Time constant with which the evidence follows the frames."""
@@ -59,7 +61,7 @@ class EventDetector:
         self._fallen = False
 
     def update(
-        self, track_id: int, timestamp: float, posture: VotedPosture, confidence: float
+        self, track_id: int, timestamp: float, shares: NDArray[np.float64], confidence: float
     ) -> tuple[Event, ...]:
         """Take in a frame of the track and return what begins or ends with it.
 
@@ -68,8 +70,8 @@ class EventDetector:
         track_id : int
         timestamp : float
             Seconds, after those of the frames before.
-        posture : VotedPosture
-            Of this frame.
+        shares : (10,) float64 array
+            How likely each of ``POSTURES`` is at this frame.
         confidence : float
             Of this frame's pose. A frame counts by it: a silhouette that nobody fits, of a person
             half hidden or cut out wrongly, says nothing.
@@ -77,25 +79,27 @@ class EventDetector:
         step = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
         step *= confidence
         self._last = timestamp
-        probability = posture.probability
+
+        def share(*postures: Posture) -> float:
+            return float(sum(shares[POSTURES.index(posture)] for posture in postures))
 
         def happened(event: EventName, state: EventState | None, level: float) -> list[Event]:
             return [Event(event, track_id, state, timestamp, level)] if state else []
 
-        upright = probability if posture.label in UPRIGHT else 0.0
+        upright = share(*UPRIGHT)
         self._upright.update(timestamp, upright, step)
-        if self._upright.holds and upright:
+        if self._upright.holds and upright >= BEGINS_FROM:
             self._upright_at = timestamp
-        raised = probability if posture.label == "arms_raised" else 0.0
+        raised = share("arms_raised")
         events = happened(
             "arms_raised",
             self._arms_raised.update(timestamp, raised, step),
             self._arms_raised.level,
         )
-        lies = probability if posture.label == "lying" else 0.0
+        lies = share("lying")
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        self._down.update(timestamp, probability if posture.label in DOWN else 0.0, step)
+        self._down.update(timestamp, share(*DOWN), step)
         return (*events, *happened("fell", self._fell(timestamp), self._down.level))
 
     def _fell(self, timestamp: float) -> EventState | None:

@@ -35,7 +35,7 @@ MOST_DRIFT = 0.35
 """How far a window may be from the next: one that drifts farther has lost the body."""
 
 SAME_PERSON = 0.3
-"""Overlap (IoU) of a detection and the place expected of a track, from which both are one person."""
+"""Overlap (IoU) of a detection with the place expected of a track, from which it is the track's."""
 
 
 class PeopleFollower:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from index.posture import Posture
+
+Told = Posture | Literal["unclear"]
 
 LONGEST_GAP_S = 2.0
 """A person unseen for longer is not taken to have kept the posture."""
@@ -28,8 +31,8 @@ class Track:
     first_timestamp: float
     last_timestamp: float
     frames: int = 0
-    _posture: Posture | None = None
-    _posture_s: dict[Posture, float] = field(default_factory=dict)
+    _posture: Told | None = None
+    _posture_s: dict[Told, float] = field(default_factory=dict)
     _actions: dict[str, float] = field(default_factory=dict)
     _with_action: int = 0
 
@@ -49,7 +52,7 @@ class Track:
         self.last_timestamp = timestamp
         self.frames += 1
 
-    def postures(self) -> list[tuple[Posture, float]]:
+    def postures(self) -> list[tuple[Told, float]]:
         """Return each posture and its seconds, the longest first."""
         return sorted(self._posture_s.items(), key=lambda item: -item[1])
 

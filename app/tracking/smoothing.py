@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person
 from app.facing import Facing, azimuth_deg, faces_camera
-from app.posture import VotedPosture, vote_posture
+from app.posture import vote_posture
 from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
 from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture, camera_up
 from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS, mean_joint_distance
 
-STATES = 12
-"""Hypotheses of each frame that are states; with 7 tracks are less smooth, 30 are no better."""
+STATES = 7
+"""Hypotheses of each frame that are states."""
 
 EVIDENCE_WEIGHT = 1.5
 """Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
@@ -33,7 +33,12 @@ LOW_COST = 2.0
 in eight; and a silhouette that is cut out badly soon looks like somebody who sits or lies."""
 
 COST_PER_M = 60.0
-"""Of the joints' mean way between frames, however much time passed: limbs that swing come back."""
+"""Of the joints' mean way between frames ``1 / RATE`` seconds apart; twice that between frames
+without any time between, and the less the more time passed."""
+
+LANDMARK_WEIGHT = 2.0
+"""Weight of the log of the distance by silhouette and landmarks, where there are landmarks: the
+confidences of all hypotheses that agree with them are near 1."""
 
 MOST_COST = 48.0
 """Nothing is impossible: detection and identity may be wrong."""
@@ -56,8 +61,8 @@ LOST_PER_S = 5.0
 """Log odds of a pose's confidence lost in every second in which it is kept; from the clips that
 the confidence was fitted on."""
 
-LINE_FRAMES = 4
-"""Frames through whose averages a line is fitted."""
+LINE_S, MOST_LINE_FRAMES = 0.35, 24
+"""Seconds, and most frames, through whose averages a line is fitted."""
 
 CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.46, 1.39, 0.39
 """Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and
@@ -78,8 +83,8 @@ class Smoothed:
     ----------
     pose : SmoothedPose
     facing : Facing
-    posture : VotedPosture
-        Of the states, by their probabilities.
+    votes : (10,) float64 array
+        Share of each of ``POSTURES``: of the states, by their probabilities.
     velocity : GroundVelocity
     elevation_deg : float
         Of the camera above the person, averaged over the track.
@@ -90,7 +95,7 @@ class Smoothed:
 
     pose: SmoothedPose
     facing: Facing
-    posture: VotedPosture
+    votes: NDArray[np.float64]
     velocity: GroundVelocity
     elevation_deg: float
     confidence_features: tuple[float, float]
@@ -150,7 +155,7 @@ class PoseSmoother:
     states : int
         See :data:`STATES`, as the others by their names.
     cost_per_m, low_cost, direction_weight : float
-    line_frames : int
+    line_s : float
     """
 
     def __init__(
@@ -160,14 +165,15 @@ class PoseSmoother:
         cost_per_m: float = COST_PER_M,
         low_cost: float = LOW_COST,
         direction_weight: float = DIRECTION_WEIGHT,
-        line_frames: int = LINE_FRAMES,
+        line_s: float = LINE_S,
     ) -> None:
         self._states = states
         self._cost_per_m = cost_per_m
         self._low_cost = low_cost
         self._direction_weight = direction_weight
         self._ground = GroundMotion()
-        self._frames: deque[_States] = deque(maxlen=line_frames)
+        self._line_s = line_s
+        self._frames: deque[_States] = deque(maxlen=MOST_LINE_FRAMES)
         self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
@@ -201,6 +207,9 @@ class PoseSmoother:
         )
         low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
         log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3) - self._low_cost * low
+        if person.facing.evidence == "image":
+            distances = np.array([placed.distance for placed in hypotheses])
+            log_evidence -= LANDMARK_WEIGHT * np.log((distances + 1e-9) / (distances.min() + 1e-9))
         if self._frames:
             log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
         going = min(1.0, (velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S))
@@ -224,14 +233,14 @@ class PoseSmoother:
         )
         self._last = pose, _Place.of(person.observed)
         front = float(np.clip(probabilities @ faces_camera(azimuth_deg(points_3d)), 0, 1))
-        posture = vote_posture(
+        votes = vote_posture(
             [_posture(placed.hypothesis.posture, velocity) for placed in hypotheses],
             probabilities.tolist(),
         )
         return Smoothed(
             pose,
             Facing(front, "motion" if going > 0 else person.facing.evidence),
-            posture,
+            votes,
             velocity,
             self._ground.elevation_deg,
             features,
@@ -276,12 +285,18 @@ class PoseSmoother:
         log_moves, log_forward = None, log_evidence
         if self._frames:
             last = self._frames[-1]
-            log_moves = _log_moves(last.points_3d, points_3d, self._cost_per_m)
+            tenths = RATE * (timestamp - last.timestamp)
+            log_moves = _log_moves(
+                last.points_3d, points_3d, 2 * self._cost_per_m / (1 + tenths)
+            )
             log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
         self._frames.append(
             _States(timestamp, points_3d, confidences, log_evidence, log_forward, log_moves)
         )
+        # The frame before stays, however long ago it was.
+        while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > self._line_s:
+            self._frames.popleft()
 
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.

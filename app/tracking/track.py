@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person
 from app.facing import Facing
-from app.posture import VotedPosture
+from app.posture import EstimatedPosture
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector
+from app.tracking.postures import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
 from app.vision.people import Box, PersonWindow, Silhouette
@@ -164,7 +165,8 @@ class Track:
         self._recogniser = ActionRecogniser()
         self._detector = EventDetector()
         self._facing: Facing | None = None
-        self._posture: VotedPosture | None = None
+        self._posture: EstimatedPosture | None = None
+        self._postures = PostureFilter()
         self._action: RecognisedAction | None = None
         self._events: list[Event] = []
 
@@ -198,13 +200,18 @@ class Track:
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
             return self.carry(person.observed, timestamp)
-        self._facing, self._posture = smoothed.facing, smoothed.posture
+        observed = person.observed
+        presence = 1.0 if observed.presence is None else observed.presence
+        self._facing = smoothed.facing
+        self._posture, shares = self._postures.update(
+            timestamp, smoothed.votes, observed.landmarks, presence
+        )
         self._action = self._recogniser.update(timestamp, person, smoothed)
         if self.track_id is not None:
             self._events += self._detector.update(
-                self.track_id, timestamp, smoothed.posture, smoothed.pose.confidence
+                self.track_id, timestamp, shares, smoothed.pose.confidence
             )
-        person = replace(person, facing=smoothed.facing, posture=smoothed.posture)
+        person = replace(person, facing=self._facing, posture=self._posture)
         return self._tracked(person, smoothed.pose)
 
     def carry(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:

@@ -201,7 +201,7 @@ def voted_postures(trial: Trial) -> NDArray[np.int64]:
     for postures, confidences in zip(trial.postures, trial.confidence, strict=True):
         offered = postures >= 0
         labels = [POSTURES[row] for row in postures[offered]]
-        voted.append(POSTURES.index(vote_posture(labels, confidences[offered].tolist()).label))
+        voted.append(int(vote_posture(labels, confidences[offered].tolist()).argmax()))
     return np.array(voted)
 
 

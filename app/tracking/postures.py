@@ -1,0 +1,64 @@
+"""A track's posture: the shares of its frames, filtered over time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.posture import EstimatedPosture, grounded_probability, posture_of, with_grounded
+from app.vision.people import Landmarks
+
+SETTLING_S = 0.4
+"""Time constant with which the posture follows the frames."""
+
+MOST_STEP_S = 1.0
+"""After a longer gap the newest frame counts no more than after this one."""
+
+
+class PostureFilter:
+    """Averages the postures of a track's frames, the newest counting most."""
+
+    def __init__(self) -> None:
+        self._shares: NDArray[np.float64] | None = None
+        self._presence = 1.0
+        self._last = -math.inf
+
+    def update(
+        self,
+        timestamp: float,
+        votes: NDArray[np.float64],
+        landmarks: Landmarks | None,
+        presence: float,
+    ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
+        """Take in a frame.
+
+        Parameters
+        ----------
+        timestamp : float
+            Seconds, after those of the frames before.
+        votes : (10,) float64 array
+            Share of each of ``POSTURES``, of this frame.
+        landmarks : Landmarks or None
+        presence : float
+            Probability that there is a person.
+
+        Returns
+        -------
+        posture : EstimatedPosture
+            Of the track.
+        shares : (10,) float64 array
+            Of this frame alone.
+        """
+        shares = votes
+        if landmarks is not None:
+            shares = with_grounded(votes, grounded_probability(landmarks))
+        if self._shares is None:
+            self._shares, self._presence = shares, presence
+        else:
+            kept = math.exp(-min(timestamp - self._last, MOST_STEP_S) / SETTLING_S)
+            self._shares = kept * self._shares + (1 - kept) * shares
+            self._presence = kept * self._presence + (1 - kept) * presence
+        self._last = timestamp
+        return posture_of(self._shares, self._presence), shares
