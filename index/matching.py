@@ -40,6 +40,10 @@ KEPT_CANDIDATES = 200
 SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 9
 """Modes computed beyond those asked for: a sparse mode may fit best."""
 
+FEWEST_WITH_KEYPOINTS = 12
+"""With keypoints, modes are computed for at least so many hypotheses, as a camera session needs:
+re-ranked, the first seven are then the same for whoever asks for seven, in a session or not."""
+
 MAX_LEAN_DEG = 30.0
 """Who seems tilted by more than this in the picture lies rather than stands."""
 
@@ -165,7 +169,8 @@ def match(
         likely = [r for r in likely_rotations(nearest.roll_deg) if r not in rotations]
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in (*rotations, *likely)]
         by_keypoints = compare_rotated_entries(index, queries, nearest)
-        candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n, wanted)
+        fewest = max(n, FEWEST_WITH_KEYPOINTS)
+        candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, fewest, wanted)
     modes = modes.nearest()
     centres = candidates.take(modes.centres)
     errors = _outline_errors(index, queries, centres)
