@@ -24,6 +24,10 @@ from index.store import Entry, Label, PoseIndex
 METRE_DIGITS, PIXEL_DIGITS = 4, 2
 """Joints are rounded to tenths of millimetres and hundredths of pixels."""
 
+DISTANCE_DIGITS = 4
+"""Distances are rounded to far more than double precision loses on the way to them, so that the
+same request has the same answer on every processor."""
+
 
 LEAST_SCORE = 0.05
 """Keypoints below were not read."""
@@ -193,8 +197,8 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas
     return schemas.Hypothesis.model_construct(
         rank=rank,
         entry=hypothesis.entry,
-        distance=round(placed.distance, 6),
-        silhouette_distance=round(hypothesis.distance, 6),
+        distance=round(placed.distance, DISTANCE_DIGITS),
+        silhouette_distance=round(hypothesis.distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(placed.confidence, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),

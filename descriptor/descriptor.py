@@ -144,7 +144,8 @@ class DiscriminantDescriptor:
         features = moment_block(
             silhouettes, self.vertical_orders, self.horizontal_orders, self.p1, self.p2
         )
-        return features @ self.projection.T
+        # Summed in float64, as the moments are.
+        return np.asarray(features.astype(np.float64) @ self.projection.T, np.float32)
 
     def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
         """Flip the sign of values computed from moments of odd horizontal order."""

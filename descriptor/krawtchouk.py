@@ -103,10 +103,10 @@ def moments(
     Returns
     -------
     (B, N, M) float32 array
+        Summed in float64: float32 sums differ between processors, and with the size of the batch.
     """
-    images = np.asarray(silhouettes, np.float32)
-    rows = vertical.astype(np.float32) @ images
-    return np.asarray(rows @ horizontal.astype(np.float32).T)
+    rows = vertical @ np.asarray(silhouettes, np.float64)
+    return np.asarray(rows @ horizontal.T, np.float32)
 
 
 def diagonal_moments(
@@ -125,7 +125,7 @@ def diagonal_moments(
     Returns
     -------
     (B, N) float32 array
+        Summed in float64, as in :func:`moments`.
     """
-    images = np.asarray(silhouettes, np.float32)
-    rows = vertical.astype(np.float32) @ images
-    return np.asarray(np.einsum("bnx,nx->bn", rows, horizontal.astype(np.float32)))
+    rows = vertical @ np.asarray(silhouettes, np.float64)
+    return np.asarray(np.einsum("bnx,nx->bn", rows, horizontal), np.float32)

@@ -18,6 +18,13 @@ _AXIS_PX = 512
 
 _LARGEST_PX = 1024
 
+INSIDE = 0.4999
+"""Share of the most that any pixel is covered, from which on a pixel counts as the person's.
+
+Of the most, so that a mask too thin to cover half of any pixel is not lost. A little below a half:
+many pixels are covered by exactly half, and rounding differs between processors.
+"""
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -92,8 +99,7 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
     vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
     horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
     grey = vertical @ crop @ horizontal.T
-    # A lower threshold keeps a mask too thin to cover half of any pixel: never empty.
-    return (grey >= min(0.5, grey.max())).astype(np.uint8), placement
+    return (grey >= INSIDE * grey.max()).astype(np.uint8), placement
 
 
 def bounding_box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:

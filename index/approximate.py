@@ -22,7 +22,7 @@ import faiss
 import numpy as np
 from numpy.typing import NDArray
 
-from index.neighbours import BYTES, STEPS, add_scaled, scale_factor
+from index.neighbours import BYTES, STEPS, add_scaled, scale_factor, scaled_queries
 
 _TRAINED_PER_LIST = 64
 _SEED = 2016
@@ -243,7 +243,7 @@ class ApproximateNeighbours:
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Find ``k`` vectors near each query; see :meth:`index.neighbours.Neighbours.search`."""
-        scaled = np.ascontiguousarray(queries * self._factor, np.float32)
+        scaled = scaled_queries(queries, self._factor)
         squared, numbers = self._faiss.search(scaled, k)
         # FAISS numbers with -1 what it did not find.
         short = numbers[:, -1] < 0

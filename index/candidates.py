@@ -51,6 +51,10 @@ class Candidates:
         """Select candidates by row, in the order given."""
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def in_order(self) -> Candidates:
+        """Bring them into ascending order of distance; those at the same one keep theirs."""
+        return self.take(np.argsort(self.distances, kind="stable"))
+
     @classmethod
     def merged(cls, parts: Sequence[Candidates]) -> Candidates:
         """Merge the candidates of several queries, in ascending distance."""
@@ -58,7 +62,7 @@ class Candidates:
             return parts[0]
         names = [field.name for field in fields(cls)]
         merged = cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-        return merged.take(np.argsort(merged.distances, kind="stable"))
+        return merged.in_order()
 
     def unique(self) -> Candidates:
         """Drop repetitions of an entry with the same mirroring and rotation."""
@@ -91,17 +95,13 @@ def find_candidates_of_each(
     """
     queries = index.descriptor.describe(silhouettes)
     variants = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
-    distances, numbers, nearest_variant = index.search(variants, k)
+    _, numbers, nearest_variant = index.search(variants, k)
     count = numbers.shape[1]
     found = _candidates(
-        index,
-        numbers.ravel(),
-        nearest_variant.ravel() == 1,
-        np.repeat(queries, count, axis=0),
-        distances.ravel(),
+        index, numbers.ravel(), nearest_variant.ravel() == 1, np.repeat(queries, count, axis=0)
     )
     ends = count * np.arange(len(queries) + 1)
-    return [found.take(slice(*pair)) for pair in pairwise(ends.tolist())]
+    return [found.take(slice(*pair)).in_order() for pair in pairwise(ends.tolist())]
 
 
 def compare_entries(
@@ -112,8 +112,7 @@ def compare_entries(
 ) -> Candidates:
     """Compare a silhouette ``(128, 48)`` with given entries ``(K,)``."""
     queries = np.repeat(index.descriptor.describe(silhouette[None]), len(numbers), axis=0)
-    candidates = _candidates(index, numbers, mirrored, queries)
-    return candidates.take(np.argsort(candidates.distances, kind="stable"))
+    return _candidates(index, numbers, mirrored, queries).in_order()
 
 
 def _candidates(
@@ -121,21 +120,22 @@ def _candidates(
     numbers: NDArray[np.int64],
     mirrored: NDArray[np.bool_],
     queries: NDArray[np.float32],
-    distances: NDArray[np.float32] | None = None,
 ) -> Candidates:
-    """Entries ``(K,)``, each with its query ``(K, D)``; computes the distances if not given."""
+    """Entries ``(K,)``, each with its query ``(K, D)``, in the order given.
+
+    Distances are computed here even where a search has told them: each search rounds in its own
+    way, and differently on another processor.
+    """
     vectors = index.vectors[numbers].astype(np.float32)
     points_3d, points_normalised = index.points(numbers)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])
     points_3d[mirrored] = mirror_3d(points_3d[mirrored])
     points_normalised[mirrored] = mirror_normalised(points_normalised[mirrored])
     offsets = vectors - queries
-    if distances is None:
-        distances = np.linalg.norm(offsets, axis=1)
     return Candidates(
         numbers,
         mirrored,
-        distances.astype(np.float64),
+        np.linalg.norm(offsets.astype(np.float64), axis=1),
         offsets,
         np.zeros(len(numbers)),
         points_3d,

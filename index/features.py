@@ -57,13 +57,13 @@ def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     How many candidates agree with a hypothesis tells more about whether it is right than how well
     the hypothesis itself fits.
     """
-    mode_joints = modes.points_normalised[:, :JOINTS].astype(np.float32)
-    joints = candidates.points_normalised[:, :JOINTS].astype(np.float32)
+    mode_joints = modes.points_normalised[:, :JOINTS]
+    joints = candidates.points_normalised[:, :JOINTS]
     # Candidates last: NumPy is several times slower along short axes.
     joints = joints.transpose(2, 1, 0).copy()
     squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
     squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2
-    errors = np.sqrt(squares).sum(axis=1) / np.float32(JOINTS)
+    errors = np.sqrt(squares).sum(axis=1) / JOINTS
     agree = [(errors < px).astype(np.float64) for px in AGREEMENT_PX]
     weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
     return np.stack([a @ w / w.sum() for w in weights for a in agree])

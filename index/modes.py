@@ -53,6 +53,10 @@ PULL = 0.5
 RIDGE = 0.45
 """Ridge of the regression, relative to the variance of a mode's descriptors."""
 
+# Candidates of less than this share of the largest weight in a mode are no members of it.
+_LEAST_WEIGHT = 1e-3
+_DENSITY_DIGITS = 12
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -124,12 +128,11 @@ def find_modes(
     Modes
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
-    weights, offsets = mode_weights(candidates.distances, agreement), candidates.offsets
+    weights = mode_weights(candidates.distances, agreement)
+    offsets = candidates.offsets.astype(np.float64)
     if agreement is not None:
         pulls = PULL * agreement.pulls.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -pulls], axis=1)
-    # Single precision suffices: the ridge keeps the regression well-conditioned.
-    offsets = offsets.astype(np.float32)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     densest = _densest(weights, apart, bandwidth_m)
     modes = _interpolate(candidates, offsets, list(islice(densest, count)))
@@ -153,14 +156,15 @@ def _distinct(modes: Modes) -> list[int]:
 
 
 def _densest(
-    weights: NDArray[np.float64], apart: NDArray[np.float32], bandwidth_m: float
-) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    weights: NDArray[np.float64], apart: NDArray[np.float64], bandwidth_m: float
+) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Centres of modes, densest first, each with its share ``(K,)`` of the candidates' weights."""
-    kernel = np.exp(apart**2 / np.float32(-2 * bandwidth_m**2))
-    remaining = (weights / weights.sum()).astype(np.float32)
-    penalty = np.zeros(len(weights), np.float32)  # Minus infinity near the centres taken.
+    kernel = np.exp(apart**2 / (-2 * bandwidth_m**2))
+    remaining = weights / weights.sum()
+    penalty = np.zeros(len(weights))  # Minus infinity near the centres taken.
     while True:
-        density = kernel @ remaining + penalty
+        # Of equal densities, rounding must not choose.
+        density = (kernel @ remaining).round(_DENSITY_DIGITS) + penalty
         centre = int(density.argmax())
         if density[centre] == -np.inf:
             return
@@ -190,48 +194,52 @@ def candidate_weights(
     return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
 
 
-def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float32]:
+def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float64]:
     """Root mean square joint distance of each pair of skeletons: ``(K, J, 3)`` to ``(K, K)``."""
-    flat = joints.reshape(len(joints), -1).astype(np.float32)
+    flat = joints.reshape(len(joints), -1)
     squares = (flat**2).sum(axis=1)
     squared = squares[:, None] + squares[None] - 2 * flat @ flat.T
-    return np.asarray(np.sqrt(np.maximum(squared, 0) / np.float32(joints.shape[1])))
+    return np.asarray(np.sqrt(np.maximum(squared, 0) / joints.shape[1]))
 
 
 def _interpolate(
     candidates: Candidates,
-    offsets: NDArray[np.float32],
-    weighted_centres: Sequence[tuple[int, NDArray[np.float32]]],
+    offsets: NDArray[np.float64],
+    weighted_centres: Sequence[tuple[int, NDArray[np.float64]]],
 ) -> Modes:
     """Interpolate modes, each a centre and weights ``(K,)``, to where offsets ``(K, E)`` vanish."""
     centres = [centre for centre, _ in weighted_centres]
     weights = np.stack([weights for _, weights in weighted_centres])
-    shares = np.where(weights > 1e-3 * weights.max(axis=1, keepdims=True), weights, np.float32(0))
-    shares /= shares.sum(axis=1, keepdims=True)
-    means = shares @ offsets
-    # Subtracting the means from the small scatter matrix is cheaper than from the offsets.
-    scatter = (shares[..., None] * offsets).swapaxes(1, 2) @ offsets
-    scatter -= means[:, :, None] * means[:, None]
-    # The fewer effective members, the worse the estimate of the scatter and the larger the ridge.
-    diagonals = np.einsum("mdd->md", scatter)
-    ridge = RIDGE * diagonals.sum(axis=1) * (shares**2).sum(axis=1) + 1e-9
-    diagonals += ridge[:, None]
-    slopes = np.linalg.solve(scatter, -means[..., None])[..., 0]
-    steps = shares * (slopes @ offsets.T - (slopes * means).sum(axis=1, keepdims=True))
-    combinations = shares + steps - shares * steps.sum(axis=1, keepdims=True)
+    # Each by itself, in double precision: a mode is the same whatever else is asked for.
+    combinations = np.stack([_combination(own, offsets) for own in weights])
     return Modes(
         np.array(centres),
-        weights.sum(axis=1).astype(np.float64),
-        np.linalg.norm(combinations @ candidates.offsets, axis=1).astype(np.float64),
+        weights.sum(axis=1),
+        np.linalg.norm(combinations @ candidates.offsets, axis=1),
         with_bones_of(candidates.points_3d[centres], _combine(combinations, candidates.points_3d)),
         _combine(combinations, candidates.points_normalised),
     )
 
 
-def _combine(shares: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _combination(weights: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shares ``(K,)`` that sum to 1, of the members of a mode with weights ``(K,)``."""
+    members = np.flatnonzero(weights > _LEAST_WEIGHT * weights.max())
+    shares = weights[members] / weights[members].sum()
+    mean = shares @ offsets[members]
+    centred = offsets[members] - mean
+    scatter = (shares[:, None] * centred).T @ centred
+    # The fewer effective members, the worse the estimate of the scatter and the larger the ridge.
+    diagonal = np.einsum("dd->d", scatter)
+    diagonal += RIDGE * diagonal.sum() * (shares**2).sum() + 1e-9
+    combination = np.zeros(len(weights))
+    combination[members] = shares * (1 - centred @ np.linalg.solve(scatter, mean))
+    return combination
+
+
+def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weighted sums ``(M, P, D)`` of points ``(K, P, D)``."""
-    flat = shares @ points.reshape(len(points), -1).astype(np.float32)
-    return np.asarray(flat.reshape(len(shares), *points.shape[1:]), np.float64)
+    flat = shares @ points.reshape(len(points), -1)
+    return np.asarray(flat.reshape(len(shares), *points.shape[1:]))
 
 
 def with_bones_of(

@@ -20,7 +20,7 @@ a quarter, and a byte holds each value exactly."""
 BYTES = faiss.ScalarQuantizer.QT_8bit_direct_signed
 """FAISS's code for whole numbers from -128 to 127, which holds them exactly."""
 
-_LARGEST_STEP = 128
+_LARGEST_STEP = 127
 
 _BLOCK = 65_536
 """Vectors converted at a time: all of a large index would take gigabytes."""
@@ -65,7 +65,8 @@ class Neighbours(Protocol):
         Returns
         -------
         squared : (Q, k) float32 array
-            Squared Euclidean distances, ascending.
+            Squared Euclidean distances, ascending, as exact as the search: queries may be rounded
+            to the steps of the vectors.
         numbers : (Q, k) int64 array
 
         Raises
@@ -101,8 +102,7 @@ class ExactNeighbours:
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`."""
-        scaled = np.ascontiguousarray(queries * self._factor, np.float32)
-        squared, numbers = self._faiss.search(scaled, k)
+        squared, numbers = self._faiss.search(scaled_queries(queries, self._factor), k)
         return squared / self._factor**2, numbers
 
 
@@ -113,9 +113,19 @@ def scale_factor(vectors: NDArray[np.floating]) -> np.float32:
     """
     for block in _blocks(vectors):
         steps = block * STEPS
-        if np.abs(steps).max() >= _LARGEST_STEP or not np.array_equal(steps, np.rint(steps)):
+        if np.abs(steps).max() > _LARGEST_STEP or not np.array_equal(steps, np.rint(steps)):
             return np.float32(1)
     return STEPS
+
+
+def scaled_queries(queries: NDArray[np.float32], factor: np.float32) -> NDArray[np.float32]:
+    """Queries ``(Q, D)`` as FAISS is given them, for vectors multiplied by ``factor``.
+
+    Among vectors that are bytes, queries are rounded to steps as well: some versions of FAISS drop
+    what follows the point, and take a number beyond a byte's range for one from its other end.
+    """
+    scaled = np.ascontiguousarray(queries * factor, np.float32)
+    return np.rint(scaled).clip(-_LARGEST_STEP, _LARGEST_STEP) if factor == STEPS else scaled
 
 
 def add_scaled(index: Any, vectors: NDArray[np.floating], factor: np.float32) -> None:

@@ -28,12 +28,13 @@ def outline_distances(
     # Shortest paths between two pixels stay within the bounding box of all silhouettes.
     left, top, width, height = cv2.boundingRect(silhouettes.max(axis=0))
     outlines = _outlines(silhouettes[:, top : top + max(1, height), left : left + max(1, width)])
-    distances = _distance_transforms(outlines).reshape(len(outlines), -1)
-    on_outline = outlines.reshape(len(outlines), -1).astype(np.float32)
+    # Sums of float32 would depend on how many others there are, and on the processor.
+    distances = _distance_transforms(outlines).reshape(len(outlines), -1).astype(np.float64)
+    on_outline = outlines.reshape(len(outlines), -1).astype(np.float64)
     lengths = np.maximum(on_outline.sum(axis=1), 1)
     from_others = on_outline[1:] @ distances[0] / lengths[1:]
     to_others = distances[1:] @ on_outline[0] / lengths[0]
-    return np.asarray((from_others + to_others) / 2, np.float64)
+    return np.asarray((from_others + to_others) / 2)
 
 
 def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:

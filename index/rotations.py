@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import averaged, normalise, principal_axis_deg
+from descriptor.silhouette import INSIDE, averaged, normalise, principal_axis_deg
 from index.candidates import Candidates, compare_entries, find_candidates_of_each
 from index.landmark_search import Nearest, rotate_clockwise
 from index.skeleton import wrap_degrees
@@ -222,8 +222,7 @@ def rotate_silhouette(
         [scale * rotation[:, :2], rotation[:, :2] @ corner + rotation[:, 2]]
     )
     canvas = cv2.warpAffine(covered, to_canvas, size.astype(int).tolist())
-    # A lower threshold keeps a silhouette too thin to cover half of any pixel.
-    rotated, placement = normalise(canvas >= min(0.5, float(canvas.max())))
+    rotated, placement = normalise(canvas >= INSIDE * canvas.max())
     offset = np.array([placement.offset_x, placement.offset_y])
     from_canvas = cv2.invertAffineTransform(to_canvas)
     linear = from_canvas[:, :2] / placement.scale

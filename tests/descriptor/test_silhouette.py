@@ -131,8 +131,8 @@ def assert_differ_only_at_the_outline(one: Mask, other: Mask) -> None:
 def test_mirrored_mask_gives_mirrored_silhouette(mask: Mask) -> None:
     straight, _ = normalise(mask)
     flipped, _ = normalise(mask[:, ::-1])
-    # A sample exactly between two source pixels may fall either way by rounding.
-    assert (flipped[:, ::-1] != straight).mean() <= 0.02
+    # Pixels covered by exactly half, too: rounding does not decide.
+    assert_array_equal(flipped[:, ::-1], straight)
 
 
 def test_mirrored_person_gives_mirrored_silhouette() -> None:
@@ -184,7 +184,8 @@ def test_a_line_thinner_than_a_pixel_is_kept() -> None:
     line = np.zeros((2000, 400), np.uint8)
     line[:, 200] = 1
     line[1000, 150:250] = 1
-    assert normalise(line)[0].any()
+    # Row by row, but for the ends, which fade.
+    assert normalise(line)[0].any(axis=1)[1:-1].all()
 
 
 @pytest.mark.parametrize("rows", [1024, 1025, 1027])

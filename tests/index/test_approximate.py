@@ -22,7 +22,7 @@ from index.store import PoseIndex
 from index.verified_files import ArtefactError
 
 METHODS = (Ivf(nlist=16, nprobe=4), Hnsw(m=8, ef_construction=40, ef_search=64))
-DIMENSION = 12
+DIMENSION = 16
 
 
 def clustered(count: int, seed: int = 0) -> NDArray[np.float32]:
@@ -42,7 +42,8 @@ VECTORS = clustered(3000)
 ANY = np.random.default_rng(5).normal(0, 2, (800, DIMENSION)).astype(np.float32)
 """Not in steps: stored as floats."""
 
-QUERIES = clustered(60, seed=1) + np.float32(0.03)
+QUERIES = clustered(60, seed=1)
+"""In steps, as they are rounded to among bytes."""
 
 
 def distances(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
@@ -178,3 +178,24 @@ class TestWithBonesOf:
 
     def test_a_bone_without_direction_stays_finite(self) -> None:
         assert np.isfinite(with_bones_of(some_pose(), np.zeros((POINTS, 3)))).all()
+
+
+@pytest.mark.parametrize("number", range(0, 576, 47))
+def test_the_first_modes_are_the_same_however_many_are_asked_for(
+    toy_index: PoseIndex, number: int
+) -> None:
+    found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
+    few, many = find_modes(found, 5), find_modes(found, 12)
+    assert_array_equal(few.centres, many.centres[: len(few)])
+    for ours, theirs in zip(vars(few).values(), vars(many).values(), strict=True):
+        # Batches may be summed in another order.
+        assert_allclose(ours, theirs[: len(few)], rtol=1e-12, atol=1e-12)
+
+
+def test_of_equally_dense_modes_the_first_candidate_comes_first() -> None:
+    rng = np.random.default_rng(0)
+    # One pose, tilted by a hair: the sums of its kernels differ by rounding alone.
+    poses = np.tile(some_pose(), (40, 1, 1)) * (1 + 1e-15 * rng.normal(size=(40, 1, 1)))
+    ring = np.stack([np.cos(np.arange(40.0)), np.sin(np.arange(40.0))], axis=1)
+    found = replace(candidates_of(np.zeros(2), ring, poses), distances=np.ones(40))
+    assert find_modes(found, 1).centres.tolist() == [0]

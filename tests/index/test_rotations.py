@@ -291,6 +291,16 @@ def test_masks_longer_than_opencv_takes_are_rotated(shape: tuple[int, int]) -> N
     assert np.abs(ends).max() == pytest.approx(max(shape), rel=0.1)
 
 
+@pytest.mark.parametrize("angle", [0.0, 20.0, 90.0, -135.0])
+@pytest.mark.parametrize("length", [400, 4_000, 30_000])
+def test_a_line_is_rotated_all_along(length: int, angle: float) -> None:
+    """However thin it is in the frame, where it covers no pixel by half."""
+    rotated, inverse = rotate_silhouette(np.ones((length, 3), np.uint8), angle)
+    along = (pixels(rotated) @ inverse[:, :2].T + inverse[:, 2])[:, 1]
+    seen, _ = np.histogram(along, bins=24, range=(0, length))
+    assert seen.all()
+
+
 def test_large_masks_are_rotated_as_small_ones() -> None:
     small = np.zeros((120, 200), np.uint8)
     cv2.ellipse(small, (100, 60), (80, 25), 20.0, 0, 360, 1, -1)
