@@ -5,7 +5,7 @@ and resets the bones to their lengths. In the picture it goes from coarse to fin
 from their keypoints are found as well. Points without a landmark keep their position relative to
 their parents.
 
-In depth the landmarks are one opinion, the pose another. The first skeleton meets them half way;
+In depth the landmarks are one opinion, the pose another. The first skeleton goes most of the way to them;
 the others only where they nearly agree, so that they keep their other ways to read the depth.
 """
 
@@ -24,7 +24,7 @@ STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 4))
 """Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
 iteration, and iterations. Chosen on the street people of even-numbered photographs."""
 
-DEPTH_SHARE = 0.5
+DEPTH_SHARE = 0.6
 """Share of the way to the landmarks' depths that the fit goes in all."""
 
 _LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]

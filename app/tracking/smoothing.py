@@ -36,7 +36,7 @@ COST_PER_M = 60.0
 """Of the joints' mean way between frames ``1 / RATE`` seconds apart; twice that between frames
 without any time between, and the less the more time passed."""
 
-LANDMARK_WEIGHT = 2.0
+LANDMARK_WEIGHT = 40.0
 """Weight of the log of the distance by silhouette and landmarks, where there are landmarks: the
 confidences of all hypotheses that agree with them are near 1."""
 
@@ -61,8 +61,9 @@ LOST_PER_S = 5.0
 """Log odds of a pose's confidence lost in every second in which it is kept; from the clips that
 the confidence was fitted on."""
 
-LINE_S, MOST_LINE_FRAMES = 0.35, 24
-"""Seconds, and most frames, through whose averages a line is fitted."""
+LINE_S, LANDMARK_LINE_S, MOST_LINE_FRAMES = 0.35, 0.12, 24
+"""Seconds through whose averages a line is fitted, by silhouettes alone and where landmarks are
+read, and the most frames."""
 
 CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.46, 1.39, 0.39
 """Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and
@@ -207,7 +208,9 @@ class PoseSmoother:
         )
         low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
         log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3) - self._low_cost * low
+        line_s = self._line_s
         if person.facing.evidence == "image":
+            line_s = min(line_s, LANDMARK_LINE_S)
             distances = np.array([placed.distance for placed in hypotheses])
             log_evidence -= LANDMARK_WEIGHT * np.log((distances + 1e-9) / (distances.min() + 1e-9))
         if self._frames:
@@ -217,6 +220,9 @@ class PoseSmoother:
             cosines = _cosines(points_3d, elevations_deg, velocity)
             log_evidence = log_evidence + self._direction_weight * going * (cosines - 1) / 2
         self._append(timestamp, points_3d, confidences, log_evidence)
+        # The frame before stays, however long ago it was.
+        while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > line_s:
+            self._frames.popleft()
 
         log_probabilities = self._frames[-1].log_forward
         probabilities = np.exp(log_probabilities)
@@ -294,9 +300,6 @@ class PoseSmoother:
         self._frames.append(
             _States(timestamp, points_3d, confidences, log_evidence, log_forward, log_moves)
         )
-        # The frame before stays, however long ago it was.
-        while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > self._line_s:
-            self._frames.popleft()
 
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.

@@ -1,0 +1,299 @@
+"""Fit what photographs teach: who is a person, who lies on the ground, and which posture is right.
+
+Writes the parts `detection`, `grounded` and `posture` of ``app/vision/weights/fitted.json``, and
+prints what a model fitted without each source says of it. Takes about ten minutes.
+
+    python -m scripts.fit_people --shared ../shared
+
+Fitted on street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP
+Extended, detection alone) and photographs of people who fell and who did not (Ambianic). Not used,
+so that they remain a test: Pose2Sim, UP-Fall and the fall videos. Frames of UP-Fall among the fall
+photographs are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.linear_model import LogisticRegression
+from tqdm import tqdm
+
+from app.estimates import Person
+from app.estimator import Estimator
+from app.posture import GROUNDED, body_features
+from app.settings import Settings
+from app.upload import Upload
+from app.vision.boxes import Boxes, iou_matrix
+from app.vision.detection.detector import HogDetector, NetworkDetector, logit
+from app.vision.people import Box, Landmarks
+from app.vision.weights import write_fitted
+from index.posture import POSTURES, UPRIGHT
+from scripts.experiments.real_data import as_array, read_pennfudan, read_vtest
+from scripts.experiments.real_detection import fit_hog
+from scripts.experiments.real_vtest import Marks, read_marks
+
+COMMAND = "python -m scripts.fit_people"
+UPFALL_SHAPE = (352, 640)
+"""Fall photographs of this size are frames of UP-Fall."""
+
+HELD_POSTURES = 7
+FOLDS = 10
+SAME = 0.5
+"""Overlap (IoU) from which a candidate is an annotated person."""
+
+_STRENGTH = 0.1
+
+
+@dataclass
+class Samples:
+    """Features and truths of one source.
+
+    Parameters
+    ----------
+    features : list of arrays
+    truths : list of bool
+    groups : list of str
+        The photograph of each.
+    """
+
+    features: list[NDArray[np.float64]] = field(default_factory=list)
+    truths: list[bool] = field(default_factory=list)
+    groups: list[str] = field(default_factory=list)
+
+    def add(self, features: NDArray[np.float64], truth: bool, group: str) -> None:
+        """Add a sample."""
+        self.features.append(features)
+        self.truths.append(truth)
+        self.groups.append(group)
+
+
+Source = Iterator[tuple[str, NDArray[np.uint8]]]
+
+
+def photographs(folder: Path) -> Source:
+    """Names and pixels of the photographs of a folder, in order."""
+    for file in sorted(folder.glob("*.jpg")):
+        frame = cv2.imread(str(file))
+        if frame is not None and frame.shape[:2] != UPFALL_SHAPE:
+            yield file.name, np.asarray(frame, np.uint8)
+
+
+def candidate_samples(
+    detector: NetworkDetector, frame: NDArray[np.uint8], judge: Callable[[Box], bool | None]
+) -> Iterator[tuple[NDArray[np.float64], bool]]:
+    """Scores of the candidates of a frame, with whether they are people where that is known."""
+    found, scores = detector.candidates(frame)
+    for one, row in zip(found, scores, strict=True):
+        truth = judge(one.box)
+        if truth is not None:
+            yield np.array([logit(row[:1])[0], max(0.0, row[1])]), truth
+
+
+def overlap(box: Box, people: Boxes) -> float:
+    """Largest overlap of a box with people."""
+    return float(iou_matrix(as_array([box]), people).max(initial=0.0))
+
+
+def walker(marks: Marks) -> Callable[[Box], bool | None]:
+    """Judge of the street video: None for people who are hardly seen."""
+
+    def judge(box: Box) -> bool | None:
+        if overlap(box, as_array(marks.people)) >= SAME:
+            return True
+        return None if overlap(box, as_array(marks.ignored)) >= 0.3 else False
+
+    return judge
+
+
+def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
+    """Candidates of every source that has boxes or joints."""
+    detector = estimator.detector
+    assert isinstance(detector, NetworkDetector)
+    sources = {name: Samples() for name in ("pennfudan", "vtest", "lsp")}
+    street = read_pennfudan(shared / "real" / "pennfudan")
+    for one in tqdm(street, desc="street photographs"):
+        people = as_array(one.boxes)
+        for sample in candidate_samples(
+            detector, one.frame, lambda box, p=people: overlap(box, p) >= SAME
+        ):
+            sources["pennfudan"].add(*sample, one.name)
+    marks = {one.frame: one for one in read_marks()}
+    for number, frame in read_vtest(shared / "real" / "vtest", len(marks)):
+        if number in marks:
+            for sample in candidate_samples(detector, frame, walker(marks[number])):
+                sources["vtest"].add(*sample, str(number))
+    document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
+    for person in tqdm(document["people"], desc="sports photographs"):
+        frame = cv2.imread(str(shared / "real" / "lsp" / person["image"]))
+        joints = np.array(person["joints_2d"])
+        low, size = joints.min(axis=0), np.ptp(joints, axis=0)
+        body = np.array([[*low, *np.maximum(size, 1)]])
+        # Others in the photograph are not annotated: they may be people.
+        for sample in candidate_samples(
+            detector,
+            np.asarray(frame, np.uint8),
+            lambda box, b=body: True if overlap(box, b) >= 0.3 else None,
+        ):
+            sources["lsp"].add(*sample, person["image"])
+    return sources
+
+
+def estimate(estimator: Estimator, frame: NDArray[np.uint8]) -> tuple[Person, ...]:
+    """The people of a frame."""
+    content = cv2.imencode(".png", frame)[1].tobytes()
+    return estimator.estimate(Upload(content), HELD_POSTURES, lambda: None).persons
+
+
+def posture_samples(
+    estimator: Estimator, shared: Path
+) -> tuple[dict[str, Samples], dict[str, list[tuple[Person, tuple[str, ...]]]]]:
+    """Bodies that lie or do not, and people with the postures that are right for them."""
+    grounded = {name: Samples() for name in ("fall", "not-fall", "street")}
+    people: dict[str, list[tuple[Person, tuple[str, ...]]]] = {name: [] for name in grounded}
+    real = shared / "real"
+    for kind in ("fall", "not-fall"):
+        for name, frame in tqdm([*photographs(real / "falls" / kind)], desc=kind):
+            found = [one for one in estimate(estimator, frame) if one.observed.landmarks]
+            if kind == "fall":
+                # Who fell is in the middle of the picture's interest; helpers are smaller.
+                found = sorted(found, key=lambda one: -one.observed.box.area)[:1]
+            for one in found:
+                grounded[kind].add(_body(one), kind == "fall", name)
+                if kind == "fall":
+                    people[kind].append((one, GROUNDED))
+    frames = [(one.name, one.frame) for one in read_pennfudan(real / "pennfudan")]
+    frames += [(str(number), frame) for number, frame in read_vtest(real / "vtest", 20)]
+    for name, frame in tqdm(frames, desc="street"):
+        for one in estimate(estimator, frame):
+            if one.observed.landmarks:
+                grounded["street"].add(_body(one), False, name)
+                people["street"].append((one, UPRIGHT))
+    return grounded, people
+
+
+def _body(person: Person) -> NDArray[np.float64]:
+    landmarks = person.observed.landmarks
+    assert isinstance(landmarks, Landmarks)
+    return body_features(landmarks)
+
+
+def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
+    """Weights of MoveNet's log odds and of HOG's positive margin."""
+    features = np.concatenate([np.array(one.features) for one in sources.values()])
+    truths = np.concatenate([np.array(one.truths) for one in sources.values()])
+    model = LogisticRegression(C=10.0).fit(features, truths)
+    network, hog = model.coef_[0].tolist()
+    return {
+        "network": round(network, 4),
+        "hog": round(max(0.0, hog), 4),
+        "offset": round(float(model.intercept_[0]), 4),
+    }
+
+
+def fit_grounded(sources: dict[str, Samples]) -> dict[str, object]:
+    """A logistic model of lying, on standardised features."""
+    features = np.concatenate([np.array(one.features) for one in sources.values()])
+    truths = np.concatenate([np.array(one.truths) for one in sources.values()])
+    means, scales = features.mean(axis=0), features.std(axis=0) + 1e-6
+    model = LogisticRegression(C=_STRENGTH, max_iter=5000).fit((features - means) / scales, truths)
+    return {
+        "means": means.round(4).tolist(),
+        "scales": scales.round(4).tolist(),
+        "weights": model.coef_[0].round(4).tolist(),
+        "offset": round(float(model.intercept_[0]), 4),
+    }
+
+
+def cross_validated(sources: dict[str, Samples]) -> dict[str, NDArray[np.float64]]:
+    """Probability of lying of each sample, by models that did not see its photograph."""
+    names = sorted({group for one in sources.values() for group in one.groups})
+    order = np.random.default_rng(0).permutation(len(names)) % FOLDS
+    fold = dict(zip(names, order.tolist(), strict=True))
+    result = {name: np.zeros(len(one.truths)) for name, one in sources.items()}
+    for held in range(FOLDS):
+        known = {}
+        for name, one in sources.items():
+            rows = [i for i, group in enumerate(one.groups) if fold[group] != held]
+            known[name] = Samples(
+                [one.features[i] for i in rows],
+                [one.truths[i] for i in rows],
+                [one.groups[i] for i in rows],
+            )
+        model = fit_grounded(known)
+        for name, one in sources.items():
+            for i, group in enumerate(one.groups):
+                if fold[group] == held:
+                    standardised = (one.features[i] - model["means"]) / model["scales"]
+                    odds = standardised @ np.array(model["weights"]) + model["offset"]
+                    result[name][i] = 1 / (1 + np.exp(-odds))
+    return result
+
+
+def by_photograph(samples: Samples, probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The highest probability of each photograph."""
+    highest: dict[str, float] = {}
+    for group, probability in zip(samples.groups, probabilities.tolist(), strict=True):
+        highest[group] = max(highest.get(group, 0.0), probability)
+    return np.array(list(highest.values()))
+
+
+def fit_posture(
+    people: dict[str, list[tuple[Person, tuple[str, ...]]]],
+) -> dict[str, float]:
+    """Slope and offset of the log odds that the posture with the largest share is right."""
+    shares, right, weights = [], [], []
+    for group in people.values():
+        for person, postures in group:
+            assert person.posture is not None
+            best = int(person.posture.shares.argmax())
+            share = float(np.clip(person.posture.shares[best], 1e-3, 1 - 1e-3))
+            shares.append(np.log(share / (1 - share)))
+            right.append(POSTURES[best] in postures)
+            weights.append(1 / len(group))
+    model = LogisticRegression().fit(
+        np.array(shares)[:, None], right, np.array(weights) * len(shares) / sum(weights)
+    )
+    return {
+        "slope": round(float(model.coef_[0, 0]), 4),
+        "offset": round(float(model.intercept_[0]), 4),
+    }
+
+
+def main() -> None:
+    """Fit as the command line asks."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--shared", type=Path, default=Path("../shared"))
+    options = parser.parse_args()
+    if not (options.shared / "real").is_dir():
+        parser.error(f"expected {options.shared}/real to hold the photographs, it is not there")
+    estimator = Estimator.load(Settings())
+    detection = detection_samples(estimator, options.shared)
+    street = read_pennfudan(options.shared / "real" / "pennfudan")
+    write_fitted(
+        "detection",
+        COMMAND,
+        ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items()),
+        {**fit_detection(detection), **fit_hog(street)},
+    )
+    assert isinstance(HogDetector().name, str)
+    grounded, _ = posture_samples(estimator, options.shared)
+    told = cross_validated(grounded)
+    for name, samples in grounded.items():
+        share = (by_photograph(samples, told[name]) >= 0.5).mean()
+        print(f"{name}: said to lie or crawl in {100 * share:.1f} % of photographs, cross-validated")
+    data = ", ".join(f"{len(one.truths)} people of {name}" for name, one in grounded.items())
+    write_fitted("grounded", COMMAND, data, fit_grounded(grounded))
+    # Shares depend on the model above.
+    _, people = posture_samples(estimator, options.shared)
+    write_fitted("posture", COMMAND, "people who fell or walk", fit_posture(people))
+
+
+if __name__ == "__main__":
+    main()
