@@ -5,8 +5,8 @@ and resets the bones to their lengths. In the picture it goes from coarse to fin
 from their keypoints are found as well. Points without a landmark keep their position relative to
 their parents.
 
-In depth the landmarks are one opinion, the pose another. The first skeleton goes most of the way to them;
-the others only where they nearly agree, so that they keep their other ways to read the depth.
+In depth the landmarks are one opinion, the pose another. The first skeleton goes most of the way to
+them; the others only where they nearly agree, so that they keep their other ways to read the depth.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,7 +32,7 @@ from app.posture import GROUNDED, body_features
 from app.settings import Settings
 from app.upload import Upload
 from app.vision.boxes import Boxes, iou_matrix
-from app.vision.detection.detector import HogDetector, NetworkDetector, logit
+from app.vision.detection.detector import NetworkDetector, logit
 from app.vision.people import Box, Landmarks
 from app.vision.weights import write_fitted
 from index.posture import POSTURES, UPRIGHT
@@ -101,6 +102,16 @@ def overlap(box: Box, people: Boxes) -> float:
     return float(iou_matrix(as_array([box]), people).max(initial=0.0))
 
 
+def pedestrian(people: Boxes) -> Callable[[Box], bool | None]:
+    """Judge of street photographs."""
+    return lambda box: overlap(box, people) >= SAME
+
+
+def athlete(body: Boxes) -> Callable[[Box], bool | None]:
+    """Judge of sports photographs, where only one person is annotated."""
+    return lambda box: True if overlap(box, body) >= 0.3 else None
+
+
 def walker(marks: Marks) -> Callable[[Box], bool | None]:
     """Judge of the street video: None for people who are hardly seen."""
 
@@ -120,9 +131,7 @@ def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
     street = read_pennfudan(shared / "real" / "pennfudan")
     for one in tqdm(street, desc="street photographs"):
         people = as_array(one.boxes)
-        for sample in candidate_samples(
-            detector, one.frame, lambda box, p=people: overlap(box, p) >= SAME
-        ):
+        for sample in candidate_samples(detector, one.frame, pedestrian(people)):
             sources["pennfudan"].add(*sample, one.name)
     marks = {one.frame: one for one in read_marks()}
     for number, frame in read_vtest(shared / "real" / "vtest", len(marks)):
@@ -131,16 +140,12 @@ def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
                 sources["vtest"].add(*sample, str(number))
     document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
     for person in tqdm(document["people"], desc="sports photographs"):
-        frame = cv2.imread(str(shared / "real" / "lsp" / person["image"]))
+        picture = cv2.imread(str(shared / "real" / "lsp" / person["image"]))
         joints = np.array(person["joints_2d"])
         low, size = joints.min(axis=0), np.ptp(joints, axis=0)
         body = np.array([[*low, *np.maximum(size, 1)]])
-        # Others in the photograph are not annotated: they may be people.
-        for sample in candidate_samples(
-            detector,
-            np.asarray(frame, np.uint8),
-            lambda box, b=body: True if overlap(box, b) >= 0.3 else None,
-        ):
+        frame = np.asarray(picture, np.uint8)
+        for sample in candidate_samples(detector, frame, athlete(body)):
             sources["lsp"].add(*sample, person["image"])
     return sources
 
@@ -197,7 +202,7 @@ def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
     }
 
 
-def fit_grounded(sources: dict[str, Samples]) -> dict[str, object]:
+def fit_grounded(sources: dict[str, Samples]) -> dict[str, Any]:
     """A logistic model of lying, on standardised features."""
     features = np.concatenate([np.array(one.features) for one in sources.values()])
     truths = np.concatenate([np.array(one.truths) for one in sources.values()])
@@ -230,17 +235,22 @@ def cross_validated(sources: dict[str, Samples]) -> dict[str, NDArray[np.float64
         for name, one in sources.items():
             for i, group in enumerate(one.groups):
                 if fold[group] == held:
-                    standardised = (one.features[i] - model["means"]) / model["scales"]
-                    odds = standardised @ np.array(model["weights"]) + model["offset"]
-                    result[name][i] = 1 / (1 + np.exp(-odds))
+                    result[name][i] = probability(one.features[i], model)
     return result
+
+
+def probability(features: NDArray[np.float64], model: dict[str, Any]) -> float:
+    """What a model of :func:`fit_grounded` says."""
+    standardised = (features - np.array(model["means"])) / np.array(model["scales"])
+    odds = standardised @ np.array(model["weights"]) + model["offset"]
+    return float(1 / (1 + np.exp(-odds)))
 
 
 def by_photograph(samples: Samples, probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
     """The highest probability of each photograph."""
     highest: dict[str, float] = {}
-    for group, probability in zip(samples.groups, probabilities.tolist(), strict=True):
-        highest[group] = max(highest.get(group, 0.0), probability)
+    for group, one in zip(samples.groups, probabilities.tolist(), strict=True):
+        highest[group] = max(highest.get(group, 0.0), one)
     return np.array(list(highest.values()))
 
 
@@ -282,12 +292,11 @@ def main() -> None:
         ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items()),
         {**fit_detection(detection), **fit_hog(street)},
     )
-    assert isinstance(HogDetector().name, str)
     grounded, _ = posture_samples(estimator, options.shared)
     told = cross_validated(grounded)
     for name, samples in grounded.items():
         share = (by_photograph(samples, told[name]) >= 0.5).mean()
-        print(f"{name}: said to lie or crawl in {100 * share:.1f} % of photographs, cross-validated")
+        print(f"{name}: lying or crawling in {100 * share:.1f} % of photographs, cross-validated")
     data = ", ".join(f"{len(one.truths)} people of {name}" for name, one in grounded.items())
     write_fitted("grounded", COMMAND, data, fit_grounded(grounded))
     # Shares depend on the model above.

@@ -57,7 +57,7 @@ class PeopleFollower:
         tracks: Sequence[Track],
         check: Check,
         stopwatch: Stopwatch,
-    ) -> list[tuple[ObservedPerson, Track | None]]:
+    ) -> list[ObservedPerson]:
         """Find the people of a frame with their silhouettes and landmarks.
 
         Parameters
@@ -69,11 +69,6 @@ class PeopleFollower:
         tracks : sequence of Track
         check : callable
         stopwatch : Stopwatch
-
-        Returns
-        -------
-        list of (ObservedPerson, Track or None)
-            The track whose window shows the person, None where the search found them.
         """
         detections: list[Detection] = []
         if timestamp - self._searched_at >= SEARCH_EVERY_S or not tracks:
@@ -102,20 +97,14 @@ class PeopleFollower:
         ]
         with stopwatch.stage("segment"):
             silhouettes = silhouettes_of(found, boxes, frame.shape, exact=False)
-        people: list[tuple[ObservedPerson, Track | None]] = []
+        people = []
         for row, box, reading, silhouette in zip(rows, boxes, found, silhouettes, strict=True):
             if silhouette is None:
                 continue
             owner, by_track = owners[row], wanted[row].score == 0
-            person = observed(
-                frame,
-                silhouette.box if by_track else box,
-                "detector",
-                max(owner.score, reading.presence) if owner else wanted[row].score,
-                silhouette,
-                reading,
-            )
-            people.append((person, owner))
+            score = max(owner.score, reading.presence) if owner else wanted[row].score
+            place = silhouette.box if by_track else box
+            people.append(observed(frame, place, "detector", score, silhouette, reading))
         return people
 
     def _read(

@@ -22,15 +22,17 @@ from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
 from app.upload import Upload
+from app.vision.people import Box
 
 LONGEST_GAP_S = 10.0
 """After a longer gap the session begins anew: the scene may be another."""
 
-FORGOTTEN_AFTER_S, LEAVING_FOR_S, TENTATIVE_FOR_S = 0.5, 0.5, 0.5
-"""How long a track lives unseen: inside the frame, at its edge, and before it is confirmed."""
+FORGOTTEN_AFTER_S = 0.5
+"""How long a track lives that nobody is seen of."""
 
-# People expected this near to the frame's edge leave it.
-_EDGE_PX = 3.0
+HIDDEN_FOR_S, HIDDEN_FROM = 2.0, 0.5
+"""How long somebody is expected who is hidden behind another one, and what share of them has to
+be."""
 
 
 class LateFrameError(ValueError):
@@ -124,12 +126,10 @@ class CameraSession:
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reads = evidence == "photograph" and upload.frame is not None
-        found: list[tuple[ObservedPerson, Track | None]]
         if reads and upload.mask is None and upload.boxes is None and upload.background is None:
             found = self._follower.find(frame, timestamp, self._tracks, check, stopwatch)
         else:
-            people = self._estimator.finder.find(decoded, reads, check, stopwatch)
-            found = [(person, None) for person in people]
+            found = self._estimator.finder.find(decoded, reads, check, stopwatch)
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
         tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
@@ -180,33 +180,34 @@ class CameraSession:
     def _identify(
         self,
         frame: NDArray[np.uint8] | None,
-        found: list[tuple[ObservedPerson, Track | None]],
+        found: list[ObservedPerson],
         timestamp: float,
     ) -> list[tuple[ObservedPerson, Track]]:
         """Give each person a track, and return those of confirmed tracks, left to right.
+
+        Those who are hidden behind somebody are among them, where they are expected.
 
         Parameters
         ----------
         frame : (H, W, 3) uint8 array or None
             None if the caller sent a mask alone: clothes are not seen then.
-        found : list of (ObservedPerson, Track or None)
+        found : list of ObservedPerson
         timestamp : float
         """
-        sightings = [_sighting(frame, person) for person, _ in found]
-        free = [i for i, (_, track) in enumerate(found) if track is None]
-        assigned = associate(self._tracks, [sightings[i] for i in free], timestamp)
-        tracks = [track for _, track in found]
-        for i, row in zip(free, assigned, strict=True):
-            tracks[i] = None if row is None else self._tracks[row]
-        taken = {tracks[i] for i in free}
+        sightings = [_sighting(frame, person) for person in found]
+        assigned = associate(self._tracks, sightings, timestamp)
+        known = [None if row is None else self._tracks[row] for row in assigned]
         seen = []
-        for (person, expected), track, sighting in zip(found, tracks, sightings, strict=True):
-            if expected is not None and expected in taken:
-                continue  # Somebody was found who is the one expected here.
+        for person, track, sighting in zip(found, known, sightings, strict=True):
             own = track or self._begin(sighting, timestamp)
             if own is not None:
                 own.see(sighting, timestamp)
                 seen.append((person, own))
+        seen += [
+            (ObservedPerson(box, "track", None, None), track)
+            for track in self._tracks
+            if track.seen_at < timestamp and (box := self._hidden(track, timestamp)) is not None
+        ]
         for track in self._tracks:
             track.age_frames += 1
             if track.track_id is None and track.is_confirmed:
@@ -227,27 +228,30 @@ class CameraSession:
     def _forget_unseen(self, timestamp: float) -> None:
         kept = []
         for track in self._tracks:
-            if track.track_id is None:
-                longest = TENTATIVE_FOR_S
-            else:
-                longest = LEAVING_FOR_S if self._leaves(track, timestamp) else FORGOTTEN_AFTER_S
+            hidden = track.track_id is not None and self._hidden(track, timestamp) is not None
+            longest = HIDDEN_FOR_S if hidden else FORGOTTEN_AFTER_S
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
                 self._tell("left", track, timestamp)
         self._tracks = kept
 
-    def _leaves(self, track: Track, timestamp: float) -> bool:
-        """Whether somebody is expected at the frame's edge."""
-        if self._size is None:
-            return False
-        height, width = self._size
-        box = track.motion.expect(timestamp)
-        return (
-            min(box.x, box.y) < _EDGE_PX
-            or box.right > width - _EDGE_PX
-            or box.bottom > height - _EDGE_PX
-        )
+    def _hidden(self, track: Track, timestamp: float) -> Box | None:
+        """Where somebody is expected who is hidden behind another one; None if nobody hides them.
+
+        Who has been hidden for longer than :data:`HIDDEN_FOR_S` is not expected any more.
+        """
+        if self._size is None or timestamp - track.seen_at > HIDDEN_FOR_S:
+            return None
+        box = track.motion.expect(timestamp).clip(self._size[1], self._size[0])
+        hides = [
+            other.motion.expect(timestamp)
+            for other in self._tracks
+            if other is not track and other.seen_at == timestamp
+        ]
+        if box and any(other.intersection(box) >= HIDDEN_FROM * box.area for other in hides):
+            return box
+        return None
 
     def _with_poses(
         self,

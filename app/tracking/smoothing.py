@@ -292,9 +292,7 @@ class PoseSmoother:
         if self._frames:
             last = self._frames[-1]
             tenths = RATE * (timestamp - last.timestamp)
-            log_moves = _log_moves(
-                last.points_3d, points_3d, 2 * self._cost_per_m / (1 + tenths)
-            )
+            log_moves = _log_moves(last.points_3d, points_3d, 2 * self._cost_per_m / (1 + tenths))
             log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
         self._frames.append(

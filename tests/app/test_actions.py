@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person, PlacedHypothesis
 from app.facing import Facing
-from app.posture import VotedPosture
+from app.posture import EstimatedPosture, vote_posture
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.actions import ActionModel, ActionRecogniser, shipped_model, window_features
 from app.tracking.ground import STILL
@@ -46,13 +46,13 @@ def person(action: str, confidence: float = 0.8) -> Person:
     label = Label(0, action, "clip", "subject", 0, False, 0.0, 10.0, 0.0, 5.0)
     placed = PlacedHypothesis(hypothesis, 0.1, confidence, label, points[:, :2])
     observed = ObservedPerson(Box(0, 0, 50, 100), "mask", None, None)
-    return Person(observed, Facing(1.0, "none"), VotedPosture("standing", 1.0), (placed,))
+    return Person(observed, Facing(1.0, "none"), EstimatedPosture("standing", 1.0), (placed,))
 
 
 def smoothed(points_3d: NDArray[np.float64]) -> Smoothed:
     pose = SmoothedPose(points_3d, PX_PER_M * points_3d[:, :2], 0.8, 0)
-    posture = VotedPosture("standing", 1.0)
-    return Smoothed(pose, Facing(1.0, "none"), posture, STILL, 10.0, (0.0, 0.0))
+    votes = vote_posture(["standing"], [1.0])
+    return Smoothed(pose, Facing(1.0, "none"), votes, STILL, 10.0, (0.0, 0.0))
 
 
 def recognise(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from app.posture import VotedPosture
+from app.posture import vote_posture
 from app.tracking.events import STAYS_DOWN_S, EventDetector
 from app.tracking.results import Event
 from index.posture import Posture
@@ -26,8 +26,9 @@ def watch(
     frame = 0
     for posture, seconds in parts:
         for _ in range(round(seconds * fps)):
-            voted = VotedPosture(posture, probability)
-            events += detector.update(7, frame / fps, voted, confidence)
+            other: Posture = "bending" if posture != "bending" else "crouching"
+            shares = vote_posture([posture, other], [probability, 1 - probability])
+            events += detector.update(7, frame / fps, shares, confidence)
             frame += 1
     return events
 

@@ -1,28 +1,125 @@
-"""A person's posture, as the hypotheses vote."""
+"""A person's posture: votes of hypotheses, what landmarks say of lying, and calibration."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from app.posture import vote_posture
+from app.posture import (
+    CLEAR_FROM,
+    GROUNDED,
+    body_features,
+    estimate_posture,
+    grounded_probability,
+    posture_of,
+    vote_posture,
+    with_grounded,
+)
+from app.vision.people import LANDMARK_NAMES, Landmarks
+from index.posture import POSTURES
+
+HEIGHTS = {
+    "nose": 0.65, "eye": 0.68, "ear": 0.66, "mouth": 0.62, "shoulder": 0.5, "elbow": 0.25,
+    "wrist": 0.0, "pinky": -0.05, "index": -0.05, "thumb": -0.05, "hip": 0.0, "knee": -0.42,
+    "ankle": -0.82, "heel": -0.86,
+}  # fmt: skip
+
+
+def standing() -> Landmarks:
+    """Landmarks of somebody who stands and faces the camera."""
+    metres = np.zeros((len(LANDMARK_NAMES), 3))
+    for row, name in enumerate(LANDMARK_NAMES):
+        part = next((key for key in HEIGHTS if key in name), "heel")
+        metres[row, 0] = 0.18 if "left" in name else -0.18 if "right" in name else 0.0
+        metres[row, 1] = -HEIGHTS[part]
+    places = 200 * metres[:, :2] + [320, 240]
+    return Landmarks(places, np.full(len(metres), 0.95), metres)
+
+
+def turned(landmarks: Landmarks, angle_deg: float) -> Landmarks:
+    """The same, rotated in the picture."""
+    angle = np.deg2rad(angle_deg)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    metres = landmarks.metres.copy()
+    metres[:, :2] = metres[:, :2] @ turn
+    places = (landmarks.positions - [320, 240]) @ turn + [320, 240]
+    return Landmarks(places, landmarks.visibility, metres)
+
+
+def share(votes: NDArray[np.float64], *postures: str) -> float:
+    return float(sum(votes[POSTURES.index(name)] for name in postures))  # type: ignore[arg-type]
 
 
 def test_confidence_decides_rather_than_numbers() -> None:
-    voted = vote_posture(["standing", "walking", "walking"], [0.9, 0.3, 0.3])
-    assert voted.label == "standing"
-    assert voted.probability == pytest.approx(0.6)
+    votes = vote_posture(["standing", "walking", "walking"], [0.9, 0.3, 0.3])
+    assert share(votes, "standing") == pytest.approx(0.6)
+    assert share(votes, "walking") == pytest.approx(0.4)
 
 
-def test_confidences_of_one_posture_add_up() -> None:
-    voted = vote_posture(["standing", "lying", "lying"], [0.5, 0.4, 0.3])
-    assert voted.label == "lying"
-    assert voted.probability == pytest.approx(0.7 / 1.2)
+def test_hypotheses_without_confidence_vote_alike() -> None:
+    votes = vote_posture(["sitting", "kneeling"], [0.0, 0.0])
+    assert share(votes, "sitting") == share(votes, "kneeling") == pytest.approx(0.5)
 
 
-def test_of_equals_the_best_hypothesis_decides() -> None:
-    assert vote_posture(["sitting", "kneeling"], [0.4, 0.4]).label == "sitting"
+@given(
+    weights=st.lists(st.floats(0, 1), min_size=len(POSTURES), max_size=len(POSTURES)),
+    probability=st.floats(0, 1),
+)
+def test_landmarks_decide_how_much_lies_and_votes_what_else(
+    weights: list[float], probability: float
+) -> None:
+    votes = vote_posture(POSTURES, weights)
+    shares = with_grounded(votes, probability)
+    assert shares.sum() == pytest.approx(1)
+    assert share(shares, *GROUNDED) == pytest.approx(probability)
+    order = [i for i, name in enumerate(POSTURES) if name not in GROUNDED]
+    if votes[order].sum() > 0.02 and probability < 1:
+        np.testing.assert_allclose(
+            shares[order] / shares[order].sum(), votes[order] / votes[order].sum(), atol=1e-9
+        )
 
 
-def test_hypotheses_without_confidence_know_nothing() -> None:
-    voted = vote_posture(["sitting", "kneeling"], [0.0, 0.0])
-    assert (voted.label, voted.probability) == ("sitting", 0.5)
+def test_who_stands_does_not_lie_and_the_same_body_on_its_side_does() -> None:
+    assert grounded_probability(standing()) < 0.05
+    for angle_deg in (90, -90):
+        assert grounded_probability(turned(standing(), angle_deg)) > 0.5
+
+
+@pytest.mark.parametrize("angle_deg", [-30, -15, 15, 30])
+def test_who_leans_or_is_seen_by_a_rolled_camera_does_not_lie(angle_deg: float) -> None:
+    assert grounded_probability(turned(standing(), angle_deg)) < 0.5
+
+
+def test_left_and_right_count_alike() -> None:
+    body = standing()
+    rng = np.random.default_rng(0)
+    metres = body.metres + rng.normal(0, 0.1, body.metres.shape)
+    places = 200 * metres[:, :2] + [320, 240]
+    sides = [
+        LANDMARK_NAMES.index(
+            name.replace("left", "?").replace("right", "left").replace("?", "right")
+        )
+        for name in LANDMARK_NAMES
+    ]
+    flipped = metres[sides] * [-1, 1, 1]
+    mirrored = Landmarks(200 * flipped[:, :2] + [320, 240], body.visibility, flipped)
+    np.testing.assert_allclose(
+        body_features(mirrored), body_features(Landmarks(places, body.visibility, metres)),
+        atol=1e-9,
+    )  # fmt: skip
+
+
+def test_what_is_no_person_is_unclear() -> None:
+    told = estimate_posture(vote_posture(["lying"], [0.9]), None, presence=0.02)
+    assert told.label == "unclear"
+    assert told.probability < 0.05
+
+
+@given(weights=st.lists(st.floats(0.001, 1), min_size=2, max_size=10))
+def test_a_posture_is_told_from_a_probability_of_a_half(weights: list[float]) -> None:
+    told = posture_of(vote_posture(POSTURES[: len(weights)], weights))
+    assert 0 <= told.probability <= 1
+    assert (told.label == "unclear") == (told.probability < CLEAR_FROM)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.estimates import ObservedPerson, Person, PlacedHypothesis
 from app.facing import Facing
-from app.posture import vote_posture
+from app.posture import posture_of, vote_posture
 from app.vision.people import Box
 from index.matching import Hypothesis
 from index.posture import Posture
@@ -63,7 +63,8 @@ def person_of(
         hypotheses.append(PlacedHypothesis(hypothesis, 1.0, confidence, label, points_2d))
     height = 1.7 * PX_PER_M
     box = Box(centre[0] - 30, centre[1] - height / 2, 60, height)
-    posture = vote_posture([placed.hypothesis.posture for placed in hypotheses], confidences)
+    votes = vote_posture([placed.hypothesis.posture for placed in hypotheses], confidences)
+    posture = posture_of(votes)
     return Person(
         ObservedPerson(box, "detector", 0.9, None), Facing(0.5, "none"), posture, tuple(hypotheses)
     )

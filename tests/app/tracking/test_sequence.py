@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.estimates import ObservedPerson, Person
-from app.posture import VotedPosture
+from app.posture import EstimatedPosture
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.tracking.sequence import LONGEST_GAP_S, SequenceSummary
 from app.vision.people import Box
@@ -17,7 +17,7 @@ def person(
     track_id: int, posture: Posture | None, action: RecognisedAction | None = None
 ) -> TrackedPerson:
     observed = ObservedPerson(Box(0, 0, 10, 20), "detector", 0.9, None)
-    voted = VotedPosture(posture, 0.9) if posture else None
+    voted = EstimatedPosture(posture, 0.9) if posture else None
     return TrackedPerson(Person(observed, None, voted, ()), track_id, 1, None, action)
 
 

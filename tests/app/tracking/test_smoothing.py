@@ -13,6 +13,7 @@ from app.estimates import Person
 from app.facing import azimuth_deg
 from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed, _line_at_zero
 from app.vision.people import Silhouette
+from index.posture import POSTURES
 from index.skeleton import NATIVE, POINTS, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
@@ -24,6 +25,10 @@ def follow(people: list[Person], step_s: float = 0.1) -> list[Smoothed]:
     updates = [smoother.update(person, step_s * frame) for frame, person in enumerate(people)]
     assert all(update is not None for update in updates)
     return [update for update in updates if update is not None]
+
+
+def likeliest(smoothed: Smoothed) -> str:
+    return POSTURES[int(smoothed.votes.argmax())]
 
 
 def walkers(right_m_s: float, away_m_s: float, azimuths_deg: list[float]) -> list[Person]:
@@ -173,7 +178,7 @@ def test_a_limb_that_swings_does_not_move_a_carried_pose_as_far_as_the_box() -> 
 def test_how_fast_somebody_goes_is_seen_rather_than_taken_from_a_clip(
     speed_m_s: float, posture: str
 ) -> None:
-    assert follow(walkers(speed_m_s, 0.0, [-90.0]))[-1].posture.label == posture
+    assert likeliest(follow(walkers(speed_m_s, 0.0, [-90.0]))[-1]) == posture
 
 
 def test_who_sits_does_not_walk_however_fast_the_chair() -> None:
@@ -181,4 +186,4 @@ def test_who_sits_does_not_walk_however_fast_the_chair() -> None:
         person_of([seen_from(-90.0)], [0.5], (200 + 20 * frame, 200.0), postures=["sitting"])
         for frame in range(20)
     ]
-    assert follow(people)[-1].posture.label == "sitting"
+    assert likeliest(follow(people)[-1]) == "sitting"
