@@ -2,7 +2,7 @@
 
 Hypotheses vote with their confidences. Where landmarks are read, a logistic model of the body's
 geometry says how likely the person lies or is on all fours; the votes only share out that
-probability, and the rest. The largest share is then calibrated.
+probability, and the rest. How far the largest shares can be trusted is calibrated.
 """
 
 from __future__ import annotations
@@ -16,10 +16,17 @@ from numpy.typing import NDArray
 
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from app.vision.weights import fitted
-from index.posture import POSTURES, Posture
+from index.posture import POSTURES, UPRIGHT, Posture
 
 GROUNDED: tuple[Posture, ...] = ("lying", "crawling")
 """Postures of a trunk that is not carried by legs or by a seat."""
+
+GROUPS: tuple[tuple[Posture, ...], ...] = (
+    GROUNDED,
+    UPRIGHT,
+    tuple(posture for posture in POSTURES if posture not in (*GROUNDED, *UPRIGHT)),
+)
+"""Postures on the ground, on straight legs, and between the two."""
 
 CLEAR_FROM = 0.5
 """Probability from which a posture is told."""
@@ -101,14 +108,30 @@ def estimate_posture(
 
 
 def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedPosture:
-    """The likeliest posture of shares ``(10,)``, its probability calibrated."""
+    """The likeliest posture of shares ``(10,)``.
+
+    The probability that its group is right is calibrated on photographs, where it is known who
+    lies, and who is on their legs; within the group the shares decide.
+    """
     best = int(shares.argmax())
-    constants = fitted("posture")
-    share = float(np.clip(shares[best], 1e-3, 1 - 1e-3))
-    odds = constants["slope"] * np.log(share / (1 - share)) + constants["offset"]
-    probability = float(presence / (1 + np.exp(-odds)))
+    group = next(group for group in GROUPS if POSTURES[best] in group)
+    in_group = float(shares[[POSTURES.index(posture) for posture in group]].sum())
+    probability = presence * group_probability(in_group) * float(shares[best]) / in_group
     label = POSTURES[best] if probability >= CLEAR_FROM else "unclear"
     return EstimatedPosture(label, probability, shares)
+
+
+def group_probability(share: float) -> float:
+    """Probability that the group of the likeliest posture is right, by the group's share."""
+    constants = fitted("posture")
+    odds = constants["slope"] * log_odds(share) + constants["offset"]
+    return float(1 / (1 + np.exp(-odds)))
+
+
+def log_odds(share: float) -> float:
+    """Log odds of a share, finite."""
+    clipped = min(max(share, 1e-3), 1 - 1e-3)
+    return float(np.log(clipped / (1 - clipped)))
 
 
 def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:

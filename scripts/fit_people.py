@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from app.estimates import Person
 from app.estimator import Estimator
-from app.posture import GROUNDED, body_features
+from app.posture import GROUNDED, GROUPS, body_features, log_odds
 from app.settings import Settings
 from app.upload import Upload
 from app.vision.boxes import Boxes, iou_matrix
@@ -257,16 +257,16 @@ def by_photograph(samples: Samples, probabilities: NDArray[np.float64]) -> NDArr
 def fit_posture(
     people: dict[str, list[tuple[Person, tuple[str, ...]]]],
 ) -> dict[str, float]:
-    """Slope and offset of the log odds that the posture with the largest share is right."""
+    """Slope and offset of the log odds that the group of the likeliest posture is right."""
     shares, right, weights = [], [], []
-    for group in people.values():
-        for person, postures in group:
+    for people_of_kind in people.values():
+        for person, postures in people_of_kind:
             assert person.posture is not None
-            best = int(person.posture.shares.argmax())
-            share = float(np.clip(person.posture.shares[best], 1e-3, 1 - 1e-3))
-            shares.append(np.log(share / (1 - share)))
-            right.append(POSTURES[best] in postures)
-            weights.append(1 / len(group))
+            likeliest = POSTURES[int(person.posture.shares.argmax())]
+            group = next(group for group in GROUPS if likeliest in group)
+            shares.append(log_odds(person.posture.share(group)))
+            right.append(likeliest in postures)
+            weights.append(1 / len(people_of_kind))
     model = LogisticRegression().fit(
         np.array(shares)[:, None], right, np.array(weights) * len(shares) / sum(weights)
     )
