@@ -7,7 +7,8 @@
     python -m scripts.evaluate sizing       what to spend an index's entries on
     python -m scripts.evaluate coverage     what its entries could answer at best
     python -m scripts.evaluate real         photographs and videos of ../shared/real
-    python -m scripts.evaluate actions      actions, postures and falls of tracks; Weizmann
+    python -m scripts.evaluate actions      actions, postures and falls of tracks
+    python -m scripts.evaluate weizmann     actions in the Weizmann data set, as in the paper
     python -m scripts.evaluate truncation   people cut by the edge of a photograph
     python -m scripts.evaluate tracking     people followed over the frames of a fixed camera
     python -m scripts.evaluate embedded     searches in the process of the service, by size
@@ -34,6 +35,7 @@ EXPERIMENTS = {
     "real": "scripts.experiments.real",
     "scales": "scripts.experiments.scales",
     "actions": "scripts.experiments.actions",
+    "weizmann": "scripts.experiments.weizmann_report",
     "truncation": "scripts.experiments.truncation",
     "tracking": "scripts.experiments.tracking",
     "embedded": "scripts.experiments.embedded_index",
@@ -54,6 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="index without the held-out clips, kept here once it is built; by default "
         "whichever experiment needs it builds it anew",
     )
+    parser.add_argument(
+        "--weizmann",
+        type=Path,
+        metavar="FILE",
+        help="classification_masks.mat of the Weizmann data set; by default that of --shared",
+    )
     known, _ = parser.parse_known_args(arguments)
     unknown = [name for name in known.names if name not in EXPERIMENTS]
     if unknown:
@@ -64,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for module in modules:
         module.add_arguments(parser.add_argument_group(module.__name__.rsplit(".")[-1]))
     options = parser.parse_args(arguments)
+    if options.weizmann is None:
+        options.weizmann = options.shared / "real" / "weizmann" / "classification_masks.mat"
     for module in modules:
         try:
             module.run(options)

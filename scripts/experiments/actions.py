@@ -63,13 +63,12 @@ FRAME_STEP = 6
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
     """Add this experiment's options to the command line."""
-    parser.add_argument("--weizmann", type=Path, help="classification_masks.mat")
     parser.add_argument("--tracks", type=Path, help="file that keeps the tracks for the next time")
 
 
 def run(options: argparse.Namespace) -> None:
     """Run the experiment as the command line asks and write ``actions.md`` and ``actions.json``."""
-    recordings = None if options.weizmann is None else read_recordings(options.weizmann)
+    recordings = read_recordings(options.weizmann) if options.weizmann.is_file() else None
     index_folder = ROOT / "index" / "data"
     index = load_index(index_folder)
     votes = {} if recordings is None else frame_votes(recordings, index)
@@ -90,8 +89,8 @@ def run(options: argparse.Namespace) -> None:
         "mirror images too.",
         vote_table(votes, simulated_votes),
         f"- *Weizmann*: {PUBLISHED} % are published by Atrevi et al. (2016). The data set's "
-        f"authors distribute it; `{COMMAND} --weizmann classification_masks.mat` fills in what is "
-        "not measured here.\n"
+        f"authors distribute it; `{COMMAND} --weizmann classification_masks.mat` measures it. "
+        "[Its page](weizmann.md) has the confusions, frames in order, and camera sessions.\n"
         f"- *Simulated clips*: {len(next(iter(simulated_votes.values())).truth)} sequences of the "
         f"{len(ACTIONS)} actions below, a different avatar for each subject, before eight cameras, "
         "5 silhouettes a second.",

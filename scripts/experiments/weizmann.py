@@ -3,7 +3,7 @@
 The data set [1]_ is one file, ``classification_masks.mat``, which users fetch from its authors: the
 silhouettes of nine people who do ten actions. The protocol is the paper's: one person is left out,
 each of their frames takes the action of the nearest frame of the others, and the frames of a
-sequence vote.
+sequence vote. Instead of single frames, stretches of consecutive frames may be compared.
 
 References
 ----------
@@ -13,16 +13,17 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.descriptor import Descriptor
-from descriptor.silhouette import normalise
+from descriptor.descriptor import Arrays, Descriptor
+from descriptor.silhouette import HEIGHT, WIDTH, normalise
 from scripts.experiments.protocol import nearest
 
 ACTIONS = ("bend", "jack", "jump", "pjump", "run", "side", "skip", "walk", "wave1", "wave2")
@@ -32,6 +33,34 @@ PUBLISHED = 71.66
 
 STRUCT = "original_masks"
 """Masks as they were filmed; those of ``aligned_masks`` are the same, moved."""
+
+
+IN_ORDER = 8
+"""Consecutive frames that are compared at a time: a third of a second. The discriminant descriptor
+recognises as many sequences with any number from 3 to 16."""
+
+Mask = NDArray[np.generic]
+
+
+@dataclass(frozen=True)
+class Film:
+    """Masks of one person who does one action.
+
+    Parameters
+    ----------
+    person, action : str
+    masks : tuple of (H, W) array
+        0 and 1, in order; frames without a person are left out.
+    """
+
+    person: str
+    action: str
+    masks: tuple[Mask, ...]
+
+    def normalised(self, draw: Callable[[Mask], Mask] = np.asarray) -> Recording:
+        """Its silhouettes, of masks drawn in another way if wanted."""
+        silhouettes = [normalise(draw(mask))[0] for mask in self.masks]
+        return Recording(self.person, self.action, np.stack(silhouettes))
 
 
 @dataclass(frozen=True)
@@ -50,10 +79,8 @@ class Recording:
     silhouettes: NDArray[np.uint8]
 
 
-def read_recordings(file: Path) -> list[Recording]:
+def read_films(file: Path) -> list[Film]:
     """Read ``classification_masks.mat``.
-
-    Frames without a person are left out.
 
     Raises
     ------
@@ -72,13 +99,18 @@ def read_recordings(file: Path) -> list[Recording]:
     masks = structs.get(STRUCT)
     if masks is None or masks.dtype.names is None or masks.size != 1:
         raise ValueError(f"{expected} holds no struct {STRUCT}")
-    recordings = [_recording(name, masks[name].item(), expected) for name in masks.dtype.names]
-    if len({recording.person for recording in recordings}) < 2:
+    films = [_film(name, masks[name].item(), expected) for name in masks.dtype.names]
+    if len({film.person for film in films}) < 2:
         raise ValueError(f"{expected} holds fewer than two people")
-    return recordings
+    return films
 
 
-def _recording(field: str, masks: NDArray[np.generic], expected: str) -> Recording:
+def read_recordings(file: Path) -> list[Recording]:
+    """Read ``classification_masks.mat`` as normalised silhouettes; raises as :func:`read_films`."""
+    return [film.normalised() for film in read_films(file)]
+
+
+def _film(field: str, masks: Mask, expected: str) -> Film:
     """One field, such as ``lena_walk1``: masks ``(H, W, F)``."""
     person, _, take = field.partition("_")
     # Two takes of an action are numbered; wave1 and wave2 are two actions.
@@ -90,8 +122,51 @@ def _recording(field: str, masks: NDArray[np.generic], expected: str) -> Recordi
             f"{expected} has a field {field!r} of shape {masks.shape} that is not masks of 0 and 1 "
             "by height, width and frame"
         )
-    filled = [mask for mask in np.moveaxis(masks, 2, 0) if mask.any()]
-    return Recording(person, action, np.stack([normalise(mask)[0] for mask in filled]))
+    return Film(person, action, tuple(mask for mask in np.moveaxis(masks, 2, 0) if mask.any()))
+
+
+def enlarged(mask: Mask, times: int, outset_px: float) -> NDArray[np.uint8]:
+    """A mask drawn larger, as the polygons around its parts.
+
+    Parameters
+    ----------
+    mask : (H, W) array
+    times : int
+    outset_px : float
+        How far outside the centres of its outermost pixels it ends, in pixels of the mask: its
+        pixels end half a pixel outside.
+    """
+    padded = np.pad(mask, 2).astype(np.uint8)
+    outlines, _ = cv2.findContours(padded, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    drawn = np.zeros(tuple(times * side for side in padded.shape), np.uint8)
+    cv2.drawContours(drawn, [times * outline for outline in outlines], -1, 1, -1)
+    diameter = 1 + 2 * round(times * outset_px)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (diameter, diameter))
+    return np.asarray(cv2.dilate(drawn, disc), np.uint8)
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """A silhouette as its own descriptor."""
+
+    name: str = "pixels"
+    dimension: int = HEIGHT * WIDTH
+
+    def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
+        """Pixels ``(B, 6144)`` of silhouettes ``(B, 128, 48)``."""
+        return silhouettes.reshape(len(silhouettes), -1).astype(np.float32)
+
+    def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Pixels of the mirrored silhouettes."""
+        return vectors.reshape(-1, HEIGHT, WIDTH)[:, :, ::-1].reshape(vectors.shape)
+
+    def parameters(self) -> dict[str, object]:
+        """None but the name."""
+        return {"name": self.name}
+
+    def arrays(self) -> Arrays:
+        """None."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -104,13 +179,16 @@ class Recognition:
     truth, answer : (S,) int64 arrays
         Positions in ``actions``, of each recording.
     frames_right : float
-        Share of all frames.
+        Share of all frames, or of all stretches of frames.
+    lead : (S,) float64 array
+        By which share of a recording's votes the answer leads the next action.
     """
 
     actions: tuple[str, ...]
     truth: NDArray[np.int64]
     answer: NDArray[np.int64]
     frames_right: float
+    lead: NDArray[np.float64]
 
     @property
     def right(self) -> float:
@@ -124,8 +202,18 @@ class Recognition:
         return counts
 
 
+def stretches(vectors: NDArray[np.float32], frames: int) -> NDArray[np.float32]:
+    """Vectors ``(F, D)`` of each ``frames`` consecutive frames, ``(F - frames + 1, frames * D)``.
+
+    Of fewer frames than that, the last is repeated.
+    """
+    padded = np.pad(vectors, ((0, max(0, frames - len(vectors))), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, frames, axis=0)
+    return np.ascontiguousarray(windows.swapaxes(1, 2)).reshape(len(windows), -1)
+
+
 def leave_one_person_out(
-    recordings: Sequence[Recording], descriptor: Descriptor, *, mirrored: bool
+    recordings: Sequence[Recording], descriptor: Descriptor, *, mirrored: bool, frames: int = 1
 ) -> Recognition:
     """Recognise the recordings of each person by those of all others.
 
@@ -135,21 +223,29 @@ def leave_one_person_out(
     descriptor : Descriptor
     mirrored : bool
         Whether known frames stand for their mirror images too.
+    frames : int
+        Consecutive frames that are compared at a time.
     """
     actions = tuple(sorted({recording.action for recording in recordings}))
-    vectors = [descriptor.describe(recording.silhouettes) for recording in recordings]
+    described = [descriptor.describe(recording.silhouettes) for recording in recordings]
+    vectors = [stretches(v, frames) for v in described]
+    mirror_images = [stretches(descriptor.mirror(v), frames) for v in described]
     truth = np.array([actions.index(recording.action) for recording in recordings])
     lengths = [len(v) for v in vectors]
-    answer = np.zeros(len(recordings), np.int64)
+    answer, lead = np.zeros(len(recordings), np.int64), np.zeros(len(recordings))
     frames_right = 0
     for person in {recording.person for recording in recordings}:
         asked = np.array([recording.person == person for recording in recordings])
-        known = np.concatenate([vectors[row] for row in np.flatnonzero(~asked)])
-        labels = np.concatenate([np.full(lengths[r], truth[r]) for r in np.flatnonzero(~asked)])
-        if mirrored:
-            known, labels = np.concatenate([known, descriptor.mirror(known)]), np.tile(labels, 2)
-        for row in np.flatnonzero(asked):
-            votes = labels[nearest(known, vectors[row], 1)[:, 0]]
-            answer[row] = np.bincount(votes).argmax()
-            frames_right += int((votes == truth[row]).sum())
-    return Recognition(actions, truth, answer, frames_right / sum(lengths))
+        rows = np.flatnonzero(~asked).tolist()
+        known = [vectors[row] for row in rows] + [mirror_images[row] for row in rows if mirrored]
+        labels = np.concatenate([np.full(lengths[row], truth[row]) for row in rows])
+        labels = np.tile(labels, 2) if mirrored else labels
+        compared = np.concatenate(known)
+        for row in np.flatnonzero(asked).tolist():
+            votes = labels[nearest(compared, vectors[row], 1)[:, 0]]
+            counts = np.bincount(votes, minlength=len(actions))
+            answer[row] = counts.argmax()
+            second, first = np.sort(counts)[-2:]
+            lead[row] = (first - second) / len(votes)
+            frames_right += int(counts[truth[row]])
+    return Recognition(actions, truth, answer, frames_right / sum(lengths), lead)

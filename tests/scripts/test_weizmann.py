@@ -9,8 +9,21 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from app.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
-from scripts.experiments.weizmann import leave_one_person_out, read_recordings
+from descriptor.silhouette import bounding_box
+from index.store import PoseIndex
+from scripts.experiments.weizmann import (
+    Film,
+    Pixels,
+    Recording,
+    enlarged,
+    leave_one_person_out,
+    read_films,
+    read_recordings,
+    stretches,
+)
+from scripts.experiments.weizmann_report import in_frames, watch
 
 FRAMES = 6
 HEIGHT, WIDTH = 72, 90
@@ -88,6 +101,50 @@ def test_nobody_is_recognised_by_their_own_frames(file: Path) -> None:
     wave2 = recognition.actions.index("wave2")
     assert (recognition.answer[recognition.truth == wave2] != wave2).all()
     assert recognition.right < 1
+
+
+def test_stretches_are_consecutive_frames() -> None:
+    vectors = np.arange(10, dtype=np.float32).reshape(5, 2)
+    assert stretches(vectors, 2).tolist() == [
+        [0, 1, 2, 3], [2, 3, 4, 5], [4, 5, 6, 7], [6, 7, 8, 9],
+    ]  # fmt: skip
+    assert np.array_equal(stretches(vectors, 1), vectors)
+    assert stretches(vectors[:1], 3).tolist() == [[0, 1] * 3]
+
+
+def test_order_tells_actions_of_the_same_frames_apart(file: Path) -> None:
+    frames = np.concatenate([r.silhouettes[:1] for r in read_recordings(file)[:6]])
+    recordings = [
+        Recording(person, action, frames[::step])
+        for person in ("daria", "lena")
+        for action, step in (("run", 1), ("walk", -1))
+    ]
+    by_frame, in_order = (
+        leave_one_person_out(recordings, Pixels(), mirrored=False, frames=n) for n in (1, 3)
+    )
+    assert by_frame.right == 0.5
+    assert in_order.right == 1 and (in_order.lead == 1).all()
+
+
+@pytest.mark.parametrize("times", [2, 4])
+def test_masks_drawn_larger_end_where_their_pixels_do(file: Path, times: int) -> None:
+    for film in read_films(file):
+        mask = np.asarray(film.masks[0], np.uint8)
+        _, _, *size = bounding_box(mask != 0)
+        _, _, *drawn = bounding_box(enlarged(mask, times, 0.5) != 0)
+        _, _, *thinner = bounding_box(enlarged(mask, times, 0.0) != 0)
+        assert drawn == [times * side + 1 for side in size]
+        # A pixel between the centres of the outermost ones.
+        assert thinner == [times * (side - 1) + 1 for side in size]
+
+
+def test_films_are_watched_as_by_a_camera(estimator: Estimator, tiny_index: PoseIndex) -> None:
+    masks = tuple(tiny_index.silhouette(number) for number in range(0, 96, 4))
+    film = Film("daria", "walk", tuple(np.repeat(masks, 2, axis=0)))
+    assert [frame.sum() for frame in in_frames(film)] == [mask.sum() for mask in film.masks]
+    session = watch(film, estimator)
+    assert session.vote in tiny_index.actions
+    assert session.told is not None and session.told in session.frames
 
 
 @pytest.mark.parametrize(
