@@ -81,8 +81,12 @@ class Settings(BaseSettings):
         ge=1,
         description="Frames worked on at once; one that shows several people uses free threads.",
     )
-    # Each waiting frame makes the answers to those behind it older.
-    queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")
+    max_wait_s: float = Field(
+        default=2.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="For a thread, once uploaded; a frame that would wait longer is refused.",
+    )
     request_timeout_s: float = Field(
         default=10.0,
         gt=0,

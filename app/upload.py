@@ -64,6 +64,11 @@ class Upload:
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
 
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What it holds, which tells how long the work on it takes."""
+        return tuple(name for name, value in vars(self).items() if value is not None)
+
     def __post_init__(self) -> None:
         if self.frame is None and self.mask is None:
             raise UploadError("frame", "misfit", "frame: expected an image file, got none")

@@ -103,9 +103,8 @@ async def track_frame(
         reply = track_reply(tracked, camera.camera_id, estimator.index, form)
         return reply.model_dump_json().encode()
 
-    # Only the first frame is searched all over for people.
-    cold = upload.mask is None and camera not in sessions
-    content = await run_frame(request, work, photograph=cold, session=camera)
+    # The first frame of a session takes longer.
+    content = await run_frame(request, work, kind=(upload.given, camera in sessions))
     return Response(content, media_type="application/json")
 
 

@@ -93,7 +93,7 @@ async def detect_deepstack(
             if (found.detection_score or 0.0) >= upload.min_confidence
         ]
 
-    predictions = await run_frame(request, work, photograph=True)
+    predictions = await run_frame(request, work, kind=None)
     return DeepstackResponse(
         success=True, predictions=predictions, duration=time.perf_counter() - started
     )

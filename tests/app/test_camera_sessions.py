@@ -158,7 +158,7 @@ class TestOrder:
     @pytest.fixture
     def wide(self, settings: Settings, estimator: Estimator) -> Iterator[TestClient]:
         """A service with more threads than a camera may use."""
-        roomy = settings.model_copy(update={"concurrency": 4, "queue_length": 4})
+        roomy = settings.model_copy(update={"concurrency": 4})
         with TestClient(create_app(roomy, estimator)) as client:
             yield client
 
@@ -171,7 +171,7 @@ class TestOrder:
             while gate.begun < 1:
                 pass
             older = threads.submit(send, wide, photo)
-            while executor.inside < 2:
+            while executor.line.inside < 2:
                 pass
             newer = threads.submit(send, wide, photo)
             refused = older.result(10)
@@ -182,7 +182,7 @@ class TestOrder:
             assert newer.result(10).json()["frame_index"] == 1
         assert "newer frame of this camera" in check_problem(refused, 503)
         assert refused.headers["x-session"] == "new"
-        assert int(refused.headers["retry-after"]) >= 1
+        assert "retry-after" not in refused.headers
 
     def test_two_cameras_run_side_by_side(self, wide: TestClient, photo: Photo, gate: Gate) -> None:
         with ThreadPoolExecutor(2) as threads:

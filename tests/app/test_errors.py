@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import resource
 from typing import Any
 
@@ -26,6 +27,7 @@ def check_problem(response: httpx.Response, status: int, field: str | None = Non
     assert problem["type"] == "about:blank"
     assert problem["title"]
     assert problem["detail"]
+    assert re.fullmatch("[a-z_]+", problem["reason"])
     assert problem.get("field") == field
     assert "Traceback" not in response.text
     return str(problem["detail"])
