@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hmac
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from starlette.datastructures import Headers
 from starlette.types import Scope
 
 from app.line import Sender
 from app.settings import Settings
-
-BEARER = "Bearer "
 
 
 class Caller(NamedTuple):
@@ -33,12 +32,18 @@ def sender_of(scope: Scope, settings: Settings) -> Sender:
     """Return who sends a request, whatever route it is meant for."""
     key = None
     if settings.api_keys:
-        headers = dict(scope["headers"])
-        bearer = headers.get(b"authorization", b"").decode("latin-1").removeprefix(BEARER)
-        key = position_of_key(settings, (headers.get(b"x-api-key", b"").decode("latin-1"), bearer))
+        key = position_of_key(settings, keys_in_headers(scope))
     address, port = scope.get("client") or ("", 0)
     # Behind a proxy, the address is the client's and the port is 0.
     return Sender(Caller(key, address), port or None)
+
+
+def keys_in_headers(scope: Scope) -> Iterator[str]:
+    """Yield the keys that a request's headers hold, ``X-API-Key`` and a bearer token."""
+    headers = Headers(scope=scope)
+    yield headers.get("x-api-key", "")
+    scheme, _, token = headers.get("authorization", "").partition(" ")
+    yield token if scheme.lower() == "bearer" else ""
 
 
 def position_of_key(settings: Settings, given: Iterable[str | None]) -> int | None:

@@ -10,9 +10,11 @@ from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationErro
 from app.errors import ProblemError, is_image, is_multipart, unsupported_body
 from app.messages import expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
+from app.runtime import runtime_of
 from app.schemas import Evidence, FrameUpload, JointForm, KeypointSetName, SilhouetteForm
+from app.settings import Settings
 from app.tracking_schemas import LATEST_TIMESTAMP_S, TrackUpload
-from app.upload import Upload
+from app.upload import Upload, UploadError
 from app.vision.people import Box
 
 # Strict: true and "12" are no numbers.
@@ -22,6 +24,8 @@ _BOXES = TypeAdapter(
 )
 Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S)]
 _TIMESTAMP = TypeAdapter[float](Timestamp)
+
+_LONGEST_BOX = 256  # In characters, spaces and line breaks included.
 
 DEFAULT_HYPOTHESES = 7
 
@@ -109,7 +113,7 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
             await file_of(form, "frame"),
             mask=await file_of(form, "mask"),
             background=await file_of(form, "background"),
-            boxes=_parse_boxes(boxes) if boxes else None,
+            boxes=_parse_boxes(boxes, runtime_of(request).settings) if boxes else None,
         )
         return upload, _parse_timestamp(timestamp) if timestamp else None
 
@@ -151,7 +155,14 @@ def _parse_timestamp(text: str) -> float:
         ) from None
 
 
-def _parse_boxes(text: str) -> list[Box]:
+def _parse_boxes(text: str, settings: Settings) -> list[Box]:
+    # Counted before they are parsed: hundreds of thousands would keep all other callers waiting.
+    count, most = text.count("[") - 1, settings.max_persons
+    if count > most:
+        raise UploadError("boxes", "misfit", f"expected at most {most} persons, got {count}")
+    if len(text) > most * _LONGEST_BOX:
+        longest = f"expected a list of at most {most * _LONGEST_BOX} characters, got {len(text)}"
+        raise UploadError("boxes", "misfit", f"boxes: {longest}")
     try:
         return [Box(*numbers) for numbers in _BOXES.validate_json(text)]
     except ValidationError as error:

@@ -106,6 +106,15 @@ def test_bad_boxes(client: TestClient, photo: Photo, boxes: str) -> None:
     check_problem(client.post("/pose", files=files, data={"boxes": boxes}), 422, "boxes")
 
 
+def test_boxes_without_number_are_counted_not_parsed(client: TestClient, photo: Photo) -> None:
+    files = {"frame": photo.frame_png}
+    # Its end is missing, which a parser would say.
+    response = client.post("/pose", files=files, data={"boxes": "[" + "[1, 2, 3, 4]," * 60_000})
+    assert "at most 50 persons, got 60000" in check_problem(response, 422, "boxes")
+    response = client.post("/pose", files=files, data={"boxes": "[[1, 2, 3, 4" + "0" * 900_000})
+    assert "at most 12800 characters" in check_problem(response, 422, "boxes")
+
+
 def test_one_way_to_say_where_people_are(client: TestClient, photo: Photo) -> None:
     files = {"frame": photo.frame_png, "mask": photo.mask_png}
     response = client.post("/pose", files=files, data={"boxes": "[[1, 2, 30, 40]]"})
