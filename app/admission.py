@@ -146,7 +146,12 @@ class AdmissionMiddleware:
             return busy(error)
         if self._is_crowded(caller):
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
-        length = dict(scope["headers"]).get(b"content-length", b"")
+        headers = dict(scope["headers"])
+        encoding = headers.get(b"content-encoding", b"identity")
+        if encoding.lower() != b"identity":
+            got = encoding.decode("latin-1")[:40]
+            return ProblemError(415, f"expected a body without Content-Encoding, got {got}")
+        length = headers.get(b"content-length", b"")
         if length.isdigit() and int(length) > limits.max_bytes:
             return _too_large(limits)
         return None

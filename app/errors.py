@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import RedirectResponse, Response
+from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.types import Receive, Scope, Send
@@ -224,6 +224,9 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
             return _not_found(request, table)
         if error.status_code == 405:
             return _not_allowed(request, table)
+        if error.status_code == 400:  # Raised where a form cannot be parsed, in the parser's words.
+            detail = "expected a well-formed multipart/form-data body of at most 1000 parts"
+            return problem_response(ProblemError(400, detail, reason="undecodable"))
         return problem_response(
             ProblemError(error.status_code, str(error.detail), headers=error.headers)
         )
@@ -234,7 +237,10 @@ def _not_found(request: Request, table: RouteTable) -> Response:
     if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
         # Relative, so that it also works behind a proxy that serves us under a path.
         last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
-        return RedirectResponse(f"../{last}" + (f"?{query}" if query else ""))
+        location = f"../{last}" + (f"?{query}" if query else "")
+        # Not every client follows it, so it says what is meant.
+        detail = f"expected {path[:-1]}, got {shortened(path)}"
+        return problem_response(ProblemError(307, detail, headers={"Location": location}))
     detail = f"expected a path that /docs describes, got {shortened(path)}"
     return problem_response(ProblemError(404, detail + table.suggestion(path)))
 

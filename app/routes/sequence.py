@@ -27,6 +27,7 @@ from app.errors import (
     unsupported_body,
 )
 from app.line import Sender
+from app.messages import WHOLE_NUMBER
 from app.replies import ReplyForm
 from app.request_context import is_ending, note_rejection
 from app.routes.forms import CheckQuery, check_fields
@@ -58,7 +59,9 @@ _UNREAD_S = 30.0
 """A client that reads nothing for this long is given up."""
 
 StrideQuery = Annotated[
-    int, Query(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2])
+    int,
+    Query(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2]),
+    WHOLE_NUMBER,
 ]
 MaxFramesQuery = Annotated[
     int | None,
@@ -68,6 +71,7 @@ MaxFramesQuery = Annotated[
         "service allows.",
         examples=[500],
     ),
+    WHOLE_NUMBER,
 ]
 
 _DOCUMENTED: dict[str, Any] = {

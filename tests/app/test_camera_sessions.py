@@ -158,7 +158,7 @@ class TestOrder:
     @pytest.fixture
     def wide(self, settings: Settings, estimator: Estimator) -> Iterator[TestClient]:
         """A service with more threads than a camera may use."""
-        roomy = settings.model_copy(update={"concurrency": 4})
+        roomy = settings.model_copy(update={"concurrency": 4, "max_wait_s": 10.0})
         with TestClient(create_app(roomy, estimator)) as client:
             yield client
 

@@ -285,7 +285,22 @@ def test_a_broken_multipart_body(client: TestClient) -> None:
     headers = {"content-type": "multipart/form-data; boundary=b"}
     check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 422, "frame")
     headers = {"content-type": "multipart/form-data"}
-    check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 400)
+    response = client.post("/pose", content=b"--b\r\nnonsense", headers=headers)
+    assert "well-formed multipart/form-data" in check_problem(response, 400)
+
+
+def test_an_encoded_body_is_named(client: TestClient) -> None:
+    headers = {"content-type": "image/jpeg", "content-encoding": "gzip"}
+    response = client.post("/pose", content=b"x", headers=headers)
+    assert "without Content-Encoding, got gzip" in check_problem(response, 415)
+
+
+@pytest.mark.parametrize("box", [[1, 2, 0, 4], [1, 2, -3, 4]])
+def test_a_box_is_written_as_it_was_sent(client: TestClient, photo: Photo, box: list[int]) -> None:
+    files = {"frame": photo.frame_png}
+    response = client.post("/pose", files=files, data={"boxes": json.dumps([box])})
+    detail = check_problem(response, 422, "boxes")
+    assert detail.endswith(f"got box 0: {[float(number) for number in box]}")
 
 
 def test_unknown_paths_and_methods(client: TestClient) -> None:
@@ -293,6 +308,7 @@ def test_unknown_paths_and_methods(client: TestClient) -> None:
     check_problem(client.get("/index/entries/96"), 404)
     check_problem(client.get("/index/entries/-1"), 422, "entry")
     check_problem(client.get("/index/entries/one"), 422, "entry")
+    assert "whole number" in check_problem(client.get("/index/entries/1.0"), 422, "entry")
     response = client.get("/pose")
     check_problem(response, 405)
     assert response.headers["allow"] == "POST"
