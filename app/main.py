@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 from fastapi import FastAPI
+from fastapi.middleware.cors import CORSMiddleware
 from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 from starlette.types import Scope
@@ -17,7 +18,6 @@ from app.breaker import CircuitBreaker
 from app.callers import sender_of
 from app.cameras import HEADER as CAMERA_HEADER
 from app.cameras import camera_stream
-from app.cors import CorsMiddleware
 from app.errors import register_error_handlers
 from app.estimator import Estimator
 from app.executor import Executor
@@ -153,7 +153,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     )
     if settings.cors_origins:
         app.add_middleware(
-            CorsMiddleware,
+            CORSMiddleware,
             allow_origins=list(settings.cors_origins),
             allow_methods=list(table.methods),
             allow_headers=["X-API-Key", "Authorization", "X-Request-ID", CAMERA_HEADER],
