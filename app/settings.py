@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
@@ -101,7 +101,10 @@ class Settings(BaseSettings):
     )
 
     max_cameras: int = Field(
-        default=64, ge=1, description="Camera sessions; beyond, the least recently used is dropped."
+        default=64,
+        ge=0,
+        validate_default=True,
+        description="Camera sessions; beyond, the least recently used is dropped. 0 for none.",
     )
     camera_idle_s: float = Field(
         default=300.0,
@@ -166,6 +169,17 @@ class Settings(BaseSettings):
         if not all(parts):
             raise ValueError("expected values separated by commas, got an empty one")
         return parts
+
+    @field_validator("max_cameras")
+    @classmethod
+    def _check_sessions(cls, sessions: int, info: ValidationInfo) -> int:
+        workers = info.data.get("workers", 1)
+        if sessions and workers > 1:
+            raise ValueError(
+                f"expected 0 with WORKERS={workers}, since each process would know a part of every "
+                f"camera, got {sessions}"
+            )
+        return sessions
 
     @field_validator("cors_origins")
     @classmethod

@@ -68,7 +68,7 @@ def _tell_session(request: Request, state: SessionState) -> None:
     summary="The people in the next frame of a camera, over time",
     response_model=TrackResponse,
     dependencies=[Depends(_session_header)],
-    responses=documented(400, 401, 408, 409, 413, 415, 422, 503),
+    responses=documented(400, 401, 404, 408, 409, 413, 415, 422, 503),
     openapi_extra=DOCUMENTED_TRACK_UPLOAD,
 )
 async def track_frame(
@@ -90,6 +90,8 @@ async def track_frame(
     it or has moved over to another index.
     """
     runtime = runtime_of(request)
+    if not runtime.settings.max_cameras:
+        raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
     estimator, sessions = runtime.searching_estimator(), runtime.sessions
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints)
     upload, timestamp = frame

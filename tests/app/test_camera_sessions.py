@@ -117,6 +117,14 @@ class TestTrackFrame:
     ) -> None:
         assert "A-Za-z0-9" in check_problem(send(client, photo, name), 422, "camera_id")
 
+    def test_a_service_may_keep_none(
+        self, settings: Settings, estimator: Estimator, photo: Photo
+    ) -> None:
+        without = settings.model_copy(update={"max_cameras": 0})
+        with TestClient(create_app(without, estimator)) as client:
+            response = send(client, photo, "yard")
+            assert "no camera sessions" in check_problem(response, 404)
+
     def test_a_session_that_made_room_starts_afresh(
         self, settings: Settings, estimator: Estimator, photo: Photo
     ) -> None:
