@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -65,8 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         module.add_arguments(parser.add_argument_group(module.__name__.rsplit(".")[-1]))
     options = parser.parse_args(arguments)
     for module in modules:
+        started = time.monotonic()
         try:
             module.run(options)
+            minutes = (time.monotonic() - started) / 60
+            print(f"{module.__name__.rsplit('.')[-1]} took {minutes:.1f} minutes")
         except (FileNotFoundError, ValueError) as error:
             raise SystemExit(f"evaluate: {error}") from None
 
