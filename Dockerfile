@@ -9,10 +9,11 @@ RUN python -m venv /srv/.venv
 COPY LICENSE LICENSE
 COPY NOTICE NOTICE
 COPY pyproject.toml ./
+COPY constraints.txt constraints.txt
 COPY app app
 COPY descriptor descriptor
 COPY index index
-RUN /srv/.venv/bin/pip install --no-cache-dir ".${EXTRAS:+[$EXTRAS]}"
+RUN /srv/.venv/bin/pip install --no-cache-dir -c constraints.txt ".${EXTRAS:+[$EXTRAS]}"
 
 FROM python:3.11-slim
 ARG REVISION=unknown

@@ -11,9 +11,13 @@ export HOST PORT SHARED
 RUN := .venv
 DEV := .venv-dev
 BUILD := .venv-build
+NEWEST := .venv-newest
 REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 
-.PHONY: run test test-all check index evaluate bench openapi clean
+# pip is held to the versions that were tested; `make constraints` writes them.
+PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: run test test-all test-newest check index evaluate bench openapi constraints clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -26,6 +30,12 @@ test: $(DEV)/.stamp
 # -rs says which of them are missing.
 test-all: $(BUILD)/.stamp
 	$(BUILD)/bin/python -m pytest -q -rs -m "slow or not slow" $(ARGS)
+
+# With the newest versions that pyproject.toml allows, in an environment of its own.
+test-newest:
+	@$(PYTHON) -m venv --clear $(NEWEST)
+	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
+	$(NEWEST)/bin/python -m pytest -q -n 2 --dist loadfile $(ARGS)
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
@@ -47,28 +57,36 @@ bench: $(DEV)/.stamp
 openapi: $(DEV)/.stamp
 	$(DEV)/bin/python -m scripts.export_openapi
 
-$(RUN)/.stamp: pyproject.toml
+# The newest versions that pyproject.toml allows, to be tested before they are committed. What the
+# extra build needs besides is pinned there.
+constraints:
+	@$(PYTHON) -m venv --clear $(NEWEST)
+	$(NEWEST)/bin/pip install --quiet --disable-pip-version-check --dry-run --report $(NEWEST)/report.json \
+	  -e '.[browser,cluster,contract,evaluate,milvus,test]'
+	$(NEWEST)/bin/python -m scripts.constraints < $(NEWEST)/report.json > $@.txt
+
+$(RUN)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(RUN) with what serving needs, from PyPI (about 20 s)"
 	@$(PYTHON) -m venv $(RUN)
-	@$(RUN)/bin/pip install --quiet --disable-pip-version-check -e .
+	@$(RUN)/bin/$(PIP_INSTALL) -e .
 	@touch $@
 
-$(DEV)/.stamp: pyproject.toml
+$(DEV)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(DEV) with what checks and tests need, from PyPI (about a minute)"
 	@$(PYTHON) -m venv $(DEV)
-	@$(DEV)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
+	@$(DEV)/bin/$(PIP_INSTALL) -e '.[test]'
 	@touch $@
 
 # torch first and pinned: another way round, pip takes gigabytes of CUDA libraries.
-$(BUILD)/.stamp: pyproject.toml
+$(BUILD)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
 	@$(PYTHON) -m venv $(BUILD)
-	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check torch==2.13.0
-	@$(BUILD)/bin/pip install --quiet --disable-pip-version-check -e '.[browser,build,cluster,contract,evaluate,test]'
+	@$(BUILD)/bin/$(PIP_INSTALL) torch==2.13.0
+	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,evaluate,test]'
 	@touch $@
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.
 clean:
-	rm -rf $(RUN) $(DEV) $(BUILD) build dist *.egg-info \
+	rm -rf $(RUN) $(DEV) $(BUILD) $(NEWEST) build dist *.egg-info \
 	  .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

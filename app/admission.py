@@ -8,17 +8,21 @@ that have been accepted.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.errors import ProblemError, overloaded, problem_response
-from app.executor import FULL
+from app.cancellation import BusyError
+from app.errors import ProblemError, busy, overloaded, problem_response
 
 GRACE_S = 5.0
 MIN_BYTES_PER_S = 4096
 """An upload slower than this after the grace period is given up."""
+
+CALLER_SHARE = 0.75
+"""Of the uploads open at once, those that one caller may have."""
 
 STALLED_S = 1.0
 """An upload that has been silent for this long makes room for another one."""
@@ -44,11 +48,12 @@ class _Upload:
 
     Parameters
     ----------
+    caller : hashable
     limits : UploadLimits
     """
 
-    def __init__(self, limits: UploadLimits) -> None:
-        self.limits = limits
+    def __init__(self, caller: Hashable, limits: UploadLimits) -> None:
+        self.caller, self.limits = caller, limits
         self._started = self._last = asyncio.get_running_loop().time()
         self._timeout: asyncio.Timeout | None = None
         self.received = 0
@@ -87,10 +92,10 @@ class AdmissionMiddleware:
     Parameters
     ----------
     app : ASGI application
-    is_full : callable
-        Whether the executor would refuse a request of this scope.
-    retry_after_s : callable
-        Seconds until it probably has room.
+    check : callable
+        Raises :class:`app.cancellation.BusyError` where a request would be refused later.
+    caller_of : callable
+        Whom a request comes from.
     limits : UploadLimits
     limits_of_paths : mapping
         Limits of the paths that have others.
@@ -102,15 +107,15 @@ class AdmissionMiddleware:
         self,
         app: ASGIApp,
         *,
-        is_full: Callable[[Scope], bool],
-        retry_after_s: Callable[[], int],
+        check: Callable[[Scope], None],
+        caller_of: Callable[[Scope], Hashable],
         limits: UploadLimits,
         limits_of_paths: Mapping[str, UploadLimits],
         max_open: int,
     ) -> None:
         self.app = app
-        self._is_full = is_full
-        self._retry_after_s = retry_after_s
+        self._check = check
+        self._caller_of = caller_of
         self._limits = limits
         self._limits_of_paths = limits_of_paths
         self._max_open = max_open
@@ -122,34 +127,41 @@ class AdmissionMiddleware:
             await self.app(scope, receive, send)
             return
         limits = self._limits_of_paths.get(scope["path"], self._limits)
-        refusal = self._refusal(scope, limits)
+        caller = self._caller_of(scope)
+        refusal = self._refusal(scope, caller, limits)
         if refusal is not None:
             await problem_response(refusal)(scope, receive, send)
             return
-        upload = _Upload(limits)
+        upload = _Upload(caller, limits)
         self._uploads.add(upload)
         try:
             await self._admit(upload, scope, receive, send)
         finally:
             self._uploads.discard(upload)
 
-    def _refusal(self, scope: Scope, limits: UploadLimits) -> ProblemError | None:
-        if self._is_full(scope):
-            return overloaded(FULL, "queue_full", self._retry_after_s())
-        if len(self._uploads) >= self._max_open and not self._make_room():
+    def _refusal(self, scope: Scope, caller: Hashable, limits: UploadLimits) -> ProblemError | None:
+        try:
+            self._check(scope)
+        except BusyError as error:
+            return busy(error)
+        if self._is_crowded(caller):
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
-        length = dict(scope["headers"]).get(b"content-length", b"")
+        headers = dict(scope["headers"])
+        encoding = headers.get(b"content-encoding", b"identity")
+        if encoding.lower() != b"identity":
+            got = encoding.decode("latin-1")[:40]
+            return ProblemError(415, f"expected a body without Content-Encoding, got {got}")
+        length = headers.get(b"content-length", b"")
         if length.isdigit() and int(length) > limits.max_bytes:
             return _too_large(limits)
         return None
 
-    def _make_room(self) -> bool:
-        """Give up the upload that has been silent for longest, if that is long enough."""
-        stalled = max(self._uploads, key=_Upload.silent_s, default=None)
-        if stalled is None or stalled.silent_s() < STALLED_S:
-            return False
-        stalled.give_up()
-        return True
+    def _is_crowded(self, caller: Hashable) -> bool:
+        """Whether all places are taken, or the caller has taken more than others may miss."""
+        own = [upload for upload in self._uploads if upload.caller == caller]
+        if len(own) >= math.ceil(CALLER_SHARE * self._max_open):
+            return not _make_room(own)
+        return len(self._uploads) >= self._max_open and not _make_room(self._uploads)
 
     async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
         refusal: ProblemError | None = None
@@ -185,6 +197,15 @@ class AdmissionMiddleware:
                 await problem_response(refusal)(scope, receive, send)
 
         await self.app(scope, counting_receive, replacing_send)
+
+
+def _make_room(uploads: Iterable[_Upload]) -> bool:
+    """Give up the upload that has been silent for longest, if that is long enough."""
+    stalled = max(uploads, key=_Upload.silent_s, default=None)
+    if stalled is None or stalled.silent_s() < STALLED_S:
+        return False
+    stalled.give_up()
+    return True
 
 
 def _too_large(limits: UploadLimits) -> ProblemError:

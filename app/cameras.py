@@ -9,7 +9,8 @@ from fastapi import Depends, Header
 from starlette.types import Scope
 
 HEADER = "X-Camera-ID"
-CAMERA_PATTERN = "^[A-Za-z0-9._-]{1,64}$"
+# Not "." and "..", which are no names in a path.
+CAMERA_PATTERN = "^[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}$"
 _HEADER_BYTES = HEADER.lower().encode()
 _PATTERN_BYTES = re.compile(CAMERA_PATTERN.encode())
 _SESSION_PATH = re.compile("/cameras/([^/]+)/frames")

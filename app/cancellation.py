@@ -7,10 +7,22 @@ import time
 
 
 class BusyError(Exception):
-    """The service has more to do than it can; the message is one sentence for the caller."""
+    """The service has more to do than it can.
+
+    Parameters
+    ----------
+    message : str
+        One sentence for the caller.
+    retry_after_s : int, optional
+        When it is worth trying again; None where it is not.
+    """
 
     reason = "busy"
-    """One word for logs and metrics."""
+    """One word for callers, logs and metrics."""
+
+    def __init__(self, message: str, retry_after_s: int | None = 1) -> None:
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
 
 
 class DeadlineError(BusyError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -63,6 +64,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     for number, person in enumerate(estimate.persons, start=1):
         _draw_person(picture, person, PEOPLE[(number - 1) % len(PEOPLE)], keypoints, line)
     # Afterwards, so that no person covers another one's number.
+    labels: list[_Label] = []
     for number, person in enumerate(estimate.persons, start=1):
         box = person.observed.box
         text = (
@@ -70,9 +72,27 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
         )
         width = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0]
         left = max(0, min(round(box.x), picture.shape[1] - width))
-        corner = left, max(letter + 2, round(box.y) - 2 - line)
+        label = _Label(left, left + width, max(letter + 2, round(box.y) - 2 - line))
+        labels.append(_below_others(label, labels, letter + 4))
+        corner = left, labels[-1].bottom
         write_text(picture, text, corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
     return np.vstack([picture, _legend(picture.shape[1], letter)])
+
+
+class _Label(NamedTuple):
+    """Where a text stands: its columns, and its lowest row."""
+
+    left: int
+    right: int
+    bottom: int
+
+
+def _below_others(label: _Label, others: Sequence[_Label], height: int) -> _Label:
+    """Move a label down until it covers no other one."""
+    beside = [other for other in others if label.left < other.right and other.left < label.right]
+    while any(abs(label.bottom - other.bottom) < height for other in beside):
+        label = label._replace(bottom=label.bottom + height)
+    return label
 
 
 def _draw_person(

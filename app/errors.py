@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import RedirectResponse, Response
+from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.types import Receive, Scope, Send
@@ -45,7 +45,7 @@ class ProblemError(Exception):
         The parameter or form field it is about.
     headers : mapping, optional
     reason : str, optional
-        One word for logs and metrics; by default the status in words.
+        For programs; by default the status in words.
     """
 
     def __init__(
@@ -58,11 +58,16 @@ class ProblemError(Exception):
         reason: str | None = None,
     ) -> None:
         super().__init__(detail)
-        self.reason = reason or HTTPStatus(status).phrase.lower().replace(" ", "_")
+        self.reason = reason or _default_reason(status)
         self.status = status
         self.detail = detail
         self.field = field
         self.headers = dict(headers or {})
+
+
+def _default_reason(status: int) -> str:
+    # The phrase of 422 depends on the release of Python.
+    return "invalid" if status == 422 else HTTPStatus(status).phrase.lower().replace(" ", "_")
 
 
 def problem_body(error: ProblemError) -> bytes:
@@ -72,6 +77,7 @@ def problem_body(error: ProblemError) -> bytes:
         title=HTTPStatus(error.status).phrase,
         status=error.status,
         detail=error.detail,
+        reason=error.reason,
         field=error.field,
     )
     return problem.model_dump_json(exclude_none=True).encode()
@@ -96,9 +102,15 @@ class _ProblemResponse(Response):
         await super().__call__(scope, receive, send)
 
 
-def overloaded(detail: str, reason: str, retry_after_s: int = 1) -> ProblemError:
-    """Make a 503 that says when to come back."""
-    return ProblemError(503, detail, headers={"Retry-After": str(retry_after_s)}, reason=reason)
+def overloaded(detail: str, reason: str, retry_after_s: int | None = 1) -> ProblemError:
+    """Make a 503 that says when to come back, if that is of use."""
+    headers = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
+    return ProblemError(503, detail, headers=headers, reason=reason)
+
+
+def busy(error: BusyError) -> ProblemError:
+    """Make the 503 for work that the service has no room for."""
+    return overloaded(str(error), error.reason, error.retry_after_s)
 
 
 def is_multipart(request: Request) -> bool:
@@ -148,9 +160,7 @@ _MEANINGS = {
 _STATUS_OF_UPLOAD = {"undecodable": 400, "too_large": 413, "misfit": 422}
 
 
-def register_error_handlers(
-    app: FastAPI, table: RouteTable, retry_after_s: Callable[[], int]
-) -> None:
+def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
     """Answer all errors of an application, its own and the framework's, as problems.
 
     Parameters
@@ -158,8 +168,6 @@ def register_error_handlers(
     app : FastAPI
     table : RouteTable
         Suggests a path where a wrong one is asked for.
-    retry_after_s : callable
-        Seconds until the service probably has room for another frame.
     """
 
     @app.exception_handler(ProblemError)
@@ -181,14 +189,12 @@ def register_error_handlers(
 
     @app.exception_handler(BusyError)
     async def _(request: Request, error: BusyError) -> Response:
-        return problem_response(overloaded(str(error), error.reason, retry_after_s()))
+        return problem_response(busy(error))
 
     @app.exception_handler(UnavailableError)
     async def _(request: Request, error: UnavailableError) -> Response:
         # Its own sentence names a server that is none of the caller's business.
-        return problem_response(
-            overloaded(SEARCH_FAILED, "index_unavailable", _SEARCHED_AGAIN_IN_S)
-        )
+        return problem_response(overloaded(SEARCH_FAILED, "unavailable", _SEARCHED_AGAIN_IN_S))
 
     @app.exception_handler(VideoError)
     async def _(request: Request, error: VideoError) -> Response:
@@ -218,6 +224,9 @@ def register_error_handlers(
             return _not_found(request, table)
         if error.status_code == 405:
             return _not_allowed(request, table)
+        if error.status_code == 400:  # Raised where a form cannot be parsed, in the parser's words.
+            detail = "expected a well-formed multipart/form-data body of at most 1000 parts"
+            return problem_response(ProblemError(400, detail, reason="undecodable"))
         return problem_response(
             ProblemError(error.status_code, str(error.detail), headers=error.headers)
         )
@@ -228,7 +237,10 @@ def _not_found(request: Request, table: RouteTable) -> Response:
     if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
         # Relative, so that it also works behind a proxy that serves us under a path.
         last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
-        return RedirectResponse(f"../{last}" + (f"?{query}" if query else ""))
+        location = f"../{last}" + (f"?{query}" if query else "")
+        # Not every client follows it, so it says what is meant.
+        detail = f"expected {path[:-1]}, got {shortened(path)}"
+        return problem_response(ProblemError(307, detail, headers={"Location": location}))
     detail = f"expected a path that /docs describes, got {shortened(path)}"
     return problem_response(ProblemError(404, detail + table.suggestion(path)))
 

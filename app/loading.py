@@ -13,7 +13,12 @@ import numpy as np
 
 from app.breaker import GuardedNeighbours
 from app.estimator import Estimator
-from app.process import freeze_loaded_objects, lower_thread_priority, trim_heap
+from app.process import (
+    freeze_loaded_objects,
+    lower_thread_priority,
+    native_lines_logged,
+    trim_heap,
+)
 from app.remote_index import MissingPackageError, RemoteIndex, check_milvus_package
 from app.runtime import Runtime
 from app.version import VERSION
@@ -65,8 +70,9 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
 
 
 def _load_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
-    estimator = Estimator.load(runtime.settings, runtime.executor.map, index)
-    estimator.warm_up()
+    with native_lines_logged(log):
+        estimator = Estimator.load(runtime.settings, runtime.executor.map, index)
+        estimator.warm_up()
     freeze_loaded_objects()
     trim_heap()
     return estimator

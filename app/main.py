@@ -7,15 +7,17 @@ from contextlib import asynccontextmanager
 
 import anyio
 from fastapi import FastAPI
+from fastapi.middleware.cors import CORSMiddleware
 from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
+from starlette.types import Scope
 
 from app.access_log import AccessLogMiddleware
 from app.admission import AdmissionMiddleware, UploadLimits
 from app.breaker import CircuitBreaker
+from app.callers import sender_of
 from app.cameras import HEADER as CAMERA_HEADER
 from app.cameras import camera_stream
-from app.cors import CorsMiddleware
 from app.errors import register_error_handlers
 from app.estimator import Estimator
 from app.executor import Executor
@@ -70,7 +72,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     FastAPI
     """
     settings = settings or read_settings()
-    executor = Executor(settings.concurrency, settings.queue_length, settings.request_timeout_s)
+    executor = Executor(settings.concurrency, settings.max_wait_s, settings.request_timeout_s)
     metrics = Metrics(settings.request_timeout_s)
     sessions = CameraSessions(
         CameraSession,
@@ -84,7 +86,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     runtime = Runtime(settings, executor, metrics, sessions, breaker)
     metrics.observe_sessions(lambda: len(sessions), lambda: runtime.sequences)
     metrics.observe_breaker(lambda: breaker.is_open)
-    runtime.metrics.observe_load(lambda: executor.inside, executor.capacity)
+    runtime.metrics.observe_load(lambda: executor.line.inside, executor.line.fullness)
     runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
         become_ready(runtime, estimator)
@@ -124,22 +126,25 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     add_docs(app)
     add_page(app)
     table = RouteTable(route for router in (*routers, app.router) for route in router.routes)
-    register_error_handlers(app, table, executor.retry_after_s)
+    register_error_handlers(app, table)
     _add_middleware(app, runtime, table)
     return app
 
 
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     """Add the middleware, the innermost first."""
-    settings, executor = runtime.settings, runtime.executor
+    settings, line = runtime.settings, runtime.executor.line
+
+    def check(scope: Scope) -> None:
+        # Frames of a video wait until there is room for them.
+        if scope["method"] == "POST" and scope["path"] != sequence.PATH:
+            line.check(sender_of(scope, settings), camera_stream(scope))
+
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(
         AdmissionMiddleware,
-        # Frames of a video wait until there is room for them.
-        is_full=lambda scope: (
-            scope["path"] != sequence.PATH and executor.is_full(camera_stream(scope))
-        ),
-        retry_after_s=executor.retry_after_s,
+        check=check,
+        caller_of=lambda scope: sender_of(scope, settings).caller,
         limits=UploadLimits(settings.max_upload_bytes, settings.upload_timeout_s),
         limits_of_paths={
             sequence.PATH: UploadLimits(settings.max_video_bytes, settings.video_upload_timeout_s)
@@ -148,7 +153,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     )
     if settings.cors_origins:
         app.add_middleware(
-            CorsMiddleware,
+            CORSMiddleware,
             allow_origins=list(settings.cors_origins),
             allow_methods=list(table.methods),
             allow_headers=["X-API-Key", "Authorization", "X-Request-ID", CAMERA_HEADER],

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any
 
+from pydantic import BeforeValidator
+
 _LONGEST_VALUE = 60
+_WHOLE = re.compile("[+-]?[0-9]+")
 
 _EXPECTED = {
     "int_parsing": "a whole number",
@@ -22,11 +26,31 @@ _EXPECTED = {
     "less_than": "less than {lt}",
     "literal_error": "{expected}",
     "string_too_short": "some text",
+    "string_too_long": "at most {max_length} characters",
     "string_type": "text",
     "string_pattern_mismatch": "text of the form {pattern}",
     "list_type": "a list",
     "json_invalid": "valid JSON",
 }
+
+
+def _refuse_underscores(value: object) -> object:
+    if isinstance(value, str) and "_" in value:
+        raise ValueError(f"expected a number, got {shortened(value)}")
+    return value
+
+
+def _refuse_all_but_digits(value: object) -> object:
+    if isinstance(value, str) and not _WHOLE.fullmatch(value):
+        raise ValueError(f"expected a whole number, got {shortened(value)}")
+    return value
+
+
+NUMBER = BeforeValidator(_refuse_underscores)
+"""For numbers in text: pydantic takes Python's ``1_000`` for one."""
+
+WHOLE_NUMBER = BeforeValidator(_refuse_all_but_digits)
+"""For whole numbers in text: pydantic takes ``1_000`` and ``1.0`` for some."""
 
 
 def expected_and_got(error: Mapping[str, Any]) -> str:

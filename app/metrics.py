@@ -88,13 +88,13 @@ class Metrics:
         )
         self._capacity_used = Gauge(
             "pose_capacity_used_ratio",
-            "Frames worked on or waiting, as a share of the capacity.",
+            "Expected wait of the next frame, as a share of that from which frames are refused.",
             registry=self.registry,
         )
         self._build = Gauge(
             "pose_build_info",
             "Always 1; the labels say which build serves, and how it is set.",
-            ["version", "revision", "concurrency", "queue_length", "request_timeout_s"],
+            ["version", "revision", "concurrency", "max_wait_s", "request_timeout_s"],
             registry=self.registry,
         )
         self.search_failures = Counter(
@@ -142,18 +142,18 @@ class Metrics:
         self._sessions.set_function(sessions)
         self._sequences.set_function(sequences)
 
-    def observe_load(self, inside: Callable[[], int], capacity: int) -> None:
+    def observe_load(self, inside: Callable[[], int], fullness: Callable[[], float]) -> None:
         """Report the frames in flight whenever metrics are read.
 
         Parameters
         ----------
         inside : callable
             Frames worked on or waiting.
-        capacity : int
-            Frames that may be worked on or wait.
+        fullness : callable
+            Expected wait of the next frame, as a share of that from which frames are refused.
         """
         self._in_flight.set_function(inside)
-        self._capacity_used.set_function(lambda: inside() / capacity)
+        self._capacity_used.set_function(fullness)
 
     def observe_build(self, version: str, settings: Settings) -> None:
         """Report which build serves, and with which settings."""
@@ -161,7 +161,7 @@ class Metrics:
             version=version,
             revision=settings.revision,
             concurrency=settings.concurrency,
-            queue_length=settings.queue_length,
+            max_wait_s=f"{settings.max_wait_s:g}",
             request_timeout_s=f"{settings.request_timeout_s:g}",
         ).set(1)
 

@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import logging
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import cast
 
 import cv2
@@ -73,6 +75,28 @@ def _of_glibc(function: str) -> Callable[..., int] | None:
         return cast(Callable[..., int], getattr(ctypes.CDLL("libc.so.6"), function))
     except (OSError, AttributeError):
         return None
+
+
+@contextmanager
+def native_lines_logged(log: logging.Logger) -> Iterator[None]:
+    """Log what libraries in C++ write to standard error meanwhile, so that all lines are alike.
+
+    The networks' runtime has no other way to silence it.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    with os.fdopen(os.memfd_create("stderr"), "w+b") as written:
+        stderr = os.dup(2)
+        os.dup2(written.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            written.seek(0)
+            for line in written:
+                log.info("%s", line.decode(errors="replace").strip())
 
 
 def freeze_loaded_objects() -> None:

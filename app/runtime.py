@@ -9,6 +9,7 @@ from typing import Annotated, TypeVar, cast
 from fastapi import Depends, Request
 
 from app.breaker import CircuitBreaker
+from app.callers import sender_of
 from app.cameras import camera_stream
 from app.cancellation import CancellationToken
 from app.errors import ProblemError
@@ -100,20 +101,28 @@ async def run_frame(
     request: Request,
     work: Callable[[CancellationToken], T],
     *,
-    photograph: bool,
-    session: Hashable = None,
+    kind: Hashable,
 ) -> T:
-    """Work on a request's frame in a thread; see :meth:`app.executor.Executor.run`."""
+    """Work on a request's frame in a thread; see :meth:`app.executor.Executor.run`.
+
+    Parameters
+    ----------
+    request : Request
+    work : callable
+    kind : hashable
+        What was sent; with the route it tells how long the work takes.
+    """
 
     async def until_gone() -> None:
         # The body has been read, so what follows can only be the disconnect.
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    return await runtime_of(request).executor.run(
+    runtime = runtime_of(request)
+    return await runtime.executor.run(
         work,
         until_gone,
-        camera_stream(request.scope),
-        photograph=photograph,
-        session=session,
+        sender=sender_of(request.scope, runtime.settings),
+        kind=(request.scope["route"].path, kind),
+        camera=camera_stream(request.scope),
     )

@@ -70,6 +70,13 @@ class Problem(Model):
         description="What is wrong with this request, in one sentence.",
         examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
     )
+    reason: str = Field(
+        description="The same for programs: `overloaded`, `superseded` by a newer frame of the "
+        "camera, `late_frame`, `deadline`, `not_ready`, `unavailable` (the index cannot be "
+        "searched), `undecodable`, `too_large`, `misfit`, `invalid`, ...: see operations.md; more "
+        "may be added.",
+        examples=["misfit"],
+    )
     field: str | None = Field(
         default=None,
         description="The parameter or form field it is about, if any.",

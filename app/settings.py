@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
@@ -82,8 +82,12 @@ class Settings(BaseSettings):
         ge=1,
         description="Frames worked on at once; one that shows several people uses free threads.",
     )
-    # Each waiting frame makes the answers to those behind it older.
-    queue_length: int = Field(default=2, ge=0, description="Frames that may wait for a thread.")
+    max_wait_s: float = Field(
+        default=2.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="For a thread, once uploaded; a frame that would wait longer is refused.",
+    )
     request_timeout_s: float = Field(
         default=10.0,
         gt=0,
@@ -98,7 +102,10 @@ class Settings(BaseSettings):
     )
 
     max_cameras: int = Field(
-        default=64, ge=1, description="Camera sessions; beyond, the least recently used is dropped."
+        default=64,
+        ge=0,
+        validate_default=True,
+        description="Camera sessions; beyond, the least recently used is dropped. 0 for none.",
     )
     camera_idle_s: float = Field(
         default=300.0,
@@ -163,6 +170,17 @@ class Settings(BaseSettings):
         if not all(parts):
             raise ValueError("expected values separated by commas, got an empty one")
         return parts
+
+    @field_validator("max_cameras")
+    @classmethod
+    def _check_sessions(cls, sessions: int, info: ValidationInfo) -> int:
+        workers = info.data.get("workers", 1)
+        if sessions and workers > 1:
+            raise ValueError(
+                f"expected 0 with WORKERS={workers}, since each process would know a part of every "
+                f"camera, got {sessions}"
+            )
+        return sessions
 
     @field_validator("cors_origins")
     @classmethod

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,12 @@ from app.vision.decoding.decode import (
 from app.vision.people import Box
 
 T = TypeVar("T")
+
+# Of a mask with one label: parts from this share of the largest one's area are looked at, and are
+# people apart where the gap is wider than this share of the narrower one.
+_FIGURE_SHARE = 0.25
+_GAP_SHARE = 0.5
+_LEAST_FIGURE_PX = 48
 
 
 class UploadError(ValueError):
@@ -63,6 +71,11 @@ class Upload:
     mask: bytes | None = None
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What it holds, which tells how long the work on it takes."""
+        return tuple(name for name, value in vars(self).items() if value is not None)
 
     def __post_init__(self) -> None:
         if self.frame is None and self.mask is None:
@@ -131,6 +144,7 @@ class UploadDecoder:
         if mask is not None:
             _check_size("mask", mask.labels, frame)
             self._check_count("mask", len(mask.present))
+            _check_together(mask)
         if background is not None:
             _check_size("background", background, frame)
         return DecodedUpload(frame, mask, background, self._boxes(upload.boxes, frame))
@@ -169,6 +183,36 @@ def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8])
             f"expected a {name} of {width}x{height} pixels like the frame, "
             f"got {other_width}x{other_height}",
         )
+
+
+def _check_together(mask: LabelImage) -> None:
+    """Refuse a mask whose only label marks several people who stand apart.
+
+    As one person, they would be as wide as they are apart, and lie.
+    """
+    if len(mask.present) != 1:
+        return
+    marked = np.asarray(mask.part != 0).view(np.uint8)
+    stats = cv2.connectedComponentsWithStats(marked)[2][1:]
+    areas = stats[:, cv2.CC_STAT_AREA]
+    large = stats[areas >= _FIGURE_SHARE * areas.max()]
+    figures = sorted((Box(*part[:4]) for part in large.tolist()), key=lambda box: box.x)
+    apart = 1 + sum(_are_apart(*pair) for pair in pairwise(figures))
+    if apart > 1:
+        raise UploadError(
+            "mask",
+            "misfit",
+            f"expected a label for each person (1, 2, ...; 0 is background), got {apart} figures "
+            "apart with the same label",
+        )
+
+
+def _are_apart(left: Box, right: Box) -> bool:
+    """Whether two parts of a mask are people beside one another rather than parts of one."""
+    small, large = sorted((left.height, right.height))
+    gap = right.x - left.right
+    alike = small >= _LEAST_FIGURE_PX and large < 2 * small
+    return alike and gap > _GAP_SHARE * min(left.width, right.width)
 
 
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
+import re
 import sys
 import tempfile
 from collections.abc import AsyncIterator
@@ -18,9 +20,16 @@ from app.vision.decoding import video
 from app.vision.decoding.video import END, FRAME, HEADER, TOO_LARGE
 
 _FRAME_TIMEOUT_S = 20.0
+_LAST_LINE_TIMEOUT_S = 1.0
 _BUFFER_BYTES = 2**20
+_LONGEST_LINE_BYTES = 300
+# FFmpeg says where in its memory the decoder lies.
+_ADDRESS = re.compile(r" ?@ ?0x[0-9a-f]+")
 # A file may announce a few frames that no decoder finds.
 _ANNOUNCED_BUT_MISSING = 0.05
+
+
+log = logging.getLogger("app")
 
 
 class VideoError(ValueError):
@@ -92,13 +101,15 @@ async def open_video(
         *("--max-seconds", str(int(max_seconds) + 1)),
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.PIPE,
         pass_fds=(file.fileno(),),
         limit=_BUFFER_BYTES,
     )
     assert process.stdout is not None
+    assert process.stderr is not None
+    last_line = asyncio.ensure_future(_last_line(process.stderr))
     try:
-        yield VideoReader(process.stdout, max_pixels)
+        yield VideoReader(process.stdout, max_pixels, last_line=last_line)
     finally:
         if process.returncode is None:
             process.kill()
@@ -106,6 +117,16 @@ async def open_video(
         while await process.stdout.read(_BUFFER_BYTES):
             pass
         await process.wait()
+        last_line.cancel()
+
+
+async def _last_line(stream: asyncio.StreamReader) -> str:
+    """Return the last line that a process writes, once it has ended."""
+    tail = b""
+    while chunk := await stream.read(_BUFFER_BYTES):
+        tail = (tail + chunk)[-_LONGEST_LINE_BYTES:]
+    line = (tail.decode(errors="replace").strip().splitlines() or [""])[-1]
+    return _ADDRESS.sub("", "".join(filter(str.isprintable, line)))
 
 
 class VideoReader:
@@ -119,11 +140,18 @@ class VideoReader:
         Of a frame.
     timeout_s : float
         For a frame.
+    last_line : Future of str, optional
+        The last line that the process writes to standard error.
     """
 
     def __init__(
-        self, stream: asyncio.StreamReader, max_pixels: int, timeout_s: float = _FRAME_TIMEOUT_S
+        self,
+        stream: asyncio.StreamReader,
+        max_pixels: int,
+        timeout_s: float = _FRAME_TIMEOUT_S,
+        last_line: asyncio.Future[str] | None = None,
     ) -> None:
+        self._last_line = last_line
         self._stream = stream
         self._max_pixels = max_pixels
         self._timeout_s = timeout_s
@@ -141,9 +169,9 @@ class VideoReader:
             async with asyncio.timeout(self._timeout_s):
                 return await self._next()
         except asyncio.IncompleteReadError:
-            raise self._broken("the decoder gave up") from None
+            raise await self._broken("the decoder gave up") from None
         except TimeoutError:
-            raise self._broken(f"no frame within {self._timeout_s:g} seconds") from None
+            raise await self._broken(f"no frame within {self._timeout_s:g} seconds") from None
 
     async def _next(self) -> VideoFrame | None:
         header = HEADER.unpack(await self._stream.readexactly(HEADER.size))
@@ -156,9 +184,9 @@ class VideoReader:
             )
         if kind == END:
             if not number:
-                raise self._broken("something else")
+                raise await self._broken("something else")
             if number < width * (1 - _ANNOUNCED_BUT_MISSING):
-                raise self._broken(f"{number} of {width} frames")
+                raise await self._broken(f"{number} of {width} frames")
             return None
         assert kind == FRAME
         pixels = await self._stream.readexactly(width * height * 3)
@@ -167,6 +195,12 @@ class VideoReader:
             number, timestamp, np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
         )
 
-    def _broken(self, found: str) -> VideoError:
+    async def _broken(self, found: str) -> VideoError:
+        if self._last_line is not None:
+            # It may hang, or have children that do.
+            await asyncio.wait((self._last_line,), timeout=_LAST_LINE_TIMEOUT_S)
+            if self._last_line.done() and (said := self._last_line.result()):
+                log.info("a video cannot be read: %s", said)
+                found += f" ({said})"
         expected = "the whole video" if self._read else "a video that FFmpeg can read"
         return VideoError("undecodable", f"video: expected {expected}, got {found}")

@@ -37,7 +37,7 @@ PAGE = ROOT / "docs" / "results" / "cameras.md"
 VIDEO = ROOT.parent / "shared" / "real" / "vtest" / "vtest.avi"
 IN_TIME_MS = 1000.0
 FRAMES_EACH = 50
-REASONS = ("superseded", "queue_full", "deadline")
+REASONS = ("superseded", "overloaded", "deadline")
 _WARM_UP_S = 2.0
 
 
@@ -180,7 +180,7 @@ def report(outcomes: dict[int, Outcome], rate: float, seconds: float) -> str:
             "refused: superseded by a newer frame / no room / too late",
             [
                 " / ".join(
-                    str(one.refused[name]) for name in ("superseded", "queue_full", "deadline")
+                    str(one.refused[name]) for name in ("superseded", "overloaded", "deadline")
                 )
                 for one in columns
             ],

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -75,8 +76,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.weizmann is None:
         options.weizmann = options.shared / "real" / "weizmann" / "classification_masks.mat"
     for module in modules:
+        started = time.monotonic()
         try:
             module.run(options)
+            minutes = (time.monotonic() - started) / 60
+            print(f"{module.__name__.rsplit('.')[-1]} took {minutes:.1f} minutes")
         except (FileNotFoundError, ValueError) as error:
             raise SystemExit(f"evaluate: {error}") from None
 

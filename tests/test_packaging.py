@@ -6,9 +6,12 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from app.__main__ import GRACE_S
 from app.settings import Settings
@@ -33,7 +36,9 @@ def test_what_the_dockerfile_copies_is_there_and_not_ignored() -> None:
 
 def test_the_container_takes_the_extras_that_compose_names() -> None:
     assert "EXTRAS: ${EXTRAS:-}" in (ROOT / "compose.yaml").read_text()
-    (asked,) = re.findall(r"pip install --no-cache-dir (\S+)$", DOCKERFILE, re.MULTILINE)
+    (asked,) = re.findall(
+        r"pip install --no-cache-dir -c constraints.txt (\S+)$", DOCKERFILE, re.MULTILINE
+    )
     for extras, expected in (("", "."), ("milvus", ".[milvus]")):
         command = ["sh", "-c", f"echo {asked}"]
         shell = subprocess.run(command, env={"EXTRAS": extras}, capture_output=True, text=True)
@@ -123,6 +128,22 @@ def test_make_says_in_a_line_what_it_sets_up() -> None:
         cwd=ROOT, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     assert planned.startswith('echo "Once: setting up .venv ')
-    recipe = (ROOT / "Makefile").read_text().split("$(RUN)/.stamp: pyproject.toml\n")[1]
+    recipe = (
+        (ROOT / "Makefile").read_text().split("$(RUN)/.stamp: pyproject.toml constraints.txt\n")[1]
+    )
     commands = recipe.split("\n\n")[0].splitlines()
     assert all(command.startswith("\t@") for command in commands)
+
+
+def test_what_was_tested_is_what_is_installed() -> None:
+    text = (ROOT / "constraints.txt").read_text()
+    held = {
+        canonicalize_name(requirement.name): requirement
+        for requirement in map(Requirement, re.findall(r"^[^#\n]+", text, re.MULTILINE))
+    }
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    for line in [*project["dependencies"], *extras["milvus"], *extras["test"]]:
+        asked = Requirement(line)
+        (exact,) = held[canonicalize_name(asked.name)].specifier
+        assert asked.specifier.contains(exact.version), line

@@ -69,7 +69,7 @@ def _tell_session(request: Request, state: SessionState) -> None:
     summary="The people in the next frame of a camera, over time",
     response_model=TrackResponse,
     dependencies=[Depends(_session_header)],
-    responses=documented(400, 401, 408, 409, 413, 415, 422, 503),
+    responses=documented(400, 401, 404, 408, 409, 413, 415, 422, 503),
     openapi_extra=DOCUMENTED_TRACK_UPLOAD,
 )
 async def track_frame(
@@ -92,6 +92,8 @@ async def track_frame(
     it or has moved over to another index.
     """
     runtime = runtime_of(request)
+    if not runtime.settings.max_cameras:
+        raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
     estimator, sessions = runtime.searching_estimator(), runtime.sessions
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
     upload, timestamp = frame
@@ -105,9 +107,8 @@ async def track_frame(
         reply = track_reply(tracked, camera.camera_id, estimator.index, form)
         return reply.model_dump_json().encode()
 
-    # Only the first frame is searched all over for people.
-    cold = upload.mask is None and camera not in sessions
-    content = await run_frame(request, work, photograph=cold, session=camera)
+    # The first frame of a session takes longer.
+    content = await run_frame(request, work, kind=(upload.given, camera in sessions))
     return Response(content, media_type="application/json")
 
 

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 
 from app.auth import check_key
+from app.callers import keys_in_headers
 from app.cameras import NamesCamera
 from app.cancellation import CancellationToken
 from app.errors import ProblemError, documented, is_multipart, unsupported_body
@@ -36,9 +37,16 @@ _DOCUMENTED: dict[str, Any] = {
 
 
 async def _read_upload(request: Request) -> DeepstackUpload:
+    settings = runtime_of(request).settings
+    # A key in a header spares reading the body where it is wrong.
+    in_headers = [key for key in keys_in_headers(request.scope) if key]
+    if in_headers:
+        check_key(settings, in_headers)
     if not is_multipart(request):
         raise unsupported_body(request)
     async with request.form() as form:
+        if not in_headers:
+            check_key(settings, (text_of(form, "api_key"),))
         check_fields(form, DeepstackUpload.model_fields)
         image = await file_of(form, "image")
         if image is None:
@@ -69,8 +77,6 @@ async def detect_deepstack(
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
-    bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
-    check_key(runtime.settings, (upload.api_key, request.headers.get("x-api-key"), bearer))
     started = time.perf_counter()
 
     def work(token: CancellationToken) -> list[DeepstackPrediction]:
@@ -93,7 +99,7 @@ async def detect_deepstack(
             if (found.detection_score or 0.0) >= upload.min_confidence
         ]
 
-    predictions = await run_frame(request, work, photograph=True)
+    predictions = await run_frame(request, work, kind=None)
     return DeepstackResponse(
         success=True, predictions=predictions, duration=time.perf_counter() - started
     )

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 
 from fastapi import Depends, Request
-from fastapi.dependencies.models import Dependant
 from starlette.datastructures import FormData, UploadFile
 
 from app.errors import ProblemError
@@ -41,7 +40,7 @@ def text_of(form: FormData, field: str) -> str | None:
 async def _check_query(request: Request) -> None:
     given = [name for name, _ in request.query_params.multi_items()]
     if given:
-        known = sorted(_query_names(request.scope["route"].dependant))
+        known = sorted(_query_names(request))
         _check_names(given, known, "query parameters", "value")
 
 
@@ -49,10 +48,12 @@ CheckQuery = Depends(_check_query)
 """Refuses query parameters that the route does not have, and those given twice."""
 
 
-def _query_names(dependant: Dependant) -> Iterator[str]:
-    yield from (parameter.alias for parameter in dependant.query_params)
-    for part in dependant.dependencies:
-        yield from _query_names(part)
+def _query_names(request: Request) -> Iterator[str]:
+    """Yield the names of the route's query parameters, as the OpenAPI document has them."""
+    operation = request.app.openapi()["paths"][request.scope["route"].path]
+    for parameter in operation[request.method.lower()].get("parameters", ()):
+        if parameter["in"] == "query":
+            yield parameter["name"]
 
 
 def _check_names(given: Iterable[str], known: Collection[str], kind: str, unit: str) -> None:

@@ -11,6 +11,7 @@ from app.auth import RequireKey
 from app.drawing import encode_png
 from app.errors import ProblemError, documented
 from app.estimator import Estimator
+from app.messages import WHOLE_NUMBER
 from app.replies import entry_reply, index_reply
 from app.routes.forms import CheckQuery
 from app.routes.pose import PNG
@@ -22,7 +23,9 @@ from app.version import VERSION
 router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, CheckQuery])
 
 EntryNumber = Annotated[
-    int, Path(ge=0, description="Number of the entry, as hypotheses name it.", examples=[20117])
+    int,
+    Path(ge=0, description="Number of the entry, as hypotheses name it.", examples=[20117]),
+    WHOLE_NUMBER,
 ]
 
 

@@ -80,7 +80,7 @@ async def estimate_pose(
         runtime.metrics.observe_persons(estimate.persons)
         return pose_reply(estimate, estimator.index, form).model_dump_json().encode()
 
-    content = await run_frame(request, work, photograph=upload.mask is None)
+    content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="application/json")
 
 
@@ -113,7 +113,7 @@ async def draw_pose(
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
 
-    content = await run_frame(request, work, photograph=upload.mask is None)
+    content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="image/png")
 
 
@@ -140,5 +140,5 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
         runtime.metrics.observe_stages(stopwatch.milliseconds)
         return encode_png(draw_labels(scene))
 
-    content = await run_frame(request, work, photograph=upload.mask is None)
+    content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="image/png")

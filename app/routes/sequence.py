@@ -15,6 +15,7 @@ from starlette.datastructures import UploadFile
 from starlette.types import Message, Receive, Scope, Send
 
 from app.auth import RequireKey
+from app.callers import sender_of
 from app.cancellation import CancellationToken, DeadlineError
 from app.errors import (
     SEARCH_FAILED,
@@ -25,7 +26,8 @@ from app.errors import (
     overloaded,
     unsupported_body,
 )
-from app.executor import OverloadedError
+from app.line import Sender
+from app.messages import WHOLE_NUMBER
 from app.replies import ReplyForm
 from app.request_context import is_ending, note_rejection
 from app.routes.forms import CheckQuery, check_fields
@@ -52,13 +54,14 @@ PATH = "/sequence"
 
 router = APIRouter(tags=["cameras"], dependencies=[RequireKey, CheckQuery])
 
-_RETRY_S = 0.05
 _LATER_S = 10
 _UNREAD_S = 30.0
 """A client that reads nothing for this long is given up."""
 
 StrideQuery = Annotated[
-    int, Query(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2])
+    int,
+    Query(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2]),
+    WHOLE_NUMBER,
 ]
 MaxFramesQuery = Annotated[
     int | None,
@@ -68,6 +71,7 @@ MaxFramesQuery = Annotated[
         "service allows.",
         examples=[500],
     ),
+    WHOLE_NUMBER,
 ]
 
 _DOCUMENTED: dict[str, Any] = {
@@ -195,6 +199,7 @@ async def analyse_sequence(
         )
     sequence = _Sequence(
         runtime,
+        sender_of(request.scope, runtime.settings),
         n=n,
         evidence=evidence,
         form=ReplyForm(KEYPOINT_SETS[keypoints], joints=joints),
@@ -209,6 +214,8 @@ class _Sequence:
     Parameters
     ----------
     runtime : Runtime
+    sender : Sender
+        Whose turn its frames take.
     n : int
     evidence : str
     form : ReplyForm
@@ -216,9 +223,16 @@ class _Sequence:
     """
 
     def __init__(
-        self, runtime: Runtime, *, n: int, evidence: Evidence, form: ReplyForm, max_frames: int
+        self,
+        runtime: Runtime,
+        sender: Sender,
+        *,
+        n: int,
+        evidence: Evidence,
+        form: ReplyForm,
+        max_frames: int,
     ) -> None:
-        self._runtime = runtime
+        self._runtime, self._sender = runtime, sender
         self._n, self._evidence, self._form = n, evidence, form
         self._max_frames = max_frames
         self._estimator = runtime.ready_estimator()
@@ -273,16 +287,11 @@ class _Sequence:
             reply = sequence_frame_reply(tracked, frame.number, self._estimator.index, self._form)
             return tracked, sequence_line(reply)
 
-        while True:
-            try:
-                tracked, line = await self._runtime.executor.run(
-                    work, _until_cancelled, photograph=self._summary.frames == 0
-                )
-            except OverloadedError:
-                await asyncio.sleep(_RETRY_S)
-            else:
-                self._summary.add(tracked)
-                return line
+        tracked, line = await self._runtime.executor.run(
+            work, _until_cancelled, sender=self._sender, kind=PATH, patient=True
+        )
+        self._summary.add(tracked)
+        return line
 
     def _end(self, reason: SequenceEndReason, detail: str) -> bytes:
         return sequence_line(sequence_end_reply(self._summary, reason, detail))

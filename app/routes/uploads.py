@@ -8,8 +8,9 @@ from fastapi import Depends, Query, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from app.errors import ProblemError, is_image, is_multipart, unsupported_body
-from app.messages import expected_and_got
+from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got
 from app.routes.forms import check_fields, file_of, text_of
+from app.runtime import runtime_of
 from app.schemas import (
     Evidence,
     FrameUpload,
@@ -18,8 +19,9 @@ from app.schemas import (
     ObservedSetName,
     SilhouetteForm,
 )
+from app.settings import Settings
 from app.tracking_schemas import LATEST_TIMESTAMP_S, TrackUpload
-from app.upload import Upload
+from app.upload import Upload, UploadError
 from app.vision.people import Box
 
 # Strict: true and "12" are no numbers.
@@ -27,13 +29,17 @@ _BOXES = TypeAdapter(
     list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]],
     config=ConfigDict(strict=True),
 )
-Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S)]
+Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S), NUMBER]
 _TIMESTAMP = TypeAdapter[float](Timestamp)
+
+_LONGEST_BOX = 256  # In characters, spaces and line breaks included.
 
 DEFAULT_HYPOTHESES = 7
 
 HypothesisCount = Annotated[
-    int, Query(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7])
+    int,
+    Query(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7]),
+    WHOLE_NUMBER,
 ]
 
 KeypointSetQuery = Annotated[
@@ -126,7 +132,7 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
             await file_of(form, "frame"),
             mask=await file_of(form, "mask"),
             background=await file_of(form, "background"),
-            boxes=_parse_boxes(boxes) if boxes else None,
+            boxes=_parse_boxes(boxes, runtime_of(request).settings) if boxes else None,
         )
         return upload, _parse_timestamp(timestamp) if timestamp else None
 
@@ -168,9 +174,16 @@ def _parse_timestamp(text: str) -> float:
         ) from None
 
 
-def _parse_boxes(text: str) -> list[Box]:
+def _parse_boxes(text: str, settings: Settings) -> list[Box]:
+    # Counted before they are parsed: hundreds of thousands would keep all other callers waiting.
+    count, most = text.count("[") - 1, settings.max_persons
+    if count > most:
+        raise UploadError("boxes", "misfit", f"expected at most {most} persons, got {count}")
+    if len(text) > most * _LONGEST_BOX:
+        longest = f"expected a list of at most {most * _LONGEST_BOX} characters, got {len(text)}"
+        raise UploadError("boxes", "misfit", f"boxes: {longest}")
     try:
-        return [Box(*numbers) for numbers in _BOXES.validate_json(text)]
+        boxes = _BOXES.validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         place = "".join(f"[{part}]" for part in first["loc"])
@@ -180,5 +193,10 @@ def _parse_boxes(text: str) -> list[Box]:
             f"got a mistake at boxes{place}: {expected_and_got(first)}",
             field="boxes",
         ) from None
-    except ValueError as error:
-        raise ProblemError(422, f"boxes: {error}", field="boxes") from None
+    for position, (_, _, width, height) in enumerate(boxes):
+        if not (width > 0 and height > 0):
+            got = f"box {position}: {boxes[position]}"
+            raise UploadError(
+                "boxes", "misfit", f"boxes: expected a positive width and height, got {got}"
+            )
+    return [Box(*numbers) for numbers in boxes]

@@ -117,19 +117,27 @@ function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, s
     if (shown.observed) drawObserved(context, found.observed_keypoints, 0.8 * bone);
   });
   if (!shown.numbers) return;
+  const labels = [];
   answer.persons.forEach(({ box }, number) => {
-    drawLabel(context, box, String(number + 1), personColour(number), line);
+    drawLabel(context, box, String(number + 1), personColour(number), line, labels);
   });
 }
 
-/** Text about a person above the box, or inside where the frame ends. */
-function drawLabel(context, { x, y }, text, colour, line) {
+/** Text about a person above the box, or inside where the frame ends or another label is.
+ * @param labels Those that were drawn before, to which this one is added. */
+function drawLabel(context, { x, y }, text, colour, line, labels) {
   context.font = `700 ${line * 9}px system-ui, sans-serif`;
   context.lineJoin = "round";
   context.lineWidth = line * 2.5;
   context.strokeStyle = "rgb(0 0 0 / 0.8)";
   context.fillStyle = colour;
-  const label = [text, x + 0.5, Math.max(y - line * 2, line * 8)];
+  const width = context.measureText(text).width;
+  const covered = (bottom) => labels.some((other) => Math.abs(bottom - other.bottom) < line * 10
+    && x < other.x + other.width && other.x < x + width);
+  let bottom = Math.max(y - line * 2, line * 8);
+  while (covered(bottom)) bottom += line * 10;
+  labels.push({ x, width, bottom });
+  const label = [text, x + 0.5, bottom];
   context.strokeText(...label);
   context.fillText(...label);
 }
@@ -183,8 +191,9 @@ export function drawTracks(canvas, { photo, answer, shown, chosen }) {
     if (shown.raw && hypotheses.length) draw(hypotheses[0].joints_2d, shown.smoothed ? RAW : undefined);
     if (shown.smoothed && pose) draw(pose.joints_2d);
   }
+  const labels = [];
   for (const { box, track_id: id } of answer.persons) {
-    drawLabel(context, box, String(id), personColour(id - 1), line);
+    drawLabel(context, box, String(id), personColour(id - 1), line, labels);
   }
 }
 

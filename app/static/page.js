@@ -263,6 +263,12 @@ function measured({ box, source, detection_score: score, silhouette, observed_ke
   ];
 }
 
+const HEIGHTS = [[-3, "from below"], [10, "level"], [30, "from slightly above"], [55, "from above"]];
+
+/** How high a camera hangs, in words. */
+const height = (degrees) =>
+  `${(HEIGHTS.find(([most]) => degrees < most) ?? [, "from high above"])[1]} (${Math.round(degrees)}°)`;
+
 /** What a hypothesis says, and where it comes from. */
 function supposed({ confidence, reprojection_error_px: error, posture, entry, source, camera }) {
   const around = ((Math.round(camera.azimuth_deg) + 180) % 360) - 180;
@@ -271,7 +277,7 @@ function supposed({ confidence, reprojection_error_px: error, posture, entry, so
     ["Confidence", `${percent(confidence)} that its joints are right`],
     ["Posture", posture.replace("_", " ")],
     ["Outline", `${error.toFixed(1)} px from the entry’s on average, in 128 × 48`],
-    ["Seen from", `${Math.abs(around)}° to ${side}, ${Math.round(camera.elevation_deg)}° above`],
+    ["Seen from", `${Math.abs(around)}° to ${side}, ${height(camera.elevation_deg)}`],
     ["Entry", `${entry}: body ${source.subject}, clip ${source.clip}, frame ${source.frame}`
       + (source.mirrored ? ", mirrored" : "")],
     ["Its clip", `${source.action}, which need not be what this person does`],

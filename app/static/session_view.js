@@ -142,6 +142,12 @@ export class SessionView {
       this.#page.complain(error.status === undefined ? this.#unplayable(error) : error);
       this.stop();
       this.#refused = error.status === 401;
+      if (!this.#shown) {
+        // There is nothing to see, and nothing to play again, but with another key.
+        $("session").hidden = true;
+        if (!this.#refused) this.#file = null;
+        this.#showButtons();
+      }
       return;
     }
     this.stop();

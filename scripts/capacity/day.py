@@ -74,7 +74,7 @@ class Replicas:
     ----------
     cores : int
     queue : int
-        Frames that may wait, ``POSE_QUEUE_LENGTH``.
+        Frames that may wait; the service bounds their wait, ``POSE_MAX_WAIT_S``, instead.
     memory_mb : float
         Limit of a replica with the index that ships.
     session_memory_mb : float

@@ -52,7 +52,7 @@ def main() -> None:
     options = parser.parse_args()
     configure_process()
     settings = Settings()
-    executor = Executor(settings.concurrency, settings.queue_length, settings.request_timeout_s)
+    executor = Executor(settings.concurrency, settings.max_wait_s, settings.request_timeout_s)
     estimator = Estimator.load(settings, executor.map)
     estimator.warm_up()
     session = CameraSession(estimator, live=not options.all)

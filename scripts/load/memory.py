@@ -52,7 +52,7 @@ def peaks(path: Path, small: list[Call], large: list[Call]) -> list[str]:
 
 def with_workers(path: Path, workers: int, small: list[Call]) -> str:
     """Return a row of the memory of all processes."""
-    with ServerProcess(path, WORKERS=str(workers)) as server:
+    with ServerProcess(path, WORKERS=str(workers), POSE_MAX_CAMERAS="0") as server:
         server.wait_until_ready()
         # Connections are spread over the workers by the system: several for each.
         asyncio.run(ClosedLoop(server.url, small).run(4 * workers, SECONDS_A_WORKER * workers))

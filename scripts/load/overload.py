@@ -2,7 +2,7 @@
 
     python -m scripts.load.overload [--index index/data] [--seconds 20] [--write]
 
-Capacity is measured first, with as many requests in flight as the service lets in. Then ten
+Capacity is measured first, with two requests more in flight than are worked on at once. Then ten
 times that many requests are sent each second, whether answered or not, at random times, while
 another process asks ``/healthz`` every few milliseconds, each time over a new connection, as
 an orchestrator does.
@@ -210,7 +210,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0)
     options = parser.parse_args()
     settings = Settings()
-    in_flight = settings.concurrency + settings.queue_length
+    in_flight = settings.concurrency + 2
     outcomes = []
     with ServerProcess(options.index, log=Path("/tmp/overload-server.log")) as server:
         server.wait_until_ready()

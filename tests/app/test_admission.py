@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from inspect import isasyncgenfunction, iscoroutinefunction
 from types import ModuleType
+from typing import Any
 
 import anyio
 import pytest
-from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from app.admission import AdmissionMiddleware, UploadLimits
 from app.errors import ProblemError
+from app.line import OverloadedError
 from app.routes import cameras, deepstack, health, index, pose, sequence
 
 
@@ -23,6 +24,7 @@ async def answer(
     method: str = "POST",
     headers: dict[bytes, bytes] | None = None,
     path: str = "/pose",
+    caller: str | None = None,
 ) -> tuple[int, dict[bytes, bytes], int]:
     """Status and headers of the answer, and how many messages of the body were read."""
     sent: list[Message] = []
@@ -37,7 +39,7 @@ async def answer(
         sent.append(message)
 
     fields = list((headers or {}).items())
-    scope = {"type": "http", "method": method, "path": path, "headers": fields}
+    scope = {"type": "http", "method": method, "path": path, "headers": fields, "caller": caller}
     await middleware(scope, receive, send)
     return sent[0]["status"], dict(sent[0]["headers"]), read
 
@@ -51,13 +53,17 @@ async def reading(scope: Scope, receive: Receive, send: Send) -> None:
     await response(scope, receive, send)
 
 
+def refuse(scope: Scope) -> None:
+    raise OverloadedError("the service is working to capacity", retry_after_s=7)
+
+
 def admission(
     *, full: bool = False, max_open: int = 4, timeout_s: float = 1
 ) -> AdmissionMiddleware:
     return AdmissionMiddleware(
         reading,
-        is_full=lambda scope: full,
-        retry_after_s=lambda: 7,
+        check=refuse if full else lambda scope: None,
+        caller_of=lambda scope: scope.get("caller"),
         limits=UploadLimits(100, timeout_s),
         limits_of_paths={"/sequence": UploadLimits(1000, timeout_s)},
         max_open=max_open,
@@ -88,13 +94,28 @@ def test_videos_have_limits_of_their_own() -> None:
     assert (status, read) == (413, 0)
 
 
+def test_one_caller_cannot_take_all_places() -> None:
+    stalled = StalledUploads(max_open=4)
+
+    async def ask() -> None:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(4):
+                tasks.start_soon(stalled.stall)
+            await anyio.wait_all_tasks_blocked()
+            assert stalled.statuses == [503]
+            assert (await answer(stalled.admission, caller="another"))[0] == 200
+            tasks.cancel_scope.cancel()
+
+    anyio.run(ask)
+
+
 @pytest.mark.parametrize(("method", "full"), [("POST", False), ("GET", True)])
 def test_others_pass(method: str, full: bool) -> None:
     status, _, read = anyio.run(answer, admission(full=full), method)
     assert (status, read) == (200, 1)
 
 
-def functions(dependant: Dependant) -> list[object]:
+def functions(dependant: Any) -> list[object]:
     """What FastAPI calls for a route."""
     own: list[object] = [dependant.call] if dependant.call else []
     return own + [call for part in dependant.dependencies for call in functions(part)]
@@ -110,10 +131,10 @@ def test_dependencies_do_not_hop_between_threads(routes: ModuleType) -> None:
 
 
 class StalledUploads:
-    """Requests whose bodies never come, where there is room for two uploads."""
+    """Requests whose bodies never come, where there is room for some."""
 
-    def __init__(self) -> None:
-        self.admission = admission(max_open=2, timeout_s=30)
+    def __init__(self, max_open: int = 2) -> None:
+        self.admission = admission(max_open=max_open, timeout_s=30)
         self.statuses: list[int] = []
 
     async def stall(self) -> None:

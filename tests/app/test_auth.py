@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message, Receive, Scope, Send
@@ -76,6 +78,21 @@ def test_deepstack_takes_its_form_field(locked: TestClient, photo: Photo) -> Non
     )
     assert response.status_code == 200
     assert response.json()["success"] is True
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"content": b"unread", "headers": {"X-API-Key": "wrong"}},
+        {"content": b"unread", "headers": {"Authorization": "Bearer wrong"}},
+        {"files": {"image": b"no image", "unknown": b""}, "data": {"api_key": "wrong"}},
+        {"files": {"image": b"no image", "unknown": b""}},
+    ],
+)
+def test_deepstack_looks_at_the_key_before_all_else(
+    locked: TestClient, request_: dict[str, Any]
+) -> None:
+    assert locked.post("/v1/vision/detection", **request_).status_code == 401
 
 
 def test_keys_do_not_show_in_settings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,7 +118,7 @@ class TestService:
         assert flaky.asked == 3
         assert sample(client, "pose_search_breaker_open") == 1
         assert sample(client, "pose_search_failures_total", reason="unreachable") == 3
-        assert sample(client, "pose_rejected_total", reason="index_unavailable") == 4
+        assert sample(client, "pose_rejected_total", reason="unavailable") == 4
         for path in ("/readyz", "/index", "/index/entries/5"):
             assert client.get(path).status_code == 200
         assert client.post("/silhouette", files=files).status_code == 200

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import anyio
@@ -14,6 +15,7 @@ from app import cores
 from app.cancellation import CancellationToken
 from app.estimator import Estimator
 from app.executor import Executor
+from app.line import Sender
 from app.main import create_app
 from app.settings import Settings
 
@@ -111,7 +113,7 @@ def test_a_container_with_a_quota_of_two_runs_two_frames_at_once(
     app = create_app(settings, estimator)
     with TestClient(app):
         executor = app.state.runtime.executor
-        assert executor.capacity == 2 + settings.queue_length
+        assert executor.line.threads == 2
         assert anyio.run(most_at_once, executor) == 2
 
 
@@ -127,8 +129,10 @@ async def most_at_once(executor: Executor) -> int:
         assert release.wait(10)
 
     async with anyio.create_task_group() as tasks:
-        for _ in range(executor.capacity):
-            tasks.start_soon(executor.run, work, anyio.sleep_forever)
+        for _ in range(4):
+            tasks.start_soon(
+                partial(executor.run, sender=Sender("anyone")), work, anyio.sleep_forever
+            )
         while begun < 2:
             await anyio.sleep(0.001)
         await anyio.sleep(0.05)  # A third would begin by now.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import resource
 from typing import Any
 
@@ -26,6 +27,7 @@ def check_problem(response: httpx.Response, status: int, field: str | None = Non
     assert problem["type"] == "about:blank"
     assert problem["title"]
     assert problem["detail"]
+    assert re.fullmatch("[a-z_]+", problem["reason"])
     assert problem.get("field") == field
     assert "Traceback" not in response.text
     return str(problem["detail"])
@@ -102,6 +104,15 @@ def test_sizes_must_agree(client: TestClient, photo: Photo, field: str) -> None:
 def test_bad_boxes(client: TestClient, photo: Photo, boxes: str) -> None:
     files = {"frame": photo.frame_png}
     check_problem(client.post("/pose", files=files, data={"boxes": boxes}), 422, "boxes")
+
+
+def test_boxes_without_number_are_counted_not_parsed(client: TestClient, photo: Photo) -> None:
+    files = {"frame": photo.frame_png}
+    # Its end is missing, which a parser would say.
+    response = client.post("/pose", files=files, data={"boxes": "[" + "[1, 2, 3, 4]," * 60_000})
+    assert "at most 50 persons, got 60000" in check_problem(response, 422, "boxes")
+    response = client.post("/pose", files=files, data={"boxes": "[[1, 2, 3, 4" + "0" * 900_000})
+    assert "at most 12800 characters" in check_problem(response, 422, "boxes")
 
 
 def test_one_way_to_say_where_people_are(client: TestClient, photo: Photo) -> None:
@@ -274,7 +285,22 @@ def test_a_broken_multipart_body(client: TestClient) -> None:
     headers = {"content-type": "multipart/form-data; boundary=b"}
     check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 422, "frame")
     headers = {"content-type": "multipart/form-data"}
-    check_problem(client.post("/pose", content=b"--b\r\nnonsense", headers=headers), 400)
+    response = client.post("/pose", content=b"--b\r\nnonsense", headers=headers)
+    assert "well-formed multipart/form-data" in check_problem(response, 400)
+
+
+def test_an_encoded_body_is_named(client: TestClient) -> None:
+    headers = {"content-type": "image/jpeg", "content-encoding": "gzip"}
+    response = client.post("/pose", content=b"x", headers=headers)
+    assert "without Content-Encoding, got gzip" in check_problem(response, 415)
+
+
+@pytest.mark.parametrize("box", [[1, 2, 0, 4], [1, 2, -3, 4]])
+def test_a_box_is_written_as_it_was_sent(client: TestClient, photo: Photo, box: list[int]) -> None:
+    files = {"frame": photo.frame_png}
+    response = client.post("/pose", files=files, data={"boxes": json.dumps([box])})
+    detail = check_problem(response, 422, "boxes")
+    assert detail.endswith(f"got box 0: {[float(number) for number in box]}")
 
 
 def test_unknown_paths_and_methods(client: TestClient) -> None:
@@ -282,6 +308,7 @@ def test_unknown_paths_and_methods(client: TestClient) -> None:
     check_problem(client.get("/index/entries/96"), 404)
     check_problem(client.get("/index/entries/-1"), 422, "entry")
     check_problem(client.get("/index/entries/one"), 422, "entry")
+    assert "whole number" in check_problem(client.get("/index/entries/1.0"), 422, "entry")
     response = client.get("/pose")
     check_problem(response, 405)
     assert response.headers["allow"] == "POST"

@@ -19,11 +19,14 @@ import anyio
 import pytest
 from anyio import to_thread
 
-from app.cancellation import CancellationToken, ClientGoneError, DeadlineError
-from app.executor import Executor, OverloadedError, SupersededError
+from app.cancellation import BusyError, CancellationToken, ClientGoneError, DeadlineError
+from app.executor import Executor
+from app.line import OverloadedError, Sender, ShutdownError, SupersededError
 from app.request_context import request_id
 
 pytestmark = pytest.mark.anyio
+
+ANYONE = Sender("anyone")
 
 
 @pytest.fixture
@@ -43,14 +46,14 @@ def until_cancelled(token: CancellationToken) -> None:
 
 class TestFrames:
     async def test_results_and_errors_pass_through(self) -> None:
-        executor = Executor(frames=1, queue_length=0, timeout_s=5)
-        assert await executor.run(lambda _: 42, never) == 42
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=5)
+        assert await executor.run(lambda _: 42, never, sender=ANYONE) == 42
         with pytest.raises(KeyError, match="lost"):
-            await executor.run(lambda _: {}["lost"], never)
-        assert executor.inside == 0
+            await executor.run(lambda _: {}["lost"], never, sender=ANYONE)
+        assert executor.line.inside == 0
 
     async def test_no_more_than_allowed_are_worked_on_at_once(self) -> None:
-        executor = Executor(frames=2, queue_length=10, timeout_s=5)
+        executor = Executor(frames=2, max_wait_s=60, timeout_s=5)
         lock = threading.Lock()
         running, most = 0, 0
 
@@ -65,155 +68,102 @@ class TestFrames:
 
         async with anyio.create_task_group() as tasks:
             for _ in range(10):
-                tasks.start_soon(executor.run, work, never)
+                tasks.start_soon(partial(executor.run, sender=ANYONE), work, never)
         assert most == 2
         executor.shut_down()
-        assert executor._running == executor._helping == 0
-
-    async def test_frames_of_a_session_are_worked_on_one_after_the_other(self) -> None:
-        executor = Executor(frames=4, queue_length=20, timeout_s=5)
-        lock = threading.Lock()
-        running, together, order = set[str](), set[str](), list[tuple[str, int]]()
-
-        async def ask(session: str, number: int) -> None:
-            def work(_: CancellationToken) -> None:
-                with lock:
-                    assert session not in running
-                    running.add(session)
-                    together.add("".join(sorted(running)))
-                time.sleep(0.005)
-                with lock:
-                    running.remove(session)
-                    order.append((session, number))
-
-            await executor.run(work, never, session=session)
-
-        async with anyio.create_task_group() as tasks:
-            for number in range(6):
-                for session in "ab":
-                    tasks.start_soon(ask, session, number)
-        for session in "ab":
-            assert [n for name, n in order if name == session] == list(range(6))
-        assert "ab" in together
-        executor.shut_down()
-        assert executor._sessions == set()
-
-    async def test_two_who_waited_for_the_same_frame_both_begin(self) -> None:
-        executor = Executor(frames=2, queue_length=4, timeout_s=5)
-        release, both = threading.Event(), threading.Barrier(2)
-
-        def first(_: CancellationToken) -> None:
-            release.wait(5)
-
-        def next_ones(_: CancellationToken) -> None:
-            both.wait(5)
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(partial(executor.run, photograph=True, session="a"), first, never)
-            await anyio.sleep(0.01)
-            tasks.start_soon(partial(executor.run, session="a"), next_ones, never)
-            tasks.start_soon(partial(executor.run, photograph=True), next_ones, never)
-            await anyio.sleep(0.01)
-            assert executor.inside == 3
-            release.set()
-
-    async def test_silhouettes_overtake_photographs_that_wait_for_their_share(self) -> None:
-        executor = Executor(frames=2, queue_length=4, timeout_s=5)
-        release, order = threading.Event(), list[str]()
-
-        async def ask(name: str, photograph: bool) -> None:
-            def work(_: CancellationToken) -> None:
-                if name == "first photograph":
-                    release.wait()
-                order.append(name)
-
-            await executor.run(work, never, photograph=photograph)
-
-        async with anyio.create_task_group() as tasks:
-            for name in ("first photograph", "second photograph"):
-                tasks.start_soon(ask, name, True)
-            await anyio.wait_all_tasks_blocked()
-            await ask("silhouette", False)
-            assert order == ["silhouette"]
-            release.set()
-        assert order == ["silhouette", "first photograph", "second photograph"]
-        executor.shut_down()
-        assert executor._running == executor._photographs == 0
-
-    async def test_the_frame_beyond_the_queue_is_refused_while_the_others_are_inside(self) -> None:
-        executor = Executor(frames=1, queue_length=1, timeout_s=5)
-        release = threading.Event()
-        async with anyio.create_task_group() as tasks:
-            for _ in range(2):
-                tasks.start_soon(executor.run, lambda _: release.wait(), never)
-            await anyio.wait_all_tasks_blocked()
-            assert executor.is_full()
-            with pytest.raises(OverloadedError):
-                await executor.run(lambda _: None, never)
-            assert executor.inside == 2
-            release.set()
-        assert executor.inside == 0
-        assert not executor.is_full()
+        assert executor.line.working == executor._helping == 0
 
     async def test_a_waiting_frame_is_dropped_when_its_client_hangs_up(self) -> None:
-        executor = Executor(frames=1, queue_length=1, timeout_s=5)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=5)
         release, done = threading.Event(), []
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(executor.run, lambda _: release.wait(), never)
+            tasks.start_soon(partial(executor.run, sender=ANYONE), lambda _: release.wait(), never)
             await anyio.wait_all_tasks_blocked()
             with pytest.raises(ClientGoneError):
-                await executor.run(lambda _: done.append(1), lambda: anyio.sleep(0.02))
-            assert executor.inside == 1
+                await executor.run(
+                    lambda _: done.append(1), lambda: anyio.sleep(0.02), sender=ANYONE
+                )
+            assert executor.line.inside == 1
             release.set()
         assert done == []
 
     async def test_work_is_cancelled_when_its_client_hangs_up(self) -> None:
-        executor = Executor(frames=1, queue_length=0, timeout_s=60)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=60)
         with anyio.fail_after(10), pytest.raises(ClientGoneError):
-            await executor.run(until_cancelled, lambda: anyio.sleep(0.05))
+            await executor.run(until_cancelled, lambda: anyio.sleep(0.05), sender=ANYONE)
 
     async def test_the_deadline_holds_for_work_and_for_waiting(self) -> None:
-        executor = Executor(frames=1, queue_length=1, timeout_s=0.1)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=0.1)
         outcomes = []
 
         async def frame() -> None:
-            with pytest.raises(DeadlineError) as caught:
-                await executor.run(until_cancelled, never)
-            outcomes.append(str(caught.value))
+            with pytest.raises(BusyError) as caught:
+                await executor.run(until_cancelled, never, sender=ANYONE)
+            outcomes.append(type(caught.value))
 
         with anyio.fail_after(10):
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(frame)
                 tasks.start_soon(frame)
-        assert len(outcomes) == 2
-        assert executor.inside == 0
+        assert set(outcomes) == {DeadlineError, OverloadedError}
+        assert executor.line.inside == 0
 
     async def test_a_frame_that_waited_in_vain_is_told_that_the_service_was_busy(self) -> None:
-        executor = Executor(frames=1, queue_length=1, timeout_s=0.1)
+        executor = Executor(frames=1, max_wait_s=0.2, timeout_s=60)
         release = threading.Event()
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(executor.run, lambda _: release.wait(), never)
+            tasks.start_soon(partial(executor.run, sender=ANYONE), lambda _: release.wait(), never)
             await anyio.wait_all_tasks_blocked()
-            with pytest.raises(DeadlineError, match="too busy"):
-                await executor.run(lambda _: None, never)
+            with pytest.raises(OverloadedError, match="working to capacity"):
+                await executor.run(lambda _: None, never, sender=ANYONE)
             release.set()
 
-    async def test_retry_after_follows_from_what_is_inside(self) -> None:
-        executor = Executor(frames=1, queue_length=9, timeout_s=10)
-        executor._mean_s = 0.5
-        release, waits = threading.Event(), []
+    async def test_a_superseded_frame_is_told_so(self) -> None:
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=60)
+        let_go, outcomes = threading.Event(), list[str]()
+
+        async def frame(name: str) -> None:
+            def work(_: CancellationToken) -> None:
+                let_go.wait(10)
+
+            try:
+                await executor.run(work, never, sender=ANYONE, camera="yard")
+                outcomes.append(name)
+            except SupersededError as error:
+                outcomes.append(f"{name} {error.reason}")
+
         async with anyio.create_task_group() as tasks:
-            for _ in range(10):
-                waits.append(executor.retry_after_s())
-                tasks.start_soon(executor.run, lambda _: release.wait(), never)
+            for name in ("first", "second", "third"):
+                tasks.start_soon(frame, name)
                 await anyio.wait_all_tasks_blocked()
-            executor._mean_s = 500.0
-            waits.append(executor.retry_after_s())
-            release.set()
-        assert waits == [1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 10]
+            let_go.set()
+        assert outcomes == ["second superseded", "first", "third"]
+
+    async def test_a_frame_that_failed_keeps_nothing_of_itself(self) -> None:
+        class Picture:
+            pass
+
+        async def fail(picture: Picture) -> None:
+            def work(_: CancellationToken) -> None:
+                raise ValueError(picture)
+
+            with contextlib.suppress(ValueError):
+                await executor.run(work, never, sender=ANYONE)
+
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=60)
+        picture = Picture()
+        kept = weakref.ref(picture)
+        gc.disable()
+        try:
+            await fail(picture)
+            del picture
+            await anyio.wait_all_tasks_blocked()
+            assert kept() is None
+        finally:
+            gc.enable()
 
     async def test_a_request_that_is_cancelled_cancels_its_work(self) -> None:
-        executor = Executor(frames=1, queue_length=1, timeout_s=60)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=60)
         begun, cancelled = threading.Event(), threading.Event()
 
         def work(token: CancellationToken) -> None:
@@ -223,16 +173,16 @@ class TestFrames:
             cancelled.set()
 
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(executor.run, work, never)
+            tasks.start_soon(partial(executor.run, sender=ANYONE), work, never)
             await to_thread.run_sync(begun.wait)
             tasks.cancel_scope.cancel()
         assert await to_thread.run_sync(cancelled.wait, 10)
-        assert executor.inside == 0
+        assert executor.line.inside == 0
 
     @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc, needs glibc")
     async def test_long_work_leaves_no_memory_behind(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("app.executor._TRIM_AFTER_S", 0.0)
-        executor = Executor(frames=1, queue_length=0, timeout_s=5)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=5)
         kept = []
 
         def resident() -> int:
@@ -245,111 +195,26 @@ class TestFrames:
             del blocks
 
         before = resident()
-        await executor.run(work, never)
+        await executor.run(work, never, sender=ANYONE)
         assert resident() - before < 10_000_000
-
-
-class Crossing:
-    """An executor with one thread, which is kept busy until it is let go."""
-
-    def __init__(self, queue_length: int) -> None:
-        self.executor = Executor(frames=1, queue_length=queue_length, timeout_s=5)
-        self.let_go = threading.Event()
-        self.order: list[str] = []
-        self.refused: list[tuple[str, type[Exception]]] = []
-
-    async def send(self, name: str, camera: str | None) -> None:
-        def work(_: CancellationToken) -> None:
-            self.let_go.wait(5)
-            self.order.append(name)
-
-        try:
-            await self.executor.run(work, never, camera)
-        except (SupersededError, OverloadedError) as error:
-            self.refused.append((name, type(error)))
-
-    async def arrive(self, *frames: tuple[str, str | None]) -> None:
-        """Send frames (name, camera) one after the other, and let all of them be done."""
-        async with anyio.create_task_group() as tasks:
-            for name, camera in frames:
-                tasks.start_soon(self.send, name, camera)
-                await anyio.wait_all_tasks_blocked()
-            self.before = self.executor.inside
-            self.let_go.set()
-
-
-class TestCameras:
-    async def test_a_newer_frame_takes_the_place_of_the_one_that_waits(self) -> None:
-        crossing = Crossing(queue_length=2)
-        await crossing.arrive(
-            ("yard1", "yard"), ("yard2", "yard"), ("gate1", "gate"), ("yard3", "yard")
-        )
-        assert crossing.refused == [("yard2", SupersededError)]
-        # What runs is finished, and the place before the other camera is kept.
-        assert crossing.order == ["yard1", "yard3", "gate1"]
-        assert crossing.before == 3
-        assert crossing.executor.inside == 0
-
-    async def test_where_the_queue_is_full_a_camera_may_still_replace_its_own(self) -> None:
-        crossing = Crossing(queue_length=1)
-        await crossing.arrive(
-            ("yard1", "yard"),
-            ("yard2", "yard"),
-            ("gate1", "gate"),
-            ("any", None),
-            ("yard3", "yard"),
-        )
-        assert crossing.refused == [
-            ("gate1", OverloadedError),
-            ("any", OverloadedError),
-            ("yard2", SupersededError),
-        ]
-        assert crossing.order == ["yard1", "yard3"]
-        assert crossing.executor.inside == 0
-
-    async def test_frames_without_a_camera_all_wait(self) -> None:
-        crossing = Crossing(queue_length=3)
-        await crossing.arrive(("a", None), ("b", None), ("c", None))
-        assert crossing.refused == []
-        assert crossing.order == ["a", "b", "c"]
-
-    async def test_a_frame_whose_client_has_gone_is_no_place_to_take(self) -> None:
-        crossing = Crossing(queue_length=1)
-        executor = crossing.executor
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(crossing.send, "yard1", "yard")
-            await anyio.wait_all_tasks_blocked()
-            async with anyio.create_task_group() as hasty:
-                hasty.start_soon(crossing.send, "yard2", "yard")
-                await anyio.wait_all_tasks_blocked()
-                assert executor.is_full("gate")
-                assert not executor.is_full("yard")
-                hasty.cancel_scope.cancel()
-            assert executor.inside == 1
-            tasks.start_soon(crossing.send, "yard3", "yard")
-            await anyio.wait_all_tasks_blocked()
-            assert executor.inside == 2
-            crossing.let_go.set()
-        assert crossing.order == ["yard1", "yard3"]
-        assert executor.inside == 0
 
 
 class TestParts:
     @pytest.mark.parametrize("frames", [1, 3])
     def test_results_come_in_the_order_of_the_parts(self, frames: int) -> None:
-        executor = Executor(frames, queue_length=0, timeout_s=5)
+        executor = Executor(frames, max_wait_s=60, timeout_s=5)
         assert executor.map(lambda item: item**2, range(20)) == [i**2 for i in range(20)]
         assert executor.map(str, []) == []
 
     def test_several_are_worked_on_at_once(self) -> None:
         meeting = threading.Barrier(3, timeout=10)
         # Each waits for the others: one after the other they would wait in vain.
-        executor = Executor(frames=3, queue_length=0, timeout_s=5)
+        executor = Executor(frames=3, max_wait_s=60, timeout_s=5)
         assert sorted(executor.map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
 
     @pytest.mark.parametrize("frames", [1, 2])
     def test_the_first_failure_reaches_the_caller(self, frames: int) -> None:
-        executor = Executor(frames, queue_length=0, timeout_s=5)
+        executor = Executor(frames, max_wait_s=60, timeout_s=5)
         with pytest.raises(ZeroDivisionError):
             executor.map(lambda item: 1 // item, [1, 0, 2])
 
@@ -361,7 +226,7 @@ class TestParts:
             raise ValueError(item)
 
         with pytest.raises(ValueError, match="0"):
-            Executor(frames=1, queue_length=0, timeout_s=5).map(part, range(9))
+            Executor(frames=1, max_wait_s=60, timeout_s=5).map(part, range(9))
         assert begun == [0]
 
     def test_a_failure_keeps_nothing_of_the_frame(self) -> None:
@@ -371,7 +236,7 @@ class TestParts:
         def part(_: Picture) -> None:
             raise ValueError
 
-        executor = Executor(frames=1, queue_length=0, timeout_s=5)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=5)
         picture = Picture()
         kept = weakref.ref(picture)
         gc.disable()
@@ -384,7 +249,7 @@ class TestParts:
             gc.enable()
 
     async def test_a_new_frame_waits_for_no_part_of_another(self) -> None:
-        executor = Executor(frames=2, queue_length=0, timeout_s=10)
+        executor = Executor(frames=2, max_wait_s=60, timeout_s=10)
         begun: queue.Queue[str] = queue.Queue()
         crowd = [f"person {number}" for number in range(8)]
         end = {name: threading.Event() for name in (*crowd, "mask")}
@@ -397,9 +262,11 @@ class TestParts:
             return await to_thread.run_sync(lambda: begun.get(timeout=10))
 
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(executor.run, lambda _: executor.map(work, crowd), never)
+            tasks.start_soon(
+                partial(executor.run, sender=ANYONE), lambda _: executor.map(work, crowd), never
+            )
             assert {await next_begun(), await next_begun()} == {"person 0", "person 1"}
-            tasks.start_soon(executor.run, lambda _: work("mask"), never)
+            tasks.start_soon(partial(executor.run, sender=ANYONE), lambda _: work("mask"), never)
             assert await next_begun() == "mask"
             # The frame's own thread goes on; the one that helped leaves its core to the mask.
             end["person 0"].set()
@@ -414,7 +281,7 @@ class TestParts:
                 event.set()
 
     async def test_other_threads_help_all_frames_in_turn(self) -> None:
-        executor = Executor(frames=3, queue_length=0, timeout_s=10)
+        executor = Executor(frames=3, max_wait_s=60, timeout_s=10)
         both_inside = threading.Barrier(2, timeout=10)
         begun = {name: threading.Event() for name in "ab"}
         end = threading.Event()
@@ -438,12 +305,14 @@ class TestParts:
 
         async with anyio.create_task_group() as tasks:
             for name in begun:
-                tasks.start_soon(executor.run, lambda _, name=name: frame(name), never)
+                tasks.start_soon(
+                    partial(executor.run, sender=ANYONE), lambda _, name=name: frame(name), never
+                )
         # The first was taken before the other frame was divided.
         assert all(name != following for name, following in pairwise(helped[1:7]))
 
     async def test_frames_and_parts_know_the_request_they_belong_to(self) -> None:
-        executor = Executor(frames=2, queue_length=1, timeout_s=5)
+        executor = Executor(frames=2, max_wait_s=60, timeout_s=5)
         meeting = threading.Barrier(2, timeout=10)  # Two threads have to come.
 
         def part(_: int) -> str:
@@ -451,25 +320,28 @@ class TestParts:
             return request_id.get()
 
         request_id.set("mine")
-        assert await executor.run(lambda _: request_id.get(), never) == "mine"
-        assert await executor.run(lambda _: executor.map(part, range(4)), never) == ["mine"] * 4
+        assert await executor.run(lambda _: request_id.get(), never, sender=ANYONE) == "mine"
+        assert (
+            await executor.run(lambda _: executor.map(part, range(4)), never, sender=ANYONE)
+            == ["mine"] * 4
+        )
 
 
 class TestReentry:
     """What could wait for itself raises instead."""
 
     async def test_a_frame_that_starts_another(self) -> None:
-        executor = Executor(frames=1, queue_length=1, timeout_s=5)
+        executor = Executor(frames=1, max_wait_s=60, timeout_s=5)
 
         def work(_: CancellationToken) -> None:
-            asyncio.run(executor.run(lambda _: None, never))
+            asyncio.run(executor.run(lambda _: None, never, sender=ANYONE))
 
         with pytest.raises(RuntimeError, match="not by another frame"):
-            await executor.run(work, never)
+            await executor.run(work, never, sender=ANYONE)
 
     @pytest.mark.parametrize("frames", [1, 2])
     async def test_a_part_that_is_divided(self, frames: int) -> None:
-        executor = Executor(frames, queue_length=1, timeout_s=5)
+        executor = Executor(frames, max_wait_s=60, timeout_s=5)
 
         def part(_: int) -> list[str]:
             return executor.map(str, range(2))
@@ -477,11 +349,11 @@ class TestReentry:
         with pytest.raises(RuntimeError, match="not to be divided"):
             executor.map(part, range(4))
         with pytest.raises(RuntimeError, match="not to be divided"):
-            await executor.run(lambda _: executor.map(part, range(4)), never)
+            await executor.run(lambda _: executor.map(part, range(4)), never, sender=ANYONE)
 
 
 async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
-    executor = Executor(frames=2, queue_length=2, timeout_s=60)
+    executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
     begun = threading.Semaphore(0)
     outcomes: list[str] = []
 
@@ -491,8 +363,8 @@ async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
 
     async def frame() -> None:
         try:
-            await executor.run(lambda token: executor.map(part, [token] * 9), never)
-        except (ClientGoneError, DeadlineError) as error:
+            await executor.run(lambda token: executor.map(part, [token] * 9), never, sender=ANYONE)
+        except (ClientGoneError, ShutdownError) as error:
             outcomes.append(type(error).__name__)
 
     async with anyio.create_task_group() as tasks:
@@ -500,7 +372,7 @@ async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
             tasks.start_soon(frame)
         for _ in range(2):
             await to_thread.run_sync(begun.acquire)
-        await to_thread.run_sync(executor.shut_down)
+        executor.shut_down()
         assert not any(thread.is_alive() for thread in executor._threads._threads)
     assert len(outcomes) == 3
-    assert set(outcomes) == {"ClientGoneError", "DeadlineError"}
+    assert set(outcomes) == {"ClientGoneError", "ShutdownError"}

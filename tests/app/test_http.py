@@ -58,6 +58,7 @@ def test_head_of_a_problem_has_no_body_either(client: TestClient) -> None:
 def test_redirects_are_relative(client: TestClient, path: str, location: str) -> None:
     response = client.get(path, follow_redirects=False)
     assert (response.status_code, response.headers["location"]) == (307, location)
+    assert path.partition("?")[0] in check_problem(response, 307)
 
 
 def test_a_redirected_frame_is_answered(client: TestClient, photo: Photo) -> None:

@@ -30,8 +30,8 @@ def slow_frame() -> bytes:
 
 @pytest.fixture
 def narrow(index_path: Path) -> Iterator[Server]:
-    """A server that works on one frame and lets two wait."""
-    running = start_server(index_path, POSE_CONCURRENCY="1", POSE_QUEUE_LENGTH="2")
+    """A server that works on one frame at a time."""
+    running = start_server(index_path, POSE_CONCURRENCY="1", POSE_MAX_WAIT_S="4")
     wait_until(f"{running.url}/readyz")
     yield running
     running.stop()
@@ -57,6 +57,7 @@ def test_overload_is_refused_at_once_and_probes_go_on(narrow: Server, slow_frame
         seconds = time.perf_counter() - started
         return response.status_code, seconds, response.headers.get("retry-after")
 
+    ask(0)  # From now on it knows what such a frame takes.
     with ThreadPoolExecutor(20) as clients:
         answers = list(clients.map(ask, range(20)))
         # While the last ones are still worked on, nothing else waits for them.
@@ -67,7 +68,7 @@ def test_overload_is_refused_at_once_and_probes_go_on(narrow: Server, slow_frame
     assert len(refused) >= 10
     assert all(int(after or 0) >= 1 for _, after in refused)
     assert np.median([seconds for seconds, _ in refused]) < max(accepted)
-    assert metric(narrow, 'pose_rejected_total{reason="queue_full"}') == len(refused)
+    assert metric(narrow, 'pose_rejected_total{reason="overloaded"}') == len(refused)
 
 
 def test_frames_nobody_waits_for_are_dropped(narrow: Server, slow_frame: bytes) -> None:
@@ -89,7 +90,7 @@ def test_frames_nobody_waits_for_are_dropped(narrow: Server, slow_frame: bytes) 
 def test_sigterm_finishes_what_runs_and_what_waits_and_ends_with_status_0(
     index_path: Path, slow_frame: bytes
 ) -> None:
-    running = start_server(index_path, POSE_CONCURRENCY="2", POSE_QUEUE_LENGTH="2")
+    running = start_server(index_path, POSE_CONCURRENCY="2", POSE_MAX_WAIT_S="10")
     wait_until(f"{running.url}/readyz")
     boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(8)])
 

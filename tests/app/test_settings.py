@@ -90,6 +90,7 @@ def test_what_makes_sense_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
         "HOST": "0.0.0.0",
         "PORT": "8080",
         "WORKERS": "2",
+        "POSE_MAX_CAMERAS": "0",
         "POSE_DETECTOR": "hog",
         "POSE_API_KEYS": "first, second",
         "POSE_CORS_ORIGINS": "https://yard.example,http://127.0.0.1:8000",
@@ -102,6 +103,14 @@ def test_what_makes_sense_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [key.get_secret_value() for key in settings.api_keys] == ["first", "second"]
     assert settings.cors_origins == ("https://yard.example", "http://127.0.0.1:8000")
     assert settings.max_pixels == Settings.model_fields["max_pixels"].default
+
+
+def test_several_workers_keep_no_camera_sessions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORKERS", "2")
+    with pytest.raises(
+        SettingsError, match=r"POSE_MAX_CAMERAS: expected 0 with WORKERS=2, .* got 64"
+    ):
+        read_settings()
 
 
 def test_a_wrong_list_of_keys_shows_none_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +149,7 @@ def test_the_start_ends_with_that_sentence_alone(name: str, value: str) -> None:
 def test_a_port_in_use_is_told_in_a_sentence(workers: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        ended = start(HOST="127.0.0.1", PORT=str(port), WORKERS=workers)
+        ended = start(HOST="127.0.0.1", PORT=str(port), WORKERS=workers, POSE_MAX_CAMERAS="0")
     assert ended.returncode == 1
     assert ended.stderr == (
         f"PORT: expected a free port, got {port}, which another program uses on 127.0.0.1\n"

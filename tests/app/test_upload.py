@@ -39,3 +39,27 @@ def test_without_frame_and_mask_there_is_nothing_to_answer() -> None:
     for rest in ({}, {"background": b"?"}, {"boxes": (Box(1, 2, 30, 40),)}):
         with pytest.raises(UploadError, match="frame: expected an image file, got none"):
             Upload(**rest)  # type: ignore[arg-type]
+
+
+def figures(*lefts: int, height: int = 70, width: int = 20) -> bytes:
+    """A mask of one label with figures side by side."""
+    labels = np.zeros((90, 200), np.uint8)
+    for left in lefts:
+        labels[10 : 10 + height, left : left + width] = 255
+    return cv2.imencode(".png", labels)[1].tobytes()
+
+
+def test_people_apart_need_labels_of_their_own(client: TestClient) -> None:
+    response = client.post("/pose", files={"mask": figures(10, 60, 150)})
+    assert response.status_code == 422
+    assert response.json()["field"] == "mask"
+    assert "3 figures apart with the same label" in response.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    "mask",
+    [figures(60), figures(60, 85), figures(10, 150, height=30), figures(10, 40, 70, width=30)],
+)
+def test_parts_of_one_person_are_one(client: TestClient, mask: bytes) -> None:
+    response = client.post("/pose", files={"mask": mask})
+    assert len(response.json()["persons"]) == 1

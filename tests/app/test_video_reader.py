@@ -77,6 +77,18 @@ async def test_a_process_that_stops_is_told() -> None:
         await reader.next()
 
 
+async def test_the_decoders_last_words_are_told() -> None:
+    with new_file() as file:
+        file.write(b"\x00\x00\x00\x20ftypisom" + bytes(500))
+        async with open_video(file, stride=1, max_pixels=10_000, max_seconds=20) as video:
+            with pytest.raises(
+                VideoError, match=r"got something else \(.*moov atom not found\)"
+            ) as raised:
+                await video.next()
+    assert "0x" not in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
 async def test_a_process_that_hangs_is_told() -> None:
     reader = reading(PICTURE, ended=False, timeout_s=0.05)
     frame = await reader.next()

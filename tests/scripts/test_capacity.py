@@ -216,7 +216,6 @@ class TestFleet:
         assert replicas.cores == int(limits["cpu"])
         assert replicas.memory_mb == mebibytes(limits["memory"])
         assert replicas.session_memory_mb == float(VALUES["POSE_CAMERA_MEMORY_MB"] or 0)
-        assert replicas.queue == settings["queue_length"]
         assert replicas.max_sessions == settings["max_cameras"]
         assert replicas.idle_s == settings["camera_idle_s"]
 

@@ -1,0 +1,27 @@
+"""What a command lacks, a package or data, is told in one sentence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["draw_avatars", "draw_people", "evaluate real", "evaluate paper", "evaluate actions"],
+)
+def test_without_data(command: str, tmp_path: Path) -> None:
+    module, *names = command.split()
+    ended = subprocess.run(
+        [sys.executable, "-m", f"scripts.{module}", *names, "--shared", str(tmp_path)],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 1
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith((f"scripts.{module}: ", f"{module}: "))
+    assert "Traceback" not in ended.stderr
