@@ -6,7 +6,8 @@ prints what a model fitted without each source says of it. Takes about ten minut
     python -m scripts.fit_people --shared ../shared
 
 Fitted on street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP
-Extended, detection alone) and photographs of people who fell and who did not (Ambianic). Not used,
+Extended, detection alone), photographs of people who fell and who did not (Ambianic), and simulated
+bodies of the index, for who bends or crouches. Not used,
 so that they remain a test: Pose2Sim, UP-Fall and the fall videos. Frames of UP-Fall among the fall
 photographs are left out.
 """
@@ -33,9 +34,12 @@ from app.settings import Settings
 from app.upload import Upload
 from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detection.detector import NetworkDetector, logit
-from app.vision.people import Box, Landmarks
+from app.vision.people import LANDMARK_NAMES, Box, Landmarks
 from app.vision.weights import write_fitted
-from index.posture import POSTURES, UPRIGHT
+from index.landmark_search import rotate_clockwise
+from index.posture import POSTURES, UPRIGHT, camera_up, classify
+from index.skeleton import POINT_NAMES, camera_rotation
+from index.store import PoseIndex
 from scripts.experiments.real_data import as_array, read_pennfudan, read_vtest
 from scripts.experiments.real_detection import fit_hog
 from scripts.experiments.real_vtest import Marks, read_marks
@@ -48,6 +52,12 @@ HELD_POSTURES = 7
 FOLDS = 10
 SAME = 0.5
 """Overlap (IoU) from which a candidate is an annotated person."""
+
+SIMULATED_FROM, SIMULATED_EACH, SIMULATED_WEIGHT = 40_000, 400, 100.0
+"""Entries among which simulated bodies are chosen, how many of each posture, and for how many
+people of photographs all of them count: people who bend or crouch are rare there."""
+
+NOISE_M, ROLL_DEG, PX_PER_M = (0.03, 0.03, 0.08), 6.0, 200.0
 
 _STRENGTH = 0.1
 
@@ -202,12 +212,51 @@ def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
     }
 
 
-def fit_grounded(sources: dict[str, Samples]) -> dict[str, Any]:
-    """A logistic model of lying, on standardised features."""
-    features = np.concatenate([np.array(one.features) for one in sources.values()])
-    truths = np.concatenate([np.array(one.truths) for one in sources.values()])
-    means, scales = features.mean(axis=0), features.std(axis=0) + 1e-6
-    model = LogisticRegression(C=_STRENGTH, max_iter=5000).fit((features - means) / scales, truths)
+def simulated_samples(index: PoseIndex) -> Samples:
+    """Bodies of the index in every posture, with landmarks as a network would read them."""
+    rng = np.random.default_rng(0)
+    rows = np.sort(rng.permutation(len(index))[:SIMULATED_FROM])
+    entries = index.entries[rows]
+    rotations = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"])
+    points = index.skeletons[entries["skeleton"]].astype(np.float64)
+    points = points @ rotations.swapaxes(1, 2)
+    postures = classify(points, camera_up(entries["elevation_deg"]))
+    samples = Samples()
+    for number, posture in enumerate(POSTURES):
+        for row in np.flatnonzero(postures == number)[:SIMULATED_EACH]:
+            metres = points[row][_POINT_OF_LANDMARK] + rng.normal(0, NOISE_M, (33, 3))
+            metres = rotate_clockwise(metres, float(rng.normal(0, ROLL_DEG)))
+            landmarks = Landmarks(PX_PER_M * metres[:, :2], np.full(33, 0.95), metres)
+            samples.add(body_features(landmarks), posture in GROUNDED, "simulated")
+    return samples
+
+
+def _point_of_landmark(name: str) -> int:
+    """The point of the index that is nearest to a landmark."""
+    side, _, part = name.rpartition("_") if name.startswith("mouth") else name.partition("_")
+    if part in ("inner", "outer") or "eye" in name:
+        return POINT_NAMES.index(f"{side}_eye")
+    part = {"pinky": "wrist", "index": "wrist", "thumb": "wrist", "heel": "ankle"}.get(part, part)
+    if name == "nose" or name.startswith("mouth"):
+        return POINT_NAMES.index("nose")
+    return POINT_NAMES.index(f"{side}_{'toe' if part == 'foot_index' else part}")
+
+
+_POINT_OF_LANDMARK = [_point_of_landmark(name) for name in LANDMARK_NAMES]
+
+
+def fit_grounded(sources: dict[str, Samples], simulated: Samples) -> dict[str, Any]:
+    """A logistic model of lying, on features standardised by those of photographs."""
+    photographed = np.concatenate([np.array(one.features) for one in sources.values()])
+    truths = np.concatenate(
+        [*(np.array(one.truths) for one in sources.values()), np.array(simulated.truths)]
+    )
+    weights = np.ones(len(truths))
+    weights[len(photographed) :] = SIMULATED_WEIGHT / len(simulated.truths)
+    means, scales = photographed.mean(axis=0), photographed.std(axis=0) + 1e-6
+    features = np.concatenate([photographed, np.array(simulated.features)])
+    model = LogisticRegression(C=_STRENGTH, max_iter=5000)
+    model.fit((features - means) / scales, truths, sample_weight=weights)
     return {
         "means": means.round(4).tolist(),
         "scales": scales.round(4).tolist(),
@@ -216,7 +265,9 @@ def fit_grounded(sources: dict[str, Samples]) -> dict[str, Any]:
     }
 
 
-def cross_validated(sources: dict[str, Samples]) -> dict[str, NDArray[np.float64]]:
+def cross_validated(
+    sources: dict[str, Samples], simulated: Samples
+) -> dict[str, NDArray[np.float64]]:
     """Probability of lying of each sample, by models that did not see its photograph."""
     names = sorted({group for one in sources.values() for group in one.groups})
     order = np.random.default_rng(0).permutation(len(names)) % FOLDS
@@ -231,7 +282,7 @@ def cross_validated(sources: dict[str, Samples]) -> dict[str, NDArray[np.float64
                 [one.truths[i] for i in rows],
                 [one.groups[i] for i in rows],
             )
-        model = fit_grounded(known)
+        model = fit_grounded(known, simulated)
         for name, one in sources.items():
             for i, group in enumerate(one.groups):
                 if fold[group] == held:
@@ -293,12 +344,13 @@ def main() -> None:
         {**fit_detection(detection), **fit_hog(street)},
     )
     grounded, _ = posture_samples(estimator, options.shared)
-    told = cross_validated(grounded)
+    simulated = simulated_samples(estimator.index)
+    told = cross_validated(grounded, simulated)
     for name, samples in grounded.items():
         share = (by_photograph(samples, told[name]) >= 0.5).mean()
         print(f"{name}: lying or crawling in {100 * share:.1f} % of photographs, cross-validated")
     data = ", ".join(f"{len(one.truths)} people of {name}" for name, one in grounded.items())
-    write_fitted("grounded", COMMAND, data, fit_grounded(grounded))
+    write_fitted("grounded", COMMAND, data, fit_grounded(grounded, simulated))
     # Shares depend on the model above.
     _, people = posture_samples(estimator, options.shared)
     write_fitted("posture", COMMAND, "people who fell or walk", fit_posture(people))

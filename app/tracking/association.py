@@ -15,10 +15,12 @@ from app.vision.people import Box
 # How far from the expected place somebody may be seen, in heights of the person: at once, for
 # each second since the last sighting, and at most.
 _NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
-# Largest ratio of two heights of one person.
+# Largest ratio of two sizes of one person.
 _GROWTH = 1.6
 # Weights of what speaks against a pair, each 0 to 1 within the gates.
 _PLACE, _OVERLAP, _SIZE, _CLOTHES = 0.4, 0.3, 0.2, 0.6
+# Share of these that counts against the track in whose window somebody was read.
+_FOLLOWED = 0.5
 _LARGEST_COST = 1.1
 
 
@@ -62,22 +64,29 @@ def association_costs(
         reach = min(_FAR, _NEAR + _NEAR_PER_S * (timestamp - track.seen_at))
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
-            away = _distance(expected, box) / max(expected.height, box.height)
-            growth = abs(math.log(box.height / expected.height)) / math.log(_GROWTH)
-            if away > reach or growth > 1:
+            away = _distance(expected, box) / max(_size(expected), _size(box))
+            growth = abs(math.log(_size(box) / _size(expected))) / math.log(_GROWTH)
+            followed = sighting.followed is track
+            if not followed and (away > reach or growth > 1):
                 continue
             clothes = (
                 0.3
                 if track.clothes is None or sighting.clothes is None
                 else clothes_distance(track.clothes, sighting.clothes)
             )
-            costs[row, column] = (
-                _PLACE * away / reach
+            cost = (
+                _PLACE * min(1.0, away / reach)
                 + _OVERLAP * (1 - expected.iou(box))
-                + _SIZE * growth
+                + _SIZE * min(1.0, growth)
                 + _CLOTHES * clothes
             )
+            costs[row, column] = _FOLLOWED * cost if followed else cost
     return costs
+
+
+def _size(box: Box) -> float:
+    """Length of a body: who falls keeps it, though not the height."""
+    return max(box.width, box.height)
 
 
 def _distance(first: Box, second: Box) -> float:

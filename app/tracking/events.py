@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,10 @@ DOWN_WITHIN_S = 4.0
 
 STAYS_DOWN_S = 1.5
 """Seconds on the ground after which somebody fell."""
+
+DROPPED_TO = 0.55
+"""Share of the height in the picture that somebody has upright, below which they are down, whatever
+the posture: who sits on a chair or kneels keeps two thirds."""
 
 DOWN: tuple[Posture, ...] = ("lying", "crawling")
 """Who fell need not lie flat."""
@@ -50,6 +55,22 @@ class _Evidence:
         return None
 
 
+@dataclass(frozen=True)
+class Trust:
+    """How far a frame of a track is to be trusted, 0 to 1.
+
+    Parameters
+    ----------
+    body : float
+        That the body is read rightly.
+    person : float
+        That there is a person at all.
+    """
+
+    body: float
+    person: float
+
+
 class EventDetector:
     """Watches the postures of one track."""
 
@@ -58,10 +79,16 @@ class EventDetector:
         self._lying, self._arms_raised = _Evidence(), _Evidence()
         self._down, self._upright = _Evidence(), _Evidence()
         self._upright_at: float | None = None
+        self._upright_px: float | None = None
         self._fallen = False
 
     def update(
-        self, track_id: int, timestamp: float, shares: NDArray[np.float64], confidence: float
+        self,
+        track_id: int,
+        timestamp: float,
+        shares: NDArray[np.float64],
+        trust: Trust,
+        height_px: float | None = None,
     ) -> tuple[Event, ...]:
         """Take in a frame of the track and return what begins or ends with it.
 
@@ -72,12 +99,14 @@ class EventDetector:
             Seconds, after those of the frames before.
         shares : (10,) float64 array
             How likely each of ``POSTURES`` is at this frame.
-        confidence : float
-            Of this frame's pose. A frame counts by it: a silhouette that nobody fits, of a person
-            half hidden or cut out wrongly, says nothing.
+        trust : Trust
+            Of this frame, which counts by it: a silhouette that nobody fits says nothing. Who was
+            upright and is down counts as long as it is a person.
+        height_px : float, optional
+            Of the person in the picture; None where not all of them is seen.
         """
-        step = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
-        step *= confidence
+        elapsed = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
+        step = trust.body * elapsed
         self._last = timestamp
 
         def share(*postures: Posture) -> float:
@@ -88,8 +117,11 @@ class EventDetector:
 
         upright = share(*UPRIGHT)
         self._upright.update(timestamp, upright, step)
-        if self._upright.holds and upright >= BEGINS_FROM:
+        if self._upright.holds and upright >= BEGINS_FROM and not self._dropped(height_px):
             self._upright_at = timestamp
+            if height_px is not None:
+                known = self._upright_px or height_px
+                self._upright_px = known + (1 - math.exp(-step / SETTLING_S)) * (height_px - known)
         raised = share("arms_raised")
         events = happened(
             "arms_raised",
@@ -99,8 +131,15 @@ class EventDetector:
         lies = share("lying")
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        self._down.update(timestamp, share(*DOWN), step)
+        down = 1.0 if self._dropped(height_px) else share(*DOWN)
+        self._down.update(timestamp, down, trust.person * elapsed)
         return (*events, *happened("fell", self._fell(timestamp), self._down.level))
+
+    def _dropped(self, height_px: float | None) -> bool:
+        """Whether somebody is far lower than when they were upright."""
+        if height_px is None or self._upright_px is None:
+            return False
+        return height_px < DROPPED_TO * self._upright_px
 
     def _fell(self, timestamp: float) -> EventState | None:
         """Whether a fall begins or ends at this frame."""

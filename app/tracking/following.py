@@ -1,8 +1,8 @@
 """Finds the people of a camera's frame: each track by its own window, newcomers by a search.
 
 Everybody who is tracked is read on every frame, in the window that their last landmarks point to.
-Every so often the whole frame is searched, for newcomers and to check the tracks: MoveNet, which
-needs no window, says where a track has gone astray.
+Every so often, and where a track's window no longer shows anybody, the whole frame is searched, for
+newcomers and to check the tracks: MoveNet, which needs no window, says where one has gone astray.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PeopleFollower:
         tracks: Sequence[Track],
         check: Check,
         stopwatch: Stopwatch,
-    ) -> list[ObservedPerson]:
+    ) -> list[tuple[ObservedPerson, Track | None]]:
         """Find the people of a frame with their silhouettes and landmarks.
 
         Parameters
@@ -69,28 +69,28 @@ class PeopleFollower:
         tracks : sequence of Track
         check : callable
         stopwatch : Stopwatch
+
+        Returns
+        -------
+        list of (ObservedPerson, Track or None)
+            The track in whose window the person was read, None where the search found them.
         """
-        detections: list[Detection] = []
-        if timestamp - self._searched_at >= SEARCH_EVERY_S or not tracks:
-            with stopwatch.stage("detect"):
-                detections = self._finder.detector.detect(frame)[: self._finder.max_persons]
-            self._searched_at = timestamp
-        check()
         followed = [
             (track, _expected(track, timestamp))
             for track in tracks
             if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
         ]
-        wanted, owners = _assign(detections, followed)
-        with stopwatch.stage("keypoints"):
-            readings = self._finder.map_parts(
-                lambda pair: self._read(frame, *pair, check),
-                zip(wanted, owners, strict=True),
-            )
-        rows = [row for row, one in enumerate(readings) if one is not None]
-        kept = distinct_bodies([one for one in readings if one is not None])
-        rows = [rows[row] for row in kept]
-        found = [one for row in rows if (one := readings[row]) is not None]
+        readings: list[Reading | None] = []
+        if timestamp - self._searched_at < SEARCH_EVERY_S and len(followed) == len(tracks) > 0:
+            wanted, owners = _assign((), followed)
+            readings = self._read_all(frame, wanted, owners, check, stopwatch)
+        if not readings or None in readings:
+            with stopwatch.stage("detect"):
+                detections = self._finder.detector.detect(frame)[: self._finder.max_persons]
+            self._searched_at = timestamp
+            wanted, owners = _assign(detections, followed)
+            readings = self._read_all(frame, wanted, owners, check, stopwatch)
+        found, rows = _distinct(readings, wanted)
         boxes = [
             found[i].landmarks.box() if wanted[row].score == 0 else wanted[row].box
             for i, row in enumerate(rows)
@@ -104,8 +104,23 @@ class PeopleFollower:
             owner, by_track = owners[row], wanted[row].score == 0
             score = max(owner.score, reading.presence) if owner else wanted[row].score
             place = silhouette.box if by_track else box
-            people.append(observed(frame, place, "detector", score, silhouette, reading))
+            person = observed(frame, place, "detector", score, silhouette, reading)
+            people.append((person, owner))
         return people
+
+    def _read_all(
+        self,
+        frame: NDArray[np.uint8],
+        wanted: Sequence[Detection],
+        owners: Sequence[Track | None],
+        check: Check,
+        stopwatch: Stopwatch,
+    ) -> list[Reading | None]:
+        check()
+        with stopwatch.stage("keypoints"):
+            return self._finder.map_parts(
+                lambda pair: self._read(frame, *pair, check), zip(wanted, owners, strict=True)
+            )
 
     def _read(
         self, frame: NDArray[np.uint8], one: Detection, owner: Track | None, check: Check
@@ -117,6 +132,23 @@ class PeopleFollower:
         reading = self._finder.reader.network.read(frame, one.windows[0])
         lost = reading.presence < LEAST_PRESENCE or reading.drift > MOST_DRIFT
         return None if lost else reading
+
+
+def _distinct(
+    readings: Sequence[Reading | None], wanted: Sequence[Detection]
+) -> tuple[list[Reading], list[int]]:
+    """Readings of different bodies, and their rows.
+
+    Of two in the windows of tracks, that is kept whose track is expected nearer to the body.
+    """
+    rows = [row for row, one in enumerate(readings) if one is not None]
+    found = [one for one in readings if one is not None]
+    order = sorted(
+        range(len(rows)),
+        key=lambda i: (-wanted[rows[i]].score, -wanted[rows[i]].box.iou(found[i].landmarks.box())),
+    )
+    kept = sorted(order[i] for i in distinct_bodies([found[i] for i in order]))
+    return [found[i] for i in kept], [rows[i] for i in kept]
 
 
 def _expected(track: Track, timestamp: float) -> Box:

@@ -8,13 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.posture import EstimatedPosture, grounded_probability, posture_of, with_grounded
-from app.vision.people import Landmarks
+from app.vision.people import Box, Landmarks
 
 SETTLING_S = 0.4
 """Time constant with which the posture follows the frames."""
 
 MOST_STEP_S = 1.0
 """After a longer gap the newest frame counts no more than after this one."""
+
+
+WIDE, WIDE_SLOPE = 1.2, 3.0
+"""Width over height from which a box rather holds somebody who lies, and how surely it tells."""
+
+
+def wide(box: Box) -> float:
+    """Probability that the person in a box lies, by its shape alone."""
+    return float(1 / (1 + (WIDE * box.height / box.width) ** WIDE_SLOPE))
 
 
 class PostureFilter:
@@ -31,6 +40,7 @@ class PostureFilter:
         votes: NDArray[np.float64],
         landmarks: Landmarks | None,
         presence: float,
+        box: Box,
     ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
         """Take in a frame.
 
@@ -42,7 +52,9 @@ class PostureFilter:
             Share of each of ``POSTURES``, of this frame.
         landmarks : Landmarks or None
         presence : float
-            Probability that there is a person.
+            Probability that the landmarks are a person's.
+        box : Box
+            Of the person.
 
         Returns
         -------
@@ -53,7 +65,9 @@ class PostureFilter:
         """
         shares = votes
         if landmarks is not None:
-            shares = with_grounded(votes, grounded_probability(landmarks))
+            # Of somebody whom the network does not make out, the box is all that is seen.
+            lies = presence * grounded_probability(landmarks) + (1 - presence) * wide(box)
+            shares = with_grounded(votes, lies)
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:

@@ -126,10 +126,12 @@ class CameraSession:
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reads = evidence == "photograph" and upload.frame is not None
+        found: list[tuple[ObservedPerson, Track | None]]
         if reads and upload.mask is None and upload.boxes is None and upload.background is None:
             found = self._follower.find(frame, timestamp, self._tracks, check, stopwatch)
         else:
-            found = self._estimator.finder.find(decoded, reads, check, stopwatch)
+            people = self._estimator.finder.find(decoded, reads, check, stopwatch)
+            found = [(person, None) for person in people]
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
         tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
@@ -180,7 +182,7 @@ class CameraSession:
     def _identify(
         self,
         frame: NDArray[np.uint8] | None,
-        found: list[ObservedPerson],
+        found: list[tuple[ObservedPerson, Track | None]],
         timestamp: float,
     ) -> list[tuple[ObservedPerson, Track]]:
         """Give each person a track, and return those of confirmed tracks, left to right.
@@ -191,14 +193,15 @@ class CameraSession:
         ----------
         frame : (H, W, 3) uint8 array or None
             None if the caller sent a mask alone: clothes are not seen then.
-        found : list of ObservedPerson
+        found : list of (ObservedPerson, Track or None)
+            With the track in whose window each was read.
         timestamp : float
         """
-        sightings = [_sighting(frame, person) for person in found]
+        sightings = [_sighting(frame, *pair) for pair in found]
         assigned = associate(self._tracks, sightings, timestamp)
         known = [None if row is None else self._tracks[row] for row in assigned]
         seen = []
-        for person, track, sighting in zip(found, known, sightings, strict=True):
+        for (person, _), track, sighting in zip(found, known, sightings, strict=True):
             own = track or self._begin(sighting, timestamp)
             if own is not None:
                 own.see(sighting, timestamp)
@@ -283,7 +286,9 @@ class CameraSession:
             self._events.append(Event(event, track.track_id, "begin", timestamp, track.score))
 
 
-def _sighting(frame: NDArray[np.uint8] | None, person: ObservedPerson) -> Sighting:
+def _sighting(
+    frame: NDArray[np.uint8] | None, person: ObservedPerson, followed: Track | None
+) -> Sighting:
     if frame is None or person.silhouette is None:
-        return Sighting(person, None)
-    return Sighting(person, clothes_histogram(frame, person.silhouette))
+        return Sighting(person, None, followed)
+    return Sighting(person, clothes_histogram(frame, person.silhouette), followed)

@@ -13,7 +13,7 @@ from app.estimates import ObservedPerson, Person
 from app.facing import Facing
 from app.posture import EstimatedPosture
 from app.tracking.actions import ActionRecogniser
-from app.tracking.events import EventDetector
+from app.tracking.events import EventDetector, Trust
 from app.tracking.postures import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
@@ -128,10 +128,13 @@ class Sighting:
     observed : ObservedPerson
     clothes : (80,) float32 array or None
         None where there is no silhouette.
+    followed : Track or None
+        The track in whose window the person was read.
     """
 
     observed: ObservedPerson
     clothes: NDArray[np.float32] | None
+    followed: Track | None = None
 
 
 class Track:
@@ -204,15 +207,26 @@ class Track:
         presence = 1.0 if observed.presence is None else observed.presence
         self._facing = smoothed.facing
         self._posture, shares = self._postures.update(
-            timestamp, smoothed.votes, observed.landmarks, presence
+            timestamp, smoothed.votes, observed.landmarks, presence, observed.whole_box
         )
         self._action = self._recogniser.update(timestamp, person, smoothed)
         if self.track_id is not None:
             self._events += self._detector.update(
-                self.track_id, timestamp, shares, smoothed.pose.confidence
+                self.track_id,
+                timestamp,
+                shares,
+                self._trust(observed, smoothed.pose),
+                height_px=_height_px(observed),
             )
         person = replace(person, facing=self._facing, posture=self._posture)
         return self._tracked(person, smoothed.pose)
+
+    def _trust(self, observed: ObservedPerson, pose: SmoothedPose) -> Trust:
+        """How far a frame is to be trusted: by the network, by silhouettes alone by the pose."""
+        if observed.presence is None:
+            return Trust(pose.confidence, pose.confidence)
+        score = 1.0 if observed.detection_score is None else observed.detection_score
+        return Trust(observed.presence, max(observed.presence, score))
 
     def carry(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
@@ -230,3 +244,10 @@ class Track:
         if self.track_id is None:
             raise ValueError("expected a confirmed track")
         return TrackedPerson(person, self.track_id, self.age_frames, pose, self._action)
+
+
+def _height_px(observed: ObservedPerson) -> float | None:
+    """Height of a person in the picture, None where not all of them is seen."""
+    if observed.silhouette is None or observed.silhouette.truncated:
+        return None
+    return observed.silhouette.box.height

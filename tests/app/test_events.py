@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import pytest
 
 from app.posture import vote_posture
-from app.tracking.events import STAYS_DOWN_S, EventDetector
+from app.tracking.events import STAYS_DOWN_S, EventDetector, Trust
 from app.tracking.results import Event
 from index.posture import Posture
 
@@ -28,7 +28,7 @@ def watch(
         for _ in range(round(seconds * fps)):
             other: Posture = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
-            events += detector.update(7, frame / fps, shares, confidence)
+            events += detector.update(7, frame / fps, shares, Trust(confidence, confidence))
             frame += 1
     return events
 
