@@ -42,7 +42,7 @@ _NEWEST_WEIGHT = 0.2
 _KEPT_FOR_S = 2.0  # After the moment at which a caller was told to come back.
 _EARLY_S = 0.05  # Clocks differ.
 _MOST_KEPT = 64
-_MOST_CALLERS = 1000  # Beyond, what they have had is forgotten at the next quiet moment.
+_MOST_CALLERS = 1000  # Beyond, those are forgotten who have nothing waiting.
 _LONGEST_RETRY_S = 30
 
 _SUPERSEDED = "a newer frame of this camera has taken the place of this one, which still waited"
@@ -278,9 +278,10 @@ class Line:
         self._now_s = max(self._now_s, served_s - self._estimate_s(turn.kind))
         self._served_s[turn.sender.caller] = served_s
         self._kinds[turn.sender.caller] = self._last_kind = turn.kind
-        if not self._waiting and len(self._kinds) > _MOST_CALLERS:
-            self._served_s.clear()
-            self._kinds.clear()
+        if len(self._served_s) > _MOST_CALLERS:
+            waiting = {turn.sender.caller for turn in self._waiting}
+            self._served_s = {c: s for c, s in self._served_s.items() if c in waiting}
+            self._kinds = {c: kind for c, kind in self._kinds.items() if c in waiting}
 
     def _ordered(self, entries: Iterable[E]) -> list[tuple[float, E]]:
         """Return places in the order of their turns, each with what its caller has had after it."""

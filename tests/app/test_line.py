@@ -268,6 +268,17 @@ class TestAdmission:
         line.join(Sender("a"), "photograph", patient=True)
         assert line.inside == 3
 
+    async def test_callers_who_are_gone_are_forgotten(self) -> None:
+        line, clock = self.line()
+        line.join(Sender("stays"), "photograph", patient=True)
+        for number in range(3000):
+            turn = line.join(Sender(number), "photograph", patient=True)
+            clock.now += 1
+            line.leave(line._working[0], worked=True)
+            assert turn.begun.done()
+        assert len(line._served_s) <= 1001
+        assert len(line._kinds) <= 1001
+
     async def test_a_flood_leaves_nothing_behind(self) -> None:
         line, clock = self.line()
         turns = [line.join(Sender(name), "photograph") for name in "ab"]

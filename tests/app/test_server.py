@@ -31,7 +31,7 @@ def slow_frame() -> bytes:
 @pytest.fixture
 def narrow(index_path: Path) -> Iterator[Server]:
     """A server that works on one frame at a time."""
-    running = start_server(index_path, POSE_CONCURRENCY="1", POSE_MAX_WAIT_S="4")
+    running = start_server(index_path, POSE_CONCURRENCY="1", POSE_MAX_WAIT_S="2")
     wait_until(f"{running.url}/readyz")
     yield running
     running.stop()
@@ -64,7 +64,7 @@ def test_overload_is_refused_at_once_and_probes_go_on(narrow: Server, slow_frame
     accepted = [seconds for status, seconds, _ in answers if status == 200]
     refused = [(seconds, after) for status, seconds, after in answers if status == 503]
     assert len(accepted) + len(refused) == 20
-    assert len(accepted) >= 3
+    assert accepted
     assert len(refused) >= 10
     assert all(int(after or 0) >= 1 for _, after in refused)
     assert np.median([seconds for seconds, _ in refused]) < max(accepted)
