@@ -16,6 +16,8 @@ from descriptor.descriptor import restore
 from index.approximate import ApproximateNeighbours
 from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
+from index.reranking import FILES as RERANKING_FILES
+from index.reranking import Reranker, load_reranker
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -66,14 +68,15 @@ def save_index(index: PoseIndex, path: Path) -> str:
 def copy_index(source: Path, path: Path, neighbours: Neighbours) -> str:
     """Write a copy of an artefact with another search of its vectors; see :func:`save_index`.
 
-    All other files are copied as they are.
+    All other files are copied as they are, and a network that re-ranks with them.
     """
     manifest = _read_manifest(Path(source))
     for key in ("version", "search"):
         manifest.pop(key, None)
     manifest["files"].pop(_NEIGHBOURS, None)
     names = [_stored_name(name) for name in manifest["files"]]
-    stored = {name: (Path(source) / name).read_bytes() for name in names}
+    beside = [name for name in RERANKING_FILES if (Path(source) / name).exists()]
+    stored = {name: (Path(source) / name).read_bytes() for name in (*names, *beside)}
     return _write(path, *_with_search(manifest, stored, neighbours))
 
 
@@ -126,7 +129,7 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
         sha256 = dict(manifest["files"])
         if searched_by is not None:
             sha256.pop(_NEIGHBOURS, None)
-        return _restore(manifest, _read_files(path, sha256), searched_by)
+        return _restore(manifest, _read_files(path, sha256), searched_by, load_reranker(path))
     except ArtefactError:
         raise
     except KeyError as error:
@@ -196,7 +199,10 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
 
 
 def _restore(
-    manifest: dict[str, Any], files: dict[str, Any], searched_by: Neighbours | None
+    manifest: dict[str, Any],
+    files: dict[str, Any],
+    searched_by: Neighbours | None,
+    reranker: Reranker | None,
 ) -> PoseIndex:
     learned = {
         name.removeprefix("descriptor-"): array
@@ -228,6 +234,7 @@ def _restore(
         ),
         parameters=manifest["parameters"],
         version=manifest["version"],
+        reranker=reranker,
         searched_by=searched_by,
     )
 

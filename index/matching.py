@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.confidence import Calibration
 from index.features import match_features
+from index.joint_network import Distributions
 from index.keypoint_fit import fit_to_keypoints
 from index.keypoints import Keypoints
 from index.modes import Modes, find_modes, mode_weights
 from index.outline import outline_distances
 from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
+from index.reranking import fused_distances, reranking_features, support
 from index.rotations import (
     RotatedQuery,
     compare_rotated_entries,
@@ -60,7 +61,8 @@ class Hypothesis:
         Whether the hypothesis is the mirror image of that entry.
     distance : float
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
-        entries that agree on this pose.
+        entries that agree on this pose; without keypoints, made longer by a network that finds the
+        joints unlikely, see :func:`index.reranking.fused_distances`.
     reprojection_error_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
@@ -111,7 +113,8 @@ class Match:
     hypotheses : list of Hypothesis
         Usually a few more than asked for, for a caller who re-ranks them.
     features : (N, F) float64 array
-        :data:`index.confidence.FEATURES` of each, from which its confidence was computed.
+        Of each, from which its confidence was computed: :data:`index.confidence.FEATURES`, or
+        :data:`index.reranking.RERANKING_FEATURES`.
     """
 
     hypotheses: list[Hypothesis]
@@ -154,9 +157,12 @@ def match(
     """
     rotations = usual_rotations(silhouette, roll_deg)
     wanted = candidates_per_hypothesis * n
+    seen = None
     if keypoints is None:
+        if index.reranker is not None:
+            seen = index.reranker.network.distributions(silhouette)
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        candidates, modes = _modes_of_silhouette(index, queries, n, wanted)
+        candidates, modes = _modes_of_silhouette(index, queries, n, wanted, seen)
     else:
         nearest = index.keypoint_search.nearest(
             keypoints.rotated(-roll_deg), _growth(wanted) * KEYPOINT_CANDIDATES
@@ -166,11 +172,13 @@ def match(
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in (*rotations, *likely)]
         by_keypoints = compare_rotated_entries(index, queries, nearest)
         candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n, wanted)
-    modes = modes.nearest()
+    modes, distances, likelihoods = _ranked(modes, seen)
     centres = candidates.take(modes.centres)
     errors = _outline_errors(index, queries, centres)
     features = match_features(candidates, modes, errors)
-    confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
+    if seen is not None:
+        features = reranking_features(features, distances, likelihoods, seen)
+    confidences = index.calibration(reranked=seen is not None).probability(features)
     points_3d, points_normalised = modes.points_3d, modes.points_normalised
     log_likelihood = side_odds = np.zeros(len(modes))
     if keypoints is not None:
@@ -186,7 +194,7 @@ def match(
         Hypothesis(
             entry=int(centres.numbers[row]),
             mirrored=bool(centres.mirrored[row]),
-            distance=float(modes.distances[row]),
+            distance=float(distances[row]),
             reprojection_error_px=float(errors[row]),
             confidence=float(confidences[row]),
             points_3d=points_3d[row],
@@ -217,14 +225,35 @@ def _postures(
     return [POSTURES[row] for row in classify(points_3d, up, speeds)]
 
 
+def _ranked(
+    modes: Modes, seen: Distributions | None
+) -> tuple[Modes, NDArray[np.float64], NDArray[np.float64]]:
+    """Modes in ascending distance, their distances, and the log-likelihoods of their joints."""
+    if seen is None:
+        modes = modes.nearest()
+        return modes, modes.distances, np.zeros(len(modes))
+    likelihoods = seen.log_likelihood(modes.points_3d, modes.points_normalised)
+    distances = fused_distances(modes.distances, likelihoods)
+    order = np.argsort(distances, kind="stable")
+    return modes.take(order), distances[order], likelihoods[order]
+
+
 def _modes_of_silhouette(
-    index: PoseIndex, queries: Sequence[RotatedQuery], n: int, wanted: int
+    index: PoseIndex,
+    queries: Sequence[RotatedQuery],
+    n: int,
+    wanted: int,
+    seen: Distributions | None,
 ) -> tuple[Candidates, Modes]:
     """Increase the number of candidates until they hold ``n`` modes or the index has no more."""
     k = max(CANDIDATES, wanted)
     while True:
         candidates = find_rotated_candidates(index, queries, k)
-        modes = find_modes(candidates, n + SPARE_MODES)
+        factors = None
+        if seen is not None:
+            points = candidates.points_3d, candidates.points_normalised
+            factors = support(seen.log_likelihood(*points))
+        modes = find_modes(candidates, n + SPARE_MODES, support=factors)
         if len(modes) >= n or len(candidates) < k or k >= MAX_GROWTH * CANDIDATES:
             return candidates, modes
         k *= 2

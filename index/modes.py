@@ -106,6 +106,7 @@ def find_modes(
     count: int,
     *,
     agreement: Agreement | None = None,
+    support: NDArray[np.float64] | None = None,
     bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
     """Up to ``count`` distinct modes, densest first.
@@ -116,6 +117,8 @@ def find_modes(
     count : int
     agreement : Agreement, optional
         Of the candidates with keypoints: weights the candidates and pulls modes to the keypoints.
+    support : (K,) array, optional
+        Factors of the candidates' weights.
     bandwidth_m : float
         Smaller for an index that covers few motions densely, as in the paper's experiments.
 
@@ -125,6 +128,8 @@ def find_modes(
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
     weights, offsets = mode_weights(candidates.distances, agreement), candidates.offsets
+    if support is not None:
+        weights = weights * support
     if agreement is not None:
         pulls = PULL * agreement.pulls.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -pulls], axis=1)

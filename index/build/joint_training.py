@@ -1,0 +1,228 @@
+"""Training the network of :mod:`index.joint_network` on the silhouettes of an index."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from descriptor.silhouette import HEIGHT, WIDTH
+from index.build.noise import degrade
+from index.joint_network import (
+    AXES,
+    BINS,
+    CONVOLUTIONS,
+    HIDDEN,
+    JointNetwork,
+    network_input,
+    places,
+)
+from index.skeleton import JOINTS, mirror_3d, mirror_normalised
+from index.store import PoseIndex
+
+ROLLED_DEG = 30.0
+"""Entries rolled by more were wider than high, and rotated to stand."""
+
+DEGRADED_SHARE, FLIPPED_SHARE = 0.5, 0.25
+"""Silhouettes that are degraded, and those whose border pixels are flipped at random."""
+
+FLIPS = 0.2
+"""Share of the border pixels that are flipped, at the most."""
+
+DROPOUT = 0.1
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the network is trained.
+
+    Parameters
+    ----------
+    passes : float
+        Over the entries.
+    batch : int
+        Silhouettes of a step.
+    rate : float
+        Highest learning rate; it rises over the first twentieth, then falls to nothing.
+    decay : float
+        Of the weights.
+    seed : int
+    """
+
+    passes: float = 5.0
+    batch: int = 256
+    rate: float = 2e-3
+    decay: float = 0.02
+    seed: int = 20161
+
+
+def train(
+    index: PoseIndex,
+    rows: NDArray[np.integer],
+    course: Course,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    checkpoint: Callable[[JointNetwork], None] = lambda _: None,
+    every: int = 250,
+) -> JointNetwork:
+    """Train on some entries of an index, their mirror images and degraded versions.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    rows : (R,) int array
+        The entries.
+    course : Course
+    say : callable
+        Takes a line about the progress.
+    checkpoint : callable
+        Takes the network as it is, from time to time.
+    every : int
+        Steps between two lines.
+
+    Returns
+    -------
+    JointNetwork
+    """
+    torch.set_num_threads(1)
+    torch.manual_seed(course.seed)
+    generator = np.random.default_rng(course.seed)
+    layers = _layers().to(memory_format=torch.channels_last)
+    steps = max(1, round(course.passes * len(rows) / course.batch))
+    optimiser = torch.optim.AdamW(layers.parameters(), lr=course.rate, weight_decay=course.decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, course.rate, total_steps=steps, pct_start=0.05
+    )
+    order, lost = generator.permutation(rows), 0.0
+    for step in range(1, steps + 1):
+        if len(order) < course.batch:
+            order = np.concatenate([order, generator.permutation(rows)])
+        batch, order = order[: course.batch], order[course.batch :]
+        planes, truth = examples(index, batch, generator)
+        loss = _loss(layers(_channels_first(planes)), torch.from_numpy(truth))
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(layers.parameters(), 2.0)
+        optimiser.step()
+        schedule.step()
+        lost += loss.item()
+        if step % every == 0 or step == steps:
+            say(f"step {step} of {steps}: loss {lost / (step % every or every):.4f}")
+            lost = 0.0
+            checkpoint(_exported(layers))
+    return _exported(layers)
+
+
+def examples(
+    index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What the network is shown of some entries, and where their joints are.
+
+    Each is mirrored or not; who was rotated to stand also stands on the head, as a silhouette does
+    not tell which end is which until it is known.
+
+    Returns
+    -------
+    planes : (B, 64, 24, 3) float32 array
+    places : (B, 19, 3) float32 array
+        Fractional bins of columns, rows and depths.
+    """
+    silhouettes = index.silhouettes(rows)
+    points_3d, points_2d = index.points(rows)
+    mirrored = generator.random(len(rows)) < 0.5
+    silhouettes[mirrored] = silhouettes[mirrored, :, ::-1]
+    points_3d[mirrored] = mirror_3d(points_3d[mirrored])
+    points_2d[mirrored] = mirror_normalised(points_2d[mirrored])
+    turned = np.abs(index.entries["roll_deg"][rows]) > ROLLED_DEG
+    turned &= generator.random(len(rows)) < 0.5
+    silhouettes[turned] = silhouettes[turned, ::-1, ::-1]
+    points_3d[turned] *= (-1, -1, 1)
+    points_2d[turned] = (WIDTH - 1.0, HEIGHT - 1.0) - points_2d[turned]
+    chance = generator.random(len(rows))
+    joints_2d = points_2d[:, :JOINTS]
+    for row in np.flatnonzero(chance < DEGRADED_SHARE):
+        silhouettes[row], placement = degrade(silhouettes[row], joints_2d[row], generator)
+        joints_2d[row] = placement.to_normalised(joints_2d[row])
+    planes = network_input(silhouettes)
+    noisy = np.flatnonzero(chance > 1 - FLIPPED_SHARE)
+    planes[noisy, ..., 0] = _flipped(planes[noisy, ..., 0], generator)
+    return planes, places(np.concatenate([joints_2d, points_3d[:, :JOINTS, 2:]], axis=-1))
+
+
+def _flipped(pictures: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:
+    """Pictures ``(B, H, W)`` of which some pixels beside the outline are flipped."""
+    around = np.pad(pictures, ((0, 0), (1, 1), (1, 1)))
+    shifted = [
+        around[:, 1 + y : 1 + y + pictures.shape[1], 1 + x : 1 + x + pictures.shape[2]]
+        for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1))
+    ]
+    border = np.any([neighbour != pictures for neighbour in shifted], axis=0)
+    share = FLIPS * generator.random((len(pictures), 1, 1))
+    flips = border & (generator.random(pictures.shape, np.float32) < share)
+    return np.where(flips, 1 - pictures, pictures)
+
+
+def _layers() -> nn.Sequential:
+    """The network, with a normalisation after each convolution that its export takes up."""
+    layers: list[nn.Module] = []
+    channels, rows, columns = 3, HEIGHT // 2, WIDTH // 2
+    for size, stride, features in CONVOLUTIONS:
+        layers += [
+            nn.Conv2d(channels, features, size, stride, size // 2, bias=False),
+            nn.BatchNorm2d(features),
+            nn.ReLU(),
+        ]
+        channels, rows, columns = features, -(-rows // stride), -(-columns // stride)
+    layers += [
+        nn.Flatten(),
+        nn.Linear(channels * rows * columns, HIDDEN),
+        nn.ReLU(),
+        nn.Dropout(DROPOUT),
+        nn.Linear(HIDDEN, JOINTS * BINS),
+    ]
+    return nn.Sequential(*layers)
+
+
+def _channels_first(planes: NDArray[np.float32]) -> torch.Tensor:
+    return torch.from_numpy(planes).permute(0, 3, 1, 2)
+
+
+def _loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    """Mean cross-entropy with targets softened by a bin, over joints and axes."""
+    loss = torch.zeros(())
+    parts = logits.reshape(len(logits), JOINTS, BINS).split([axis.bins for axis in AXES], dim=-1)
+    for position, part in enumerate(parts):
+        apart = torch.arange(part.shape[-1]) - truth[..., position, None]
+        target = torch.softmax(-(apart**2) / 2, dim=-1)
+        loss = loss - (target * part.log_softmax(dim=-1)).sum(dim=-1).mean()
+    return loss / len(AXES)
+
+
+def _exported(layers: nn.Sequential) -> JointNetwork:
+    """The network for NumPy: normalisations taken up, channels last."""
+    modules = list(layers)
+    kernels, biases = [], []
+    for convolution, norm in pairwise(modules):
+        if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+            assert norm.running_mean is not None and norm.running_var is not None
+            scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+            kernel = convolution.weight * scale[:, None, None, None]
+            kernels.append(_array(kernel.permute(2, 3, 1, 0).flatten(0, 2)))
+            biases.append(_array(norm.bias - norm.running_mean * scale))
+    hidden, output = (module for module in modules if isinstance(module, nn.Linear))
+    features = CONVOLUTIONS[-1][-1]
+    # From channel, place to place, channel.
+    weights = hidden.weight.reshape(HIDDEN, features, -1).permute(2, 1, 0).flatten(0, 1)
+    return JointNetwork(
+        tuple(kernels), tuple(biases), _array(weights), _array(hidden.bias),
+        _array(output.weight.T), _array(output.bias),
+    )  # fmt: skip
+
+
+def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+    return np.ascontiguousarray(tensor.detach().numpy(), np.float32)

@@ -1,0 +1,132 @@
+"""Training what re-ranks the hypotheses of an index, and fitting its confidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.build.avatars import CALIBRATION_AVATARS, make_avatars
+from index.build.builder import Asked, Plan, simulate_queries, split_by_clip
+from index.build.calibrate import (
+    Queries,
+    expected_calibration_error,
+    fit_calibration,
+    run_trial,
+)
+from index.build.joint_training import Course, train
+from index.build.motion import Segment
+from index.joint_network import JointNetwork
+from index.reranking import RERANKING_FEATURES, Reranker
+from index.store import PoseIndex
+
+
+def train_reranker(
+    index: PoseIndex,
+    motion: Path,
+    garments: Path | None,
+    segments: Sequence[Segment],
+    course: Course,
+    *,
+    asked: Asked = Plan.calibration,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+    checkpoint: Callable[[JointNetwork], None] = lambda _: None,
+) -> tuple[Reranker, dict[str, Any]]:
+    """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
+
+    Some clips are kept from the network; the confidence is fitted on what the index, without their
+    entries, answers to silhouettes of these clips on bodies of their own.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    motion : Path
+        Folder with ``manifest.csv`` and ``bvh/``.
+    garments : Path or None
+        Folder of MakeHuman garments; without it the bodies that are asked for stay unclothed.
+    segments : sequence of Segment
+        Those that may be used: an experiment leaves out what it asks for.
+    course : Course
+    asked : Asked
+        How many silhouettes the confidence is fitted on.
+    progress : bool
+        Whether to draw progress bars.
+    say, checkpoint : callable
+        See :func:`index.build.joint_training.train`.
+
+    Returns
+    -------
+    reranker : Reranker
+    training : dict
+        JSON values that say what it was trained on.
+    """
+    kept, held = split_by_clip(segments)
+    honest = bool(kept and held)
+    if not honest:
+        kept, held = list(segments), list(segments)
+        say("Too few clips to hold any out: the confidence will be too high.")
+    rows = rows_of(index, {segment.clip for segment in kept})
+    if not len(rows):
+        raise ValueError("expected an index with entries of the given motion, got none")
+    say(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
+    network = train(index, rows, course, say=say, checkpoint=checkpoint)
+    simulated = simulate_queries(
+        motion, held, make_avatars(CALIBRATION_AVATARS, garments), asked, course.seed + 1
+    )
+    queries = Queries.of(simulated).half_degraded(course.seed + 1)
+    reranker = calibrated(part(index, rows), network, queries, progress=progress, say=say)
+    training = {
+        "index": index.version,
+        "entries": len(rows),
+        "clips": sorted({segment.clip for segment in kept}),
+        "passes": course.passes,
+        "seed": course.seed,
+        "confidence_fitted_on": len(queries),
+        "confidence_clips_held_out": honest,
+    }
+    return reranker, training
+
+
+def calibrated(
+    index: PoseIndex,
+    network: JointNetwork,
+    queries: Queries,
+    *,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> Reranker:
+    """Fit the confidence of what a network re-ranks, as the index builder does without one."""
+    trial = run_trial(replace(index, reranker=Reranker.of(network)), queries, progress=progress)
+    calibration = fit_calibration(trial, RERANKING_FEATURES)
+    confidence = calibration.probability(trial.features.reshape(-1, len(RERANKING_FEATURES)))
+    say(
+        f"Confidence fitted on {len(queries)} silhouettes of held-out clips, "
+        "every second one degraded: "
+        f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
+        f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
+        f"{expected_calibration_error(confidence, trial.right):.3f}."
+    )
+    return Reranker(network, calibration)
+
+
+def rows_of(index: PoseIndex, clips: set[str]) -> NDArray[np.int64]:
+    """Entries ``(R,)`` of some clips."""
+    wanted = np.array([clip in clips for clip in index.clips])
+    return np.flatnonzero(wanted[index.skeleton_labels["clip"][index.entries["skeleton"]]])
+
+
+def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
+    """Some entries of an index, searched exactly."""
+    return replace(
+        index,
+        vectors=index.vectors[rows],
+        entries=index.entries[rows],
+        silhouette_store=index.silhouette_store.select(rows),
+        version="",
+        searched_by=None,
+    )
