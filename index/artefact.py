@@ -17,7 +17,7 @@ from index.approximate import ApproximateNeighbours
 from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
 from index.reranking import FILES as RERANKING_FILES
-from index.reranking import Reranker, load_reranker
+from index.reranking import Reranker, load_reranker, reranker_files
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -39,6 +39,7 @@ def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
     An approximate search is written with it; another engine is chosen by whoever loads the index.
+    A network that re-ranks is written beside it and is no part of the version.
     """
     files = _files(index)
     manifest: dict[str, Any] = {
@@ -62,6 +63,8 @@ def save_index(index: PoseIndex, path: Path) -> str:
         else lzma.compress(content, filters=_LZMA)
         for name, content in files.items()
     }
+    if index.reranker is not None:
+        stored |= reranker_files(index.reranker)
     return _write(path, *_with_search(manifest, stored, index.neighbours))
 
 

@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +56,13 @@ class Reranker:
     network : JointNetwork
     calibration : Calibration
         Over :data:`RERANKING_FEATURES`.
+    training : dict
+        JSON values that say what it was trained on.
     """
 
     network: JointNetwork
     calibration: Calibration
+    training: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.calibration.features != RERANKING_FEATURES:
@@ -111,31 +114,28 @@ def reranking_features(
     )
 
 
-def save_reranker(reranker: Reranker, folder: Path, training: dict[str, Any]) -> None:
-    """Write the network beside an index.
-
-    Parameters
-    ----------
-    reranker : Reranker
-    folder : Path
-        Of the artefact, whose own files stay as they are.
-    training : dict
-        JSON values that say what it was trained on.
-    """
+def reranker_files(reranker: Reranker) -> dict[str, bytes]:
+    """What is stored beside an index, by file name; the same network gives the same bytes."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w") as archive:
         for name, array in reranker.network.arrays().items():
-            # Without the time, so that the same weights give the same bytes.
+            # Without the time of writing.
             member = zipfile.ZipInfo(f"{name}.npy")
             archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
+    weights = buffer.getvalue()
     manifest = {
         "format_version": FORMAT_VERSION,
-        "sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
-        "training": training,
+        "sha256": hashlib.sha256(weights).hexdigest(),
         "confidence": reranker.calibration.parameters(),
+        "training": reranker.training,
     }
-    (folder / WEIGHTS).write_bytes(buffer.getvalue())
-    (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    return {WEIGHTS: weights, MANIFEST: (json.dumps(manifest, indent=1) + "\n").encode()}
+
+
+def save_reranker(reranker: Reranker, folder: Path) -> None:
+    """Write the network beside an index, whose own files stay as they are."""
+    for name, content in reranker_files(reranker).items():
+        (folder / name).write_bytes(content)
 
 
 def load_reranker(folder: Path) -> Reranker | None:
@@ -164,7 +164,7 @@ def load_reranker(folder: Path) -> Reranker | None:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             network = JointNetwork.restore(arrays)
         calibration = Calibration.restore(manifest["confidence"], RERANKING_FEATURES)
-        return Reranker(network, calibration)
+        return Reranker(network, calibration, dict(manifest["training"]))
     except ArtefactError:
         raise
     except OSError as error:

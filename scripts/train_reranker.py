@@ -35,7 +35,7 @@ def main() -> int:
     arguments = parser.parse_args()
     try:
         kept, _ = hold_out(read_manifest(arguments.mocap))
-        reranker, training = train_reranker(
+        reranker = train_reranker(
             load_index(arguments.index),
             arguments.mocap,
             arguments.garments,
@@ -44,7 +44,7 @@ def main() -> int:
             progress=True,
             say=lambda line: print(line, flush=True),
         )
-        save_reranker(reranker, arguments.index, training)
+        save_reranker(reranker, arguments.index)
     except (MotionError, GarmentError, ValueError, OSError) as error:
         print(f"train_reranker: {error}", file=sys.stderr)
         return 1

@@ -36,7 +36,7 @@ def train_reranker(
     progress: bool = False,
     say: Callable[[str], None] = lambda _: None,
     checkpoint: Callable[[JointNetwork], None] = lambda _: None,
-) -> tuple[Reranker, dict[str, Any]]:
+) -> Reranker:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
     Some clips are kept from the network; the confidence is fitted on what the index, without their
@@ -61,9 +61,7 @@ def train_reranker(
 
     Returns
     -------
-    reranker : Reranker
-    training : dict
-        JSON values that say what it was trained on.
+    Reranker
     """
     kept, held = split_by_clip(segments)
     honest = bool(kept and held)
@@ -80,7 +78,7 @@ def train_reranker(
     )
     queries = Queries.of(simulated).half_degraded(course.seed + 1)
     reranker = calibrated(part(index, rows), network, queries, progress=progress, say=say)
-    training = {
+    training: dict[str, Any] = {
         "index": index.version,
         "entries": len(rows),
         "clips": sorted({segment.clip for segment in kept}),
@@ -89,7 +87,7 @@ def train_reranker(
         "confidence_fitted_on": len(queries),
         "confidence_clips_held_out": honest,
     }
-    return reranker, training
+    return replace(reranker, training=training)
 
 
 def calibrated(
