@@ -16,8 +16,8 @@ from descriptor.descriptor import restore
 from index.approximate import ApproximateNeighbours
 from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
-from index.reranking import FILES as RERANKING_FILES
-from index.reranking import Reranker, load_reranker, reranker_files
+from index.reranker import FILES as RERANKING_FILES
+from index.reranker import Reranker, load_reranker, reranker_files
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.features import match_features
-from index.joint_network import Distributions
 from index.keypoint_fit import fit_to_keypoints
 from index.keypoints import Keypoints
 from index.modes import Modes, find_modes, mode_weights
 from index.outline import outline_distances
 from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
-from index.reranking import fused_distances, reranking_features, support
+from index.reranking import Ranking
 from index.rotations import (
     RotatedQuery,
     compare_rotated_entries,
@@ -62,7 +61,7 @@ class Hypothesis:
     distance : float
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose; without keypoints, made longer by a network that finds the
-        joints unlikely, see :func:`index.reranking.fused_distances`.
+        joints unlikely, see :meth:`index.reranking.Ranking.distances`.
     reprojection_error_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
@@ -114,7 +113,7 @@ class Match:
         Usually a few more than asked for, for a caller who re-ranks them.
     features : (N, F) float64 array
         Of each, from which its confidence was computed: :data:`index.confidence.FEATURES`, or
-        :data:`index.reranking.RERANKING_FEATURES`.
+        :data:`index.reranker.RERANKING_FEATURES`.
     """
 
     hypotheses: list[Hypothesis]
@@ -157,12 +156,12 @@ def match(
     """
     rotations = usual_rotations(silhouette, roll_deg)
     wanted = candidates_per_hypothesis * n
-    seen = None
+    ranking = None
     if keypoints is None:
         if index.reranker is not None:
-            seen = index.reranker.network.distributions(silhouette)
+            ranking = Ranking.of(index.reranker, silhouette)
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        candidates, modes = _modes_of_silhouette(index, queries, n, wanted, seen)
+        candidates, modes = _modes_of_silhouette(index, queries, n, wanted, ranking)
     else:
         nearest = index.keypoint_search.nearest(
             keypoints.rotated(-roll_deg), _growth(wanted) * KEYPOINT_CANDIDATES
@@ -172,13 +171,15 @@ def match(
         queries = [RotatedQuery.of(silhouette, rotation) for rotation in (*rotations, *likely)]
         by_keypoints = compare_rotated_entries(index, queries, nearest)
         candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n, wanted)
-    modes, distances, likelihoods = _ranked(modes, seen)
+    distances = modes.distances if ranking is None else ranking.distances(modes)
+    order = np.argsort(distances, kind="stable")
+    modes, distances = modes.take(order), distances[order]
     centres = candidates.take(modes.centres)
     errors = _outline_errors(index, queries, centres)
     features = match_features(candidates, modes, errors)
-    if seen is not None:
-        features = reranking_features(features, distances, likelihoods, seen)
-    confidences = index.calibration(reranked=seen is not None).probability(features)
+    if ranking is not None:
+        features = ranking.features(features, modes, distances)
+    confidences = index.calibration(reranked=ranking is not None).probability(features)
     points_3d, points_normalised = modes.points_3d, modes.points_normalised
     log_likelihood = side_odds = np.zeros(len(modes))
     if keypoints is not None:
@@ -225,35 +226,19 @@ def _postures(
     return [POSTURES[row] for row in classify(points_3d, up, speeds)]
 
 
-def _ranked(
-    modes: Modes, seen: Distributions | None
-) -> tuple[Modes, NDArray[np.float64], NDArray[np.float64]]:
-    """Modes in ascending distance, their distances, and the log-likelihoods of their joints."""
-    if seen is None:
-        modes = modes.nearest()
-        return modes, modes.distances, np.zeros(len(modes))
-    likelihoods = seen.log_likelihood(modes.points_3d, modes.points_normalised)
-    distances = fused_distances(modes.distances, likelihoods)
-    order = np.argsort(distances, kind="stable")
-    return modes.take(order), distances[order], likelihoods[order]
-
-
 def _modes_of_silhouette(
     index: PoseIndex,
     queries: Sequence[RotatedQuery],
     n: int,
     wanted: int,
-    seen: Distributions | None,
+    ranking: Ranking | None,
 ) -> tuple[Candidates, Modes]:
     """Increase the number of candidates until they hold ``n`` modes or the index has no more."""
     k = max(CANDIDATES, wanted)
     while True:
         candidates = find_rotated_candidates(index, queries, k)
-        factors = None
-        if seen is not None:
-            points = candidates.points_3d, candidates.points_normalised
-            factors = support(seen.log_likelihood(*points))
-        modes = find_modes(candidates, n + SPARE_MODES, support=factors)
+        support = None if ranking is None else ranking.support(candidates)
+        modes = find_modes(candidates, n + SPARE_MODES, support=support)
         if len(modes) >= n or len(candidates) < k or k >= MAX_GROWTH * CANDIDATES:
             return candidates, modes
         k *= 2

@@ -1,173 +1,81 @@
-"""The hypotheses of a silhouette, re-ranked by the network of :mod:`index.joint_network`.
-
-The network ships beside the index: ``reranking.npz`` with its weights, and ``reranking.json`` with
-their SHA-256 and what was fitted with it. An index without them is matched by distance alone.
-"""
+"""The hypotheses of a silhouette, re-ranked by how likely a network finds their joints."""
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
-import zipfile
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from index.confidence import FEATURES, Calibration
-from index.joint_network import Distributions, JointNetwork
-from index.verified_files import ArtefactError, npy_bytes
+from index.candidates import Candidates
+from index.joint_network import Distributions
+from index.modes import Modes
+from index.reranker import Reranker
 
-FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
-
-FORMAT_VERSION = 1
-
-LIKELIHOOD_WEIGHT = 3.0
-"""What a unit of the joints' log-likelihood counts beside one of the log distance. Chosen, as
-:data:`SUPPORT`, on clips and bodies that neither the network nor the strict experiment has."""
-
-SUPPORT = 4.0
-"""The same for the weights of candidates."""
-
-RERANKING_FEATURES = (
-    *FEATURES,
-    "log_likelihood",
-    "log_likelihood_below_best",
-    "log_likelihood_below_peak",
-    "log_share",
-)
-"""Features of a hypothesis where there is a network: those of the match, and
-
-- the log-likelihood of its joints, what it lacks of the likeliest hypothesis, and what it lacks of
-  the likeliest places of the joints, each by itself;
-- logarithm of its share of the inverse fused distances of all hypotheses, to the fourth power.
-"""
+SHARE_POWER = 4.0
+"""Hypotheses share the probability by the inverse of their fused distances to this power."""
 
 
 @dataclass(frozen=True)
-class Reranker:
-    """The network and the confidence that was fitted with it.
+class Ranking:
+    """What the network makes of one silhouette.
 
     Parameters
     ----------
-    network : JointNetwork
-    calibration : Calibration
-        Over :data:`RERANKING_FEATURES`.
-    training : dict
-        JSON values that say what it was trained on.
+    reranker : Reranker
+    seen : Distributions
     """
 
-    network: JointNetwork
-    calibration: Calibration
-    training: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.calibration.features != RERANKING_FEATURES:
-            raise ValueError(
-                f"expected a calibration over {', '.join(RERANKING_FEATURES)}, "
-                f"got one over {', '.join(self.calibration.features)}"
-            )
+    reranker: Reranker
+    seen: Distributions
 
     @classmethod
-    def of(cls, network: JointNetwork) -> Reranker:
-        """A network with which no confidence has been fitted yet: it is 0.5 for all."""
-        count = len(RERANKING_FEATURES)
-        return cls(network, Calibration((0.0,) * count, 0.0, RERANKING_FEATURES))
+    def of(cls, reranker: Reranker, silhouette: NDArray[np.uint8]) -> Ranking:
+        """Have the network look at a silhouette ``(128, 48)``."""
+        return cls(reranker, reranker.network.distributions(silhouette))
 
+    def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
+        """Mean log probability ``(N,)`` of the joints of candidates or modes."""
+        return self.seen.log_likelihood(found.points_3d, found.points_normalised)
 
-def support(log_likelihoods: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Factors ``(K,)`` of the weights of candidates with such joints; 1 for the likeliest."""
-    return np.asarray(np.exp(SUPPORT * (log_likelihoods - log_likelihoods.max())))
+    def support(self, candidates: Candidates) -> NDArray[np.float64] | None:
+        """Factors ``(K,)`` of the weights of candidates, 1 for the likeliest; None if all are 1."""
+        if self.reranker.support_weight == 0:
+            return None
+        likelihood = self.log_likelihood(candidates)
+        return np.asarray(np.exp(self.reranker.support_weight * (likelihood - likelihood.max())))
 
+    def distances(self, modes: Modes) -> NDArray[np.float64]:
+        """Distances ``(M,)`` of the descriptors, longer the less likely the joints are.
 
-def fused_distances(
-    distances: NDArray[np.float64], log_likelihoods: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Distances ``(M,)`` of hypotheses, longer the less likely their joints are.
+        The likeliest keeps its distance.
+        """
+        likelihood = self.log_likelihood(modes)
+        lacking = likelihood.max() - likelihood
+        return np.asarray(modes.distances * np.exp(self.reranker.order_weight * lacking))
 
-    The likeliest keeps the distance of its descriptor.
-    """
-    lacking = log_likelihoods.max() - log_likelihoods
-    return np.asarray(distances * np.exp(LIKELIHOOD_WEIGHT * lacking))
+    def features(
+        self, features: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Compute :data:`RERANKING_FEATURES` ``(M, F)``.
 
-
-def reranking_features(
-    features: NDArray[np.float64],
-    fused: NDArray[np.float64],
-    log_likelihoods: NDArray[np.float64],
-    seen: Distributions,
-) -> NDArray[np.float64]:
-    """Compute :data:`RERANKING_FEATURES` ``(M, F)`` from those of the match."""
-    odds = -4 * np.log(fused + 1e-6)
-    odds -= odds.max()
-    return np.column_stack(
-        [
-            features,
-            log_likelihoods,
-            log_likelihoods - log_likelihoods.max(),
-            log_likelihoods - seen.peak(),
-            odds - np.log(np.exp(odds).sum()),
-        ]
-    )
-
-
-def reranker_files(reranker: Reranker) -> dict[str, bytes]:
-    """What is stored beside an index, by file name; the same network gives the same bytes."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in reranker.network.arrays().items():
-            # Without the time of writing.
-            member = zipfile.ZipInfo(f"{name}.npy")
-            archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
-    weights = buffer.getvalue()
-    manifest = {
-        "format_version": FORMAT_VERSION,
-        "sha256": hashlib.sha256(weights).hexdigest(),
-        "confidence": reranker.calibration.parameters(),
-        "training": reranker.training,
-    }
-    return {WEIGHTS: weights, MANIFEST: (json.dumps(manifest, indent=1) + "\n").encode()}
-
-
-def save_reranker(reranker: Reranker, folder: Path) -> None:
-    """Write the network beside an index, whose own files stay as they are."""
-    for name, content in reranker_files(reranker).items():
-        (folder / name).write_bytes(content)
-
-
-def load_reranker(folder: Path) -> Reranker | None:
-    """Read and verify the network beside an index; None where there is none.
-
-    Raises
-    ------
-    ArtefactError
-        If it is incomplete, altered, or not a network of this format.
-    """
-    file, weights = folder / MANIFEST, folder / WEIGHTS
-    if not file.exists():
-        if weights.exists():
-            raise ArtefactError(f"the network {weights} lacks its manifest {file.name} beside it")
-        return None
-    try:
-        manifest = json.loads(file.read_bytes())
-        version = manifest["format_version"]
-        if version != FORMAT_VERSION:
-            raise ArtefactError(
-                f"{file} has format {version}, this service reads format {FORMAT_VERSION}"
-            )
-        content = weights.read_bytes()
-        if hashlib.sha256(content).hexdigest() != manifest["sha256"]:
-            raise ArtefactError(f"the network {weights} was altered: its SHA-256 does not fit")
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            network = JointNetwork.restore(arrays)
-        calibration = Calibration.restore(manifest["confidence"], RERANKING_FEATURES)
-        return Reranker(network, calibration, dict(manifest["training"]))
-    except ArtefactError:
-        raise
-    except OSError as error:
-        raise ArtefactError(f"the network {weights} cannot be read: {error.strerror}") from error
-    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ArtefactError(f"{file} and {weights.name} do not hold together: {error}") from error
+        Parameters
+        ----------
+        features : (M, F) float64 array
+            See :func:`index.features.match_features`.
+        modes : Modes
+        distances : (M,) float64 array
+            See :meth:`distances`.
+        """
+        likelihood = self.log_likelihood(modes)
+        odds = -SHARE_POWER * np.log(distances + 1e-6)
+        odds -= odds.max()
+        return np.column_stack(
+            [
+                features,
+                likelihood,
+                likelihood - likelihood.max(),
+                likelihood - self.seen.peak(),
+                odds - np.log(np.exp(odds).sum()),
+            ]
+        )

@@ -14,7 +14,7 @@ from descriptor.descriptor import Descriptor
 from index.confidence import Calibration
 from index.keypoint_search import SEARCHED, KeypointSearch
 from index.neighbours import ExactNeighbours, Neighbours
-from index.reranking import Reranker
+from index.reranker import Reranker
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
 

@@ -18,7 +18,7 @@ from index.build.garments import GarmentError
 from index.build.joint_training import Course
 from index.build.motion import MotionError, read_manifest
 from index.build.reranking import train_reranker
-from index.reranking import save_reranker
+from index.reranker import save_reranker
 from index.store import DEFAULT_PATH
 from scripts.experiments.strict import hold_out
 

@@ -15,7 +15,7 @@ from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match
 from index.posture import POSTURES
-from index.reranking import RERANKING_FEATURES
+from index.reranker import RERANKING_FEATURES
 from index.rotations import rotate_clockwise
 from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
@@ -100,7 +100,7 @@ class Trial:
     ----------
     features : (Q, N, F) float64 array
         Columns are :data:`index.confidence.FEATURES`, or
-        :data:`index.reranking.RERANKING_FEATURES` if the index has a network.
+        :data:`index.reranker.RERANKING_FEATURES` if the index has a network.
         0 where an index has fewer than N poses to offer.
     confidence : (Q, N) float64 array
         As features.

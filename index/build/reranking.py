@@ -21,7 +21,7 @@ from index.build.calibrate import (
 from index.build.joint_training import Course, train
 from index.build.motion import Segment
 from index.joint_network import JointNetwork
-from index.reranking import RERANKING_FEATURES, Reranker
+from index.reranker import RERANKING_FEATURES, Reranker
 from index.store import PoseIndex
 
 

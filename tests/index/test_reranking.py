@@ -12,24 +12,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
 from index.artefact import copy_index, load_index, save_index
+from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
 from index.keypoints import Keypoints
 from index.matching import match
+from index.modes import find_modes
 from index.neighbours import ExactNeighbours
-from index.reranking import (
+from index.reranker import (
     FILES,
     MANIFEST,
     RERANKING_FEATURES,
     WEIGHTS,
     Reranker,
-    fused_distances,
     load_reranker,
     reranker_files,
     save_reranker,
-    support,
 )
+from index.reranking import Ranking
 from index.skeleton import JOINTS
 from index.store import PoseIndex
 from index.verified_files import ArtefactError
@@ -51,21 +53,47 @@ def reranked(toy_index: PoseIndex, reranker: Reranker) -> PoseIndex:
     return dataclasses.replace(toy_index, reranker=reranker)
 
 
-class TestFusion:
-    def test_the_likeliest_keeps_its_distance_and_the_others_become_farther(self) -> None:
-        distances, likelihoods = np.array([1.0, 2.0, 3.0]), np.array([-3.0, -2.5, -2.9])
-        fused = fused_distances(distances, likelihoods)
-        assert fused[1] == distances[1]
-        assert (fused[[0, 2]] > distances[[0, 2]]).all()
+class TestRanking:
+    @pytest.fixture
+    def silhouette(self, toy_index: PoseIndex) -> NDArray[np.uint8]:
+        """Near an entry, but none."""
+        silhouette = toy_index.silhouette(5)
+        silhouette[60:70, 20:28] = 1
+        return silhouette
 
-    def test_likelier_of_two_at_the_same_distance_comes_first(self) -> None:
-        fused = fused_distances(np.ones(2), np.array([-2.0, -1.9]))
-        assert fused[0] > fused[1]
+    @pytest.fixture
+    def ranking(self, reranker: Reranker, silhouette: NDArray[np.uint8]) -> Ranking:
+        return Ranking.of(dataclasses.replace(reranker, support_weight=2.0), silhouette)
 
-    def test_support_is_one_for_the_likeliest_and_less_for_others(self) -> None:
-        factors = support(np.array([-2.0, -1.0, -4.0]))
-        assert factors[1] == 1
-        assert 1 > factors[0] > factors[2] > 0
+    @pytest.fixture
+    def candidates(self, toy_index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
+        return find_candidates(toy_index, silhouette, 60)
+
+    def test_the_likeliest_keeps_its_distance_and_the_others_become_farther(
+        self, ranking: Ranking, candidates: Candidates
+    ) -> None:
+        modes = find_modes(candidates, 5)
+        likelihoods, distances = ranking.log_likelihood(modes), ranking.distances(modes)
+        others = np.arange(len(modes)) != likelihoods.argmax()
+        assert distances[~others] == modes.distances[~others]
+        assert (distances[others] > modes.distances[others]).all()
+        # The less likely, the longer for its descriptor.
+        longer = distances / modes.distances
+        assert (np.argsort(longer) == np.argsort(-likelihoods)).all()
+
+    def test_support_is_one_for_the_likeliest_and_less_for_others(
+        self, ranking: Ranking, candidates: Candidates
+    ) -> None:
+        likelihoods, support = ranking.log_likelihood(candidates), ranking.support(candidates)
+        assert support is not None
+        assert support.max() == support[likelihoods.argmax()] == 1
+        assert (np.argsort(support) == np.argsort(likelihoods)).all()
+
+    def test_support_without_a_weight_changes_nothing(
+        self, reranker: Reranker, silhouette: NDArray[np.uint8], candidates: Candidates
+    ) -> None:
+        plain = dataclasses.replace(reranker, support_weight=0.0)
+        assert Ranking.of(plain, silhouette).support(candidates) is None
 
 
 class TestMatch:
