@@ -75,9 +75,14 @@ def network_input(silhouettes: NDArray[np.uint8]) -> Array:
     first = silhouettes[:, ::2, ::2]
     total = first + silhouettes[:, 1::2, ::2] + silhouettes[:, ::2, 1::2]
     total += silhouettes[:, 1::2, 1::2]
-    planes = np.empty((len(silhouettes), _ROWS, _COLUMNS, 3), np.float32)
     # What most of four pixels show, and the first where they tie.
-    planes[..., 0] = 2 * total + first > 4
+    return input_planes(2 * total + first > 4)
+
+
+def input_planes(pictures: NDArray[np.uint8] | NDArray[np.bool_]) -> Array:
+    """Pictures ``(B, 64, 24)`` of 0 and 1 with their coordinates, ``(B, 64, 24, 3)``."""
+    planes = np.empty((*pictures.shape, 3), np.float32)
+    planes[..., 0] = pictures
     planes[..., 1:] = _COORDINATES
     return planes
 

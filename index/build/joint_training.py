@@ -19,22 +19,26 @@ from index.joint_network import (
     CONVOLUTIONS,
     HIDDEN,
     JointNetwork,
+    input_planes,
     network_input,
     places,
 )
-from index.skeleton import JOINTS, mirror_3d, mirror_normalised
+from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 
 ROLLED_DEG = 30.0
 """Entries rolled by more were wider than high, and rotated to stand."""
 
-DEGRADED_SHARE, FLIPPED_SHARE = 0.5, 0.25
-"""Silhouettes that are degraded, and those whose border pixels are flipped at random."""
+DEGRADED_SHARE = 0.5
+"""Of the silhouettes, how many are shown degraded as well."""
+
+FLIPPED_SHARE = 0.25
+"""Silhouettes whose border pixels are flipped at random."""
 
 FLIPS = 0.2
 """Share of the border pixels that are flipped, at the most."""
 
-DROPOUT = 0.1
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Course:
     Parameters
     ----------
     passes : float
-        Over the entries.
+        Over the silhouettes, those degraded included.
     batch : int
         Silhouettes of a step.
     rate : float
@@ -54,8 +58,8 @@ class Course:
     seed : int
     """
 
-    passes: float = 5.0
-    batch: int = 256
+    passes: float = 10.0
+    batch: int = 128
     rate: float = 2e-3
     decay: float = 0.02
     seed: int = 20161
@@ -68,7 +72,7 @@ def train(
     *,
     say: Callable[[str], None] = lambda _: None,
     checkpoint: Callable[[JointNetwork], None] = lambda _: None,
-    every: int = 250,
+    every: int = 500,
 ) -> JointNetwork:
     """Train on some entries of an index, their mirror images and degraded versions.
 
@@ -92,18 +96,19 @@ def train(
     torch.set_num_threads(1)
     torch.manual_seed(course.seed)
     generator = np.random.default_rng(course.seed)
+    examples = Examples.of(index, rows, generator)
     layers = _layers().to(memory_format=torch.channels_last)
-    steps = max(1, round(course.passes * len(rows) / course.batch))
+    steps = max(1, round(course.passes * len(examples) / course.batch))
     optimiser = torch.optim.AdamW(layers.parameters(), lr=course.rate, weight_decay=course.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, course.rate, total_steps=steps, pct_start=0.05
     )
-    order, lost = generator.permutation(rows), 0.0
+    order, lost = np.empty(0, np.int64), 0.0
     for step in range(1, steps + 1):
         if len(order) < course.batch:
-            order = np.concatenate([order, generator.permutation(rows)])
+            order = np.concatenate([order, generator.permutation(len(examples))])
         batch, order = order[: course.batch], order[course.batch :]
-        planes, truth = examples(index, batch, generator)
+        planes, truth = examples.take(batch, generator)
         loss = _loss(layers(_channels_first(planes)), torch.from_numpy(truth))
         optimiser.zero_grad()
         loss.backward()
@@ -112,49 +117,85 @@ def train(
         schedule.step()
         lost += loss.item()
         if step % every == 0 or step == steps:
-            say(f"step {step} of {steps}: loss {lost / (step % every or every):.4f}")
+            say(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
             lost = 0.0
             checkpoint(_exported(layers))
     return _exported(layers)
 
 
-def examples(
-    index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What the network is shown of some entries, and where their joints are.
+@dataclass(frozen=True)
+class Examples:
+    """What the network learns from.
 
-    Each is mirrored or not; who was rotated to stand also stands on the head, as a silhouette does
-    not tell which end is which until it is known.
-
-    Returns
-    -------
-    planes : (B, 64, 24, 3) float32 array
-    places : (B, 19, 3) float32 array
-        Fractional bins of columns, rows and depths.
+    Parameters
+    ----------
+    bits : (N, 192) uint8 array
+        Silhouettes at half the resolution, bit-packed.
+    points : (N, 24, 3) float16 array
+        Column and row in pixels of the normalised frame, and depth in metres.
+    stood_up : (N,) bool array
+        Those that were wider than high, and rotated to stand.
     """
-    silhouettes = index.silhouettes(rows)
-    points_3d, points_2d = index.points(rows)
-    mirrored = generator.random(len(rows)) < 0.5
-    silhouettes[mirrored] = silhouettes[mirrored, :, ::-1]
-    points_3d[mirrored] = mirror_3d(points_3d[mirrored])
-    points_2d[mirrored] = mirror_normalised(points_2d[mirrored])
-    turned = np.abs(index.entries["roll_deg"][rows]) > ROLLED_DEG
-    turned &= generator.random(len(rows)) < 0.5
-    silhouettes[turned] = silhouettes[turned, ::-1, ::-1]
-    points_3d[turned] *= (-1, -1, 1)
-    points_2d[turned] = (WIDTH - 1.0, HEIGHT - 1.0) - points_2d[turned]
-    chance = generator.random(len(rows))
-    joints_2d = points_2d[:, :JOINTS]
-    for row in np.flatnonzero(chance < DEGRADED_SHARE):
-        silhouettes[row], placement = degrade(silhouettes[row], joints_2d[row], generator)
-        joints_2d[row] = placement.to_normalised(joints_2d[row])
-    planes = network_input(silhouettes)
-    noisy = np.flatnonzero(chance > 1 - FLIPPED_SHARE)
-    planes[noisy, ..., 0] = _flipped(planes[noisy, ..., 0], generator)
-    return planes, places(np.concatenate([joints_2d, points_3d[:, :JOINTS, 2:]], axis=-1))
+
+    bits: NDArray[np.uint8]
+    points: NDArray[np.float16]
+    stood_up: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.bits)
+
+    @classmethod
+    def of(
+        cls, index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
+    ) -> Examples:
+        """Some entries of an index, and a share of them degraded."""
+        worse = generator.random(len(rows)) < DEGRADED_SHARE
+        numbers = np.concatenate([rows, rows[worse]])
+        degraded = np.arange(len(numbers)) >= len(rows)
+        bits = np.empty((len(numbers), HEIGHT * WIDTH // 32), np.uint8)
+        points = np.empty((len(numbers), POINTS, 3), np.float16)
+        for start in range(0, len(numbers), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            silhouettes = index.silhouettes(numbers[block])
+            points_3d, points_2d = index.points(numbers[block])
+            for row in np.flatnonzero(degraded[block]):
+                joints = points_2d[row, :JOINTS]
+                silhouettes[row], placement = degrade(silhouettes[row], joints, generator)
+                points_2d[row] = placement.to_normalised(points_2d[row])
+            pictures = network_input(silhouettes)[..., 0].astype(np.uint8)
+            bits[block] = np.packbits(pictures.reshape(len(pictures), -1), axis=1)
+            points[block, :, :2], points[block, :, 2] = points_2d, points_3d[..., 2]
+        return cls(bits, points, np.abs(index.entries["roll_deg"][numbers]) > ROLLED_DEG)
+
+    def take(
+        self, rows: NDArray[np.integer], generator: np.random.Generator
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What the network is shown of some examples, and where their joints are.
+
+        Each is mirrored or not; who was rotated to stand also stands on the head, since a
+        silhouette alone does not tell which end that is.
+
+        Returns
+        -------
+        planes : (B, 64, 24, 3) float32 array
+        truth : (B, 19, 3) float32 array
+            Fractional bins of columns, rows and depths.
+        """
+        pictures = np.unpackbits(self.bits[rows], axis=1).reshape(-1, HEIGHT // 2, WIDTH // 2)
+        points = self.points[rows].astype(np.float64)
+        mirrored = generator.random(len(rows)) < 0.5
+        pictures[mirrored] = pictures[mirrored, :, ::-1]
+        points[mirrored] = exchange_sides(points[mirrored])
+        points[mirrored, :, 0] = WIDTH - 1 - points[mirrored, :, 0]
+        turned = self.stood_up[rows] & (generator.random(len(rows)) < 0.5)
+        pictures[turned] = pictures[turned, ::-1, ::-1]
+        points[turned, :, :2] = (WIDTH - 1, HEIGHT - 1) - points[turned, :, :2]
+        noisy = generator.random(len(rows)) < FLIPPED_SHARE
+        pictures[noisy] = _flipped(pictures[noisy], generator)
+        return input_planes(pictures), places(points[:, :JOINTS])
 
 
-def _flipped(pictures: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:
+def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
     """Pictures ``(B, H, W)`` of which some pixels beside the outline are flipped."""
     around = np.pad(pictures, ((0, 0), (1, 1), (1, 1)))
     shifted = [
@@ -182,7 +223,6 @@ def _layers() -> nn.Sequential:
         nn.Flatten(),
         nn.Linear(channels * rows * columns, HIDDEN),
         nn.ReLU(),
-        nn.Dropout(DROPOUT),
         nn.Linear(HIDDEN, JOINTS * BINS),
     ]
     return nn.Sequential(*layers)
