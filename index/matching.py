@@ -110,7 +110,8 @@ class Match:
     Parameters
     ----------
     hypotheses : list of Hypothesis
-        Usually a few more than asked for, for a caller who re-ranks them.
+        Where no network has ranked them, usually a few more than asked for, for a caller who
+        re-ranks them.
     features : (N, F) float64 array
         Of each, from which its confidence was computed: :data:`index.confidence.FEATURES`, or
         :data:`index.reranker.RERANKING_FEATURES`.
@@ -172,7 +173,8 @@ def match(
         by_keypoints = compare_rotated_entries(index, queries, nearest)
         candidates, modes = _modes_of_both(index, queries, by_keypoints, keypoints, n, wanted)
     distances = modes.distances if ranking is None else ranking.distances(modes)
-    order = np.argsort(distances, kind="stable")
+    # Nobody re-ranks what the network has ranked, so the others need no features.
+    order = np.argsort(distances, kind="stable")[: None if ranking is None else n]
     modes, distances = modes.take(order), distances[order]
     centres = candidates.take(modes.centres)
     errors = _outline_errors(index, queries, centres)
