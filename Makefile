@@ -13,7 +13,7 @@ DEV := .venv-dev
 BUILD := .venv-build
 REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 
-.PHONY: run test test-all check index evaluate bench openapi clean
+.PHONY: run test test-all check index reranker evaluate bench openapi clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -36,6 +36,12 @@ check: $(DEV)/.stamp
 # inputs no longer give the same bytes. The rasteriser still takes all cores.
 index: $(BUILD)/.stamp
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts.build_index \
+	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments --name cmu-dressed --attribution cmu \
+	  $(ARGS)
+
+# One thread, for the same reason.
+reranker: $(BUILD)/.stamp
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts.train_reranker \
 	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments $(ARGS)
 
 evaluate: $(BUILD)/.stamp

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.avatars import CALIBRATION_AVATARS, make_avatars
-from index.build.builder import Asked, Plan, simulate_queries, split_by_clip
+from index.build.builder import Asked, Plan, entries_of, simulate_queries, split
 from index.build.calibrate import (
     Queries,
     expected_calibration_error,
@@ -63,12 +63,8 @@ def train_reranker(
     -------
     Reranker
     """
-    kept, held = split_by_clip(segments)
-    honest = bool(kept and held)
-    if not honest:
-        kept, held = list(segments), list(segments)
-        say("Too few clips to hold any out: the confidence will be too high.")
-    rows = rows_of(index, {segment.clip for segment in kept})
+    kept, held, honest = split(segments)
+    rows = entries_of(index, kept)
     if not len(rows):
         raise ValueError("expected an index with entries of the given motion, got none")
     say(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
@@ -85,7 +81,7 @@ def train_reranker(
         "passes": course.passes,
         "seed": course.seed,
         "confidence_fitted_on": len(queries),
-        "confidence_clips_held_out": honest,
+        "of_clips_held_out": honest,
     }
     return replace(reranker, training=training)
 
@@ -103,19 +99,13 @@ def calibrated(
     calibration = fit_calibration(trial, RERANKING_FEATURES)
     confidence = calibration.probability(trial.features.reshape(-1, len(RERANKING_FEATURES)))
     say(
-        f"Confidence fitted on {len(queries)} silhouettes of held-out clips, "
+        f"Confidence fitted on {len(queries)} silhouettes that were held out, "
         "every second one degraded: "
         f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
         f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
         f"{expected_calibration_error(confidence, trial.right):.3f}."
     )
     return Reranker(network, calibration)
-
-
-def rows_of(index: PoseIndex, clips: set[str]) -> NDArray[np.int64]:
-    """Entries ``(R,)`` of some clips."""
-    wanted = np.array([clip in clips for clip in index.clips])
-    return np.flatnonzero(wanted[index.skeleton_labels["clip"][index.entries["skeleton"]]])
 
 
 def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
