@@ -50,6 +50,11 @@ BODIES_ATTRIBUTION = (
 )
 
 
+NOT_HELD_OUT = (
+    "No action has three clips, of which one could be held out: the confidence is fitted on the "
+    "ends of the clips, which are easier than unseen ones."
+)
+
 LOW_SHARE, LAID_DOWN_SHARE = 0.19, 0.33
 """Shares of the poses that are in low postures, of which nearly all frames are taken, and that were
 laid on the ground."""
@@ -317,10 +322,7 @@ def build(
         )
         kept, held, honest = split(segments)
         if not honest:
-            say(
-                "No action has three clips, of which one could be held out: the confidence is "
-                "fitted on the ends of the clips, which are easier than unseen ones."
-            )
+            say(NOT_HELD_OUT)
         asked = simulate_queries(
             motion,
             held,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.avatars import CALIBRATION_AVATARS, make_avatars
-from index.build.builder import Asked, Plan, entries_of, simulate_queries, split
+from index.build.builder import NOT_HELD_OUT, Asked, Plan, entries_of, simulate_queries, split
 from index.build.calibrate import (
     Queries,
     expected_calibration_error,
@@ -64,6 +64,8 @@ def train_reranker(
     Reranker
     """
     kept, held, honest = split(segments)
+    if not honest:
+        say(NOT_HELD_OUT)
     rows = entries_of(index, kept)
     if not len(rows):
         raise ValueError("expected an index with entries of the given motion, got none")
