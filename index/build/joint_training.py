@@ -70,6 +70,7 @@ def train(
     rows: NDArray[np.integer],
     course: Course,
     *,
+    start: JointNetwork | None = None,
     say: Callable[[str], None] = lambda _: None,
     checkpoint: Callable[[JointNetwork], None] = lambda _: None,
     every: int = 500,
@@ -82,6 +83,8 @@ def train(
     rows : (R,) int array
         The entries.
     course : Course
+    start : JointNetwork, optional
+        Trained already, on other silhouettes or fewer; by default one of random weights.
     say : callable
         Takes a line about the progress.
     checkpoint : callable
@@ -98,6 +101,9 @@ def train(
     generator = np.random.default_rng(course.seed)
     examples = Examples.of(index, rows, generator)
     layers = _layers().to(memory_format=torch.channels_last)
+    if start is not None:
+        some = generator.permutation(len(examples))[:_BLOCK]
+        _start_from(layers, start, examples.take(some, generator)[0])
     steps = max(1, round(course.passes * len(examples) / course.batch))
     optimiser = torch.optim.AdamW(layers.parameters(), lr=course.rate, weight_decay=course.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -226,6 +232,34 @@ def _layers() -> nn.Sequential:
         nn.Linear(HIDDEN, JOINTS * BINS),
     ]
     return nn.Sequential(*layers)
+
+
+def _start_from(layers: nn.Sequential, network: JointNetwork, planes: NDArray[np.float32]) -> None:
+    """Inverse of :func:`_exported`; normalisations get the statistics of some input."""
+    modules, values = list(layers), _channels_first(planes)
+    weights = zip(network.kernels, network.biases, strict=True)
+    with torch.no_grad():
+        for position, module in enumerate(modules):
+            norm = modules[position + 1] if position + 1 < len(modules) else None
+            if isinstance(module, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                kernel, bias = (torch.from_numpy(array) for array in next(weights))
+                shape = (*module.kernel_size, module.in_channels, module.out_channels)
+                module.weight.copy_(kernel.reshape(shape).permute(3, 2, 0, 1))
+                convolved = module(values)
+                mean, variance = convolved.mean((0, 2, 3)), convolved.var((0, 2, 3))
+                assert norm.running_mean is not None and norm.running_var is not None
+                norm.running_mean.copy_(mean)
+                norm.running_var.copy_(variance)
+                norm.weight.copy_(torch.sqrt(variance + norm.eps))
+                norm.bias.copy_(bias + mean)
+                values = torch.relu(convolved + bias[:, None, None])
+        hidden, output = (module for module in modules if isinstance(module, nn.Linear))
+        features = CONVOLUTIONS[-1][-1]
+        places_first = torch.from_numpy(network.hidden).reshape(-1, features, HIDDEN)
+        hidden.weight.copy_(places_first.permute(2, 1, 0).flatten(1))
+        hidden.bias.copy_(torch.from_numpy(network.hidden_bias))
+        output.weight.copy_(torch.from_numpy(network.output.T))
+        output.bias.copy_(torch.from_numpy(network.output_bias))
 
 
 def _channels_first(planes: NDArray[np.float32]) -> torch.Tensor:

@@ -14,11 +14,13 @@ from index.build.joint_training import (  # noqa: E402
     _channels_first,
     _exported,
     _layers,
+    _start_from,
     train,
 )
 from index.joint_network import AXES, BINS, log_softmax, network_input  # noqa: E402
 from index.skeleton import JOINTS  # noqa: E402
 from index.store import PoseIndex  # noqa: E402
+from tests.index.networks import random_network  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +61,19 @@ def test_the_exported_network_gives_what_the_trained_one_gives(toy_index: PoseIn
         logits = layers(_channels_first(planes[:1])).numpy().reshape(JOINTS, BINS)
     seen = _exported(layers).distributions(toy_index.silhouette(0))
     assert_allclose(seen.log_probabilities, log_softmax(logits), atol=1e-4)
+
+
+def test_training_may_go_on_from_a_trained_network(examples: Examples) -> None:
+    network, layers = random_network(4), _layers()
+    planes, _ = examples.take(np.arange(64), np.random.default_rng(1))
+    _start_from(layers, network, planes)
+    back = _exported(layers)
+    for ours, theirs in zip(
+        (*back.kernels, *back.biases), (*network.kernels, *network.biases), strict=True
+    ):
+        assert_allclose(ours, theirs, atol=1e-4)
+    assert_array_equal(back.hidden, network.hidden)
+    assert_array_equal(back.output, network.output)
 
 
 @pytest.mark.slow
