@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from app.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from index.artefact import load_index
@@ -75,9 +76,12 @@ def test_says_whose_it_is_and_what_its_confidence_rests_on(built: Path) -> None:
 def test_is_served(built: Path) -> None:
     silhouette = cv2.copyMakeBorder(load_index(built).silhouette(7), 9, 9, 9, 9, 0)
     mask = cv2.imencode(".png", np.asarray(255 * silhouette, np.uint8))[1].tobytes()
-    with TestClient(create_app(Settings(index=built))) as client:
-        assert client.get("/index").json()["name"] == "our-index"
+    settings = Settings(index=built)
+    with TestClient(create_app(settings, Estimator.load(settings))) as client:
+        described = client.get("/index").json()
         reply = client.post("/pose", files={"mask": ("mask.png", mask, "image/png")})
+    assert described["name"] == "our-index"
+    assert "confidence_fitted_on" in described["parameters"]
     assert reply.status_code == 200
     (person,) = reply.json()["persons"]
     assert person["hypotheses"][0]["source"]["action"] in load_index(built).actions
