@@ -28,8 +28,9 @@ from index.rotations import (
 from index.skeleton import POINTS, wrap_degrees
 from index.store import PoseIndex
 
-CANDIDATES = 160
-"""Nearest entries considered without keypoints; more add few useful modes."""
+CANDIDATES, RANKED_CANDIDATES = 160, 200
+"""Nearest entries considered without keypoints; more add few useful modes, of which a network that
+ranks them finds a few more."""
 
 SILHOUETTE_CANDIDATES, KEYPOINT_CANDIDATES = 150, 150
 """With keypoints: entries nearest to each rotation of the silhouette, and to the keypoints."""
@@ -236,7 +237,7 @@ def _modes_of_silhouette(
     ranking: Ranking | None,
 ) -> tuple[Candidates, Modes]:
     """Increase the number of candidates until they hold ``n`` modes or the index has no more."""
-    k = max(CANDIDATES, wanted)
+    k = max(CANDIDATES if ranking is None else RANKED_CANDIDATES, wanted)
     while True:
         candidates = find_rotated_candidates(index, queries, k)
         support = None if ranking is None else ranking.support(candidates)

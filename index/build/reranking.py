@@ -24,6 +24,9 @@ from index.joint_network import JointNetwork
 from index.reranker import RERANKING_FEATURES, Reranker
 from index.store import PoseIndex
 
+FINISH = 0.2
+"""Passes over all silhouettes, as a share of those without the clips kept for the confidence."""
+
 
 def train_reranker(
     index: PoseIndex,
@@ -39,8 +42,9 @@ def train_reranker(
 ) -> Reranker:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
-    Some clips are kept from the network; the confidence is fitted on what the index, without their
-    entries, answers to silhouettes of these clips on bodies of their own.
+    Some clips are kept from the network at first; the confidence is fitted on what the index,
+    without their entries, answers to silhouettes of these clips on bodies of their own. Then the
+    network learns from them as well, as the index has their entries.
 
     Parameters
     ----------
@@ -76,16 +80,20 @@ def train_reranker(
     )
     queries = Queries.of(simulated).half_degraded(course.seed + 1)
     reranker = calibrated(part(index, rows), network, queries, progress=progress, say=say)
+    everything = entries_of(index, segments)
+    say(f"Going on with {len(everything):,} silhouettes.")
+    finish = replace(course, passes=FINISH * course.passes, rate=course.rate / 2)
+    network = train(index, everything, finish, start=network, say=say, checkpoint=checkpoint)
     training: dict[str, Any] = {
         "index": index.version,
-        "entries": len(rows),
-        "clips": sorted({segment.clip for segment in kept}),
+        "entries": len(everything),
+        "clips": sorted({segment.clip for segment in segments}),
         "passes": course.passes,
         "seed": course.seed,
         "confidence_fitted_on": len(queries),
         "of_clips_held_out": honest,
     }
-    return replace(reranker, training=training)
+    return replace(reranker, network=network, training=training)
 
 
 def calibrated(
