@@ -17,7 +17,7 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 # pip is held to the versions that were tested; `make constraints` writes them.
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test test-all test-newest check index evaluate bench openapi constraints clean
+.PHONY: run test test-all test-newest check index reranker evaluate bench openapi constraints clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -46,6 +46,12 @@ check: $(DEV)/.stamp
 # inputs no longer give the same bytes. The rasteriser still takes all cores.
 index: $(BUILD)/.stamp
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts.build_index \
+	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments --name cmu-dressed --attribution cmu \
+	  $(ARGS)
+
+# One thread, for the same reason.
+reranker: $(BUILD)/.stamp
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts.train_reranker \
 	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments $(ARGS)
 
 evaluate: $(BUILD)/.stamp

@@ -16,6 +16,8 @@ from descriptor.descriptor import restore
 from index.approximate import ApproximateNeighbours
 from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
+from index.reranker import FILES as RERANKING_FILES
+from index.reranker import Reranker, load_reranker, reranker_files
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -37,6 +39,7 @@ def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
     An approximate search is written with it; another engine is chosen by whoever loads the index.
+    A network that re-ranks is written beside it and is no part of the version.
     """
     files = _files(index)
     manifest: dict[str, Any] = {
@@ -60,20 +63,23 @@ def save_index(index: PoseIndex, path: Path) -> str:
         else lzma.compress(content, filters=_LZMA)
         for name, content in files.items()
     }
+    if index.reranker is not None:
+        stored |= reranker_files(index.reranker)
     return _write(path, *_with_search(manifest, stored, index.neighbours))
 
 
 def copy_index(source: Path, path: Path, neighbours: Neighbours) -> str:
     """Write a copy of an artefact with another search of its vectors; see :func:`save_index`.
 
-    All other files are copied as they are.
+    All other files are copied as they are, and a network that re-ranks with them.
     """
     manifest = _read_manifest(Path(source))
     for key in ("version", "search"):
         manifest.pop(key, None)
     manifest["files"].pop(_NEIGHBOURS, None)
     names = [_stored_name(name) for name in manifest["files"]]
-    stored = {name: (Path(source) / name).read_bytes() for name in names}
+    beside = [name for name in RERANKING_FILES if (Path(source) / name).exists()]
+    stored = {name: (Path(source) / name).read_bytes() for name in (*names, *beside)}
     return _write(path, *_with_search(manifest, stored, neighbours))
 
 
@@ -126,7 +132,7 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
         sha256 = dict(manifest["files"])
         if searched_by is not None:
             sha256.pop(_NEIGHBOURS, None)
-        return _restore(manifest, _read_files(path, sha256), searched_by)
+        return _restore(manifest, _read_files(path, sha256), searched_by, load_reranker(path))
     except ArtefactError:
         raise
     except KeyError as error:
@@ -196,7 +202,10 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
 
 
 def _restore(
-    manifest: dict[str, Any], files: dict[str, Any], searched_by: Neighbours | None
+    manifest: dict[str, Any],
+    files: dict[str, Any],
+    searched_by: Neighbours | None,
+    reranker: Reranker | None,
 ) -> PoseIndex:
     learned = {
         name.removeprefix("descriptor-"): array
@@ -228,6 +237,7 @@ def _restore(
         ),
         parameters=manifest["parameters"],
         version=manifest["version"],
+        reranker=reranker,
         searched_by=searched_by,
     )
 

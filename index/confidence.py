@@ -45,18 +45,19 @@ class Calibration:
     Parameters
     ----------
     weights : tuple of float
-        Weight of each of :data:`FEATURES`.
+        Weight of each feature.
     bias : float
+    features : tuple of str
     """
 
     weights: tuple[float, ...]
     bias: float
+    features: tuple[str, ...] = FEATURES
 
     def __post_init__(self) -> None:
-        if len(self.weights) != len(FEATURES) or not np.isfinite((*self.weights, self.bias)).all():
-            raise ValueError(
-                f"expected {len(FEATURES)} finite weights and a finite bias, got {self}"
-            )
+        count = len(self.features)
+        if len(self.weights) != count or not np.isfinite((*self.weights, self.bias)).all():
+            raise ValueError(f"expected {count} finite weights and a finite bias, got {self}")
 
     @classmethod
     def none(cls) -> Calibration:
@@ -71,14 +72,16 @@ class Calibration:
 
     def parameters(self) -> dict[str, Any]:
         """JSON values for a manifest."""
-        return {"features": list(FEATURES), "weights": list(self.weights), "bias": self.bias}
+        return {"features": list(self.features), "weights": list(self.weights), "bias": self.bias}
 
     @classmethod
-    def restore(cls, parameters: Mapping[str, Any]) -> Calibration:
+    def restore(
+        cls, parameters: Mapping[str, Any], features: tuple[str, ...] = FEATURES
+    ) -> Calibration:
         """Inverse of :meth:`parameters`; ``ValueError`` if the features differ."""
-        if list(parameters.get("features", ())) != list(FEATURES):
+        if list(parameters.get("features", ())) != list(features):
             raise ValueError(
-                f"expected a calibration over {', '.join(FEATURES)}, "
+                f"expected a calibration over {', '.join(features)}, "
                 f"got one over {', '.join(parameters.get('features', ())) or 'nothing'}"
             )
-        return cls(tuple(parameters["weights"]), float(parameters["bias"]))
+        return cls(tuple(parameters["weights"]), float(parameters["bias"]), features)

@@ -26,7 +26,7 @@ def match_features(
     ----------
     candidates : Candidates
     modes : Modes
-        M modes of the candidates, in ascending distance.
+        M modes of the candidates, in the order of their rank.
     outline_errors : (M,) array
         Outline distance between the query and the centre of each mode, pixels.
 

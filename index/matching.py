@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.confidence import Calibration
 from index.features import match_features
 from index.keypoint_fit import fit_to_keypoints
 from index.keypoints import Keypoints
@@ -18,6 +17,7 @@ from index.modes import Modes, find_modes, mode_weights
 from index.outline import outline_distances
 from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
 from index.ranking import fused_distances
+from index.reranking import Ranking
 from index.rotations import (
     RotatedQuery,
     compare_rotated_entries,
@@ -29,8 +29,9 @@ from index.rotations import (
 from index.skeleton import LIMBS, POINTS, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 
-CANDIDATES = 160
-"""Nearest entries considered without keypoints; more add few useful modes."""
+CANDIDATES, RANKED_CANDIDATES = 160, 200
+"""Nearest entries considered without keypoints; more add few useful modes, of which a network that
+ranks them finds a few more."""
 
 SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 50
 """With keypoints: entries nearest to each rotation of the silhouette, and to the landmarks."""
@@ -74,7 +75,9 @@ class Hypothesis:
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose.
     fused_distance : float
-        The same, shorter where landmarks agree and longer where they disagree; ascending.
+        The same, shorter where landmarks agree and longer where they disagree; without landmarks,
+        longer where a network finds the joints unlikely, see
+        :meth:`index.reranking.Ranking.distances`. Ascending.
     reprojection_error_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
@@ -122,9 +125,11 @@ class Match:
     Parameters
     ----------
     hypotheses : list of Hypothesis
-        Usually a few more than asked for, for a caller who re-ranks them.
+        Where no network has ranked them, usually a few more than asked for, for a caller who
+        re-ranks them.
     features : (N, F) float64 array
-        :data:`index.confidence.FEATURES` of each, from which its confidence was computed.
+        Of each, from which its confidence was computed: :data:`index.confidence.FEATURES`, or
+        :data:`index.reranker.RERANKING_FEATURES`.
     """
 
     hypotheses: list[Hypothesis]
@@ -209,20 +214,27 @@ class _Query:
         index, keypoints, roll_deg = self.index, self.keypoints, self.roll_deg
         wanted = self.candidates_per_hypothesis * n
         rotations = usual_rotations(self.silhouette, roll_deg)
+        ranking = None
         if keypoints is None:
+            if index.reranker is not None:
+                ranking = Ranking.of(index.reranker, self.silhouette)
             queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
-            candidates, modes = _modes_of_silhouette(index, queries, n, wanted)
+            candidates, modes = _modes_of_silhouette(index, queries, n, wanted, ranking)
         else:
             queries, candidates, modes = self._modes_of_both(rotations, keypoints, n, wanted)
-        modes = modes.nearest()
+        fused = modes.distances if ranking is None else ranking.distances(modes)
+        # Nobody re-ranks what the network has ranked, so the others need no features.
+        nearest = np.argsort(fused, kind="stable")[: None if ranking is None else n]
+        modes, fused = modes.take(nearest), fused[nearest]
         centres = candidates.take(modes.centres)
         errors = _outline_errors(index, queries, centres)
         features = match_features(candidates, modes, errors)
-        confidences = Calibration.restore(index.parameters["confidence"]).probability(features)
+        if ranking is not None:
+            features = ranking.features(features, modes, fused)
+        confidences = index.calibration(reranked=ranking is not None).probability(features)
         rotation_deg = centres.rotation_deg - roll_deg
         tilt_deg = wrap_degrees(rotation_deg + index.roll_deg(centres.numbers, centres.mirrored))
         points_3d, points_normalised = modes.points_3d, modes.points_normalised
-        fused = modes.distances
         order = np.arange(len(modes))
         if keypoints is not None:
             # Compared before the fit: a pose that has to change far to fit is less likely.
@@ -310,13 +322,18 @@ def _postures(
 
 
 def _modes_of_silhouette(
-    index: PoseIndex, queries: Sequence[RotatedQuery], n: int, wanted: int
+    index: PoseIndex,
+    queries: Sequence[RotatedQuery],
+    n: int,
+    wanted: int,
+    ranking: Ranking | None,
 ) -> tuple[Candidates, Modes]:
     """Increase the number of candidates until they hold ``n`` modes or the index has no more."""
-    k = max(CANDIDATES, wanted)
+    k = max(CANDIDATES if ranking is None else RANKED_CANDIDATES, wanted)
     while True:
         candidates = find_rotated_candidates(index, queries, k)
-        modes = find_modes(candidates, n + SPARE_MODES)
+        support = None if ranking is None else ranking.support(candidates)
+        modes = find_modes(candidates, n + SPARE_MODES, support=support)
         if len(modes) >= n or len(candidates) < k or k >= MAX_GROWTH * CANDIDATES:
             return candidates, modes
         k *= 2

@@ -110,6 +110,7 @@ def find_modes(
     count: int,
     *,
     agreement: Agreement | None = None,
+    support: NDArray[np.float64] | None = None,
     bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
     """Up to ``count`` distinct modes, densest first.
@@ -120,6 +121,8 @@ def find_modes(
     count : int
     agreement : Agreement, optional
         Of the candidates with keypoints: weights the candidates and pulls modes to the keypoints.
+    support : (K,) array, optional
+        Factors of the candidates' weights.
     bandwidth_m : float
         Smaller for an index that covers few motions densely, as in the paper's experiments.
 
@@ -130,6 +133,8 @@ def find_modes(
     """
     weights = mode_weights(candidates.distances, agreement)
     offsets = candidates.offsets.astype(np.float64)
+    if support is not None:
+        weights = weights * support
     if agreement is not None:
         pulls = PULL * agreement.pulls.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -pulls], axis=1)

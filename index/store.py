@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
+from index.confidence import Calibration
 from index.landmark_search import DIMENSION, SEARCHED, LandmarkSearch, pose_vectors
 from index.neighbours import ExactNeighbours, Neighbours
+from index.reranker import Reranker
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
 
@@ -116,6 +118,8 @@ class PoseIndex:
         JSON values: the settings of the build, and what was fitted in it.
     version : str
         ``sha256:`` and the hash of the content; empty unless the index was loaded.
+    reranker : Reranker, optional
+        Re-ranks the hypotheses of silhouettes.
     searched_by : Neighbours, optional
         Searches ``vectors``; by default exactly, in this process.
     """
@@ -132,6 +136,7 @@ class PoseIndex:
     silhouette_store: Silhouettes
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
+    reranker: Reranker | None = None
     searched_by: InitVar[Neighbours | None] = None
     neighbours: Neighbours = field(init=False, repr=False, compare=False)
     """The search among ``vectors``."""
@@ -166,6 +171,12 @@ class PoseIndex:
 
     def __len__(self) -> int:
         return len(self.entries)
+
+    def calibration(self, *, reranked: bool) -> Calibration:
+        """The confidence of hypotheses of a silhouette, re-ranked by the network or not."""
+        if reranked and self.reranker is not None:
+            return self.reranker.calibration
+        return Calibration.restore(self.parameters["confidence"])
 
     def search(
         self, vectors: NDArray[np.float32], k: int

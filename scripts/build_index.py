@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from index.artefact import save_index
-from index.build.builder import Plan, build
+from index.build.builder import CMU_ATTRIBUTION, Plan, build
 from index.build.garments import GarmentError
-from index.build.motion import MotionError
+from index.build.rig import MotionError
 from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
@@ -26,7 +26,13 @@ def main() -> int:
     add("--mocap", type=Path, default=Path("../shared/mocap"), help="has manifest.csv and bvh/")
     add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
     add("--out", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
-    add("--name", help="of the index; says by default whether bodies are clothed")
+    add("--name", help="of the index; by default that of its folder")
+    add(
+        "--attribution",
+        default="",
+        metavar="SENTENCE",
+        help="whose the motion is; cmu stands for that of ../shared/mocap",
+    )
     add("--entries", type=int, default=Plan.entries)
     add("--bodies", type=int, default=Plan.bodies, help="bodies per pose")
     add("--views", type=int, default=Plan.views, help="views per pose and body")
@@ -42,7 +48,8 @@ def main() -> int:
     )
     add("--search", choices=SEARCHES, default="flat", help="flat is exact")
     arguments = parser.parse_args()
-    name = arguments.name or ("cmu-dressed" if arguments.garments else "cmu-unclothed")
+    name = arguments.name or arguments.out.resolve().name
+    attribution = CMU_ATTRIBUTION if arguments.attribution == "cmu" else arguments.attribution
     try:
         plan = Plan(
             entries=arguments.entries,
@@ -54,8 +61,8 @@ def main() -> int:
         shards = nullcontext(arguments.shards) if arguments.shards else staging(arguments.out)
         with _workers(arguments.scheduler) as workers:
             index = build(
-                arguments.mocap, arguments.garments, plan, name=name, workers=workers,
-                shards=shards, progress=True, say=print,
+                arguments.mocap, arguments.garments, plan, name=name, attribution=attribution,
+                workers=workers, shards=shards, progress=True, say=print,
             )  # fmt: skip
         index = replace(index, searched_by=build_search(index.vectors, arguments.search))
         version = save_index(index, arguments.out)

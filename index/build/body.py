@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.motion import Clip, MotionError
+from index.build.motion import Clip
 from index.skeleton import FACE_NAMES, JOINT_NAMES
 
 BONE_OF_JOINT = {
@@ -237,9 +237,7 @@ def retarget(clip: Clip, avatar: Avatar) -> Retargeting:
         driver = name
         if name in _FOLLOWS_HAND:
             driver = "LeftHand" if name.startswith("L") else "RightHand"
-        if driver not in clip.bones:
-            raise MotionError(f"the clip {clip.name} has no joint {driver!r}, which the body needs")
-        source[bone] = clip.bones.index(driver)
+        source[bone] = clip.bone(driver)
         if name in _UPRIGHT:
             continue
         tip = clip.tips[source[bone]]

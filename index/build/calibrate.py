@@ -16,6 +16,7 @@ from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.landmark_search import rotate_clockwise
 from index.matching import match
 from index.posture import POSTURES
+from index.reranker import RERANKING_FEATURES
 from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
 
@@ -98,7 +99,8 @@ class Trial:
     Parameters
     ----------
     features : (Q, N, F) float64 array
-        Columns are :data:`index.confidence.FEATURES`.
+        Columns are :data:`index.confidence.FEATURES`, or
+        :data:`index.reranker.RERANKING_FEATURES` if the index has a network.
         0 where an index has fewer than N poses to offer.
     confidence : (Q, N) float64 array
         As features.
@@ -149,7 +151,8 @@ def run_trial(
     progress : bool
         Whether to draw a progress bar.
     """
-    features = np.zeros((len(queries), n, len(FEATURES)))
+    names = FEATURES if index.reranker is None else RERANKING_FEATURES
+    features = np.zeros((len(queries), n, len(names)))
     confidence = np.zeros((len(queries), n))
     joint_errors_px = np.full((len(queries), n, JOINTS), np.inf)
     twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
@@ -171,13 +174,14 @@ def run_trial(
     return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, postures)
 
 
-def fit_calibration(trial: Trial) -> Calibration:
+def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calibration:
     """Logistic regression of being right on what a hypothesis shows of itself."""
     offered = np.isfinite(trial.error_px)
     # To the optimum itself: where the default stops near it hangs on the last digits of features.
     model = LogisticRegression(C=1e3, solver="newton-cholesky", tol=1e-8)
     model.fit(trial.features[offered], trial.right[offered])
-    return Calibration(tuple(float(w) for w in model.coef_[0]), float(model.intercept_[0]))
+    weights = tuple(float(w) for w in model.coef_[0])
+    return Calibration(weights, float(model.intercept_[0]), features)
 
 
 def expected_calibration_error(

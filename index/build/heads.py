@@ -44,8 +44,8 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
 
 def _upright_pitches(clip: Clip) -> NDArray[np.float64]:
     """How far the head looks up, in radians, in upright frames."""
-    upright = clip.rotations[:, clip.bones.index("Spine1"), 1, 1] > UPRIGHT_ABOVE
-    forward = clip.rotations[upright & ~clip.broken, clip.bones.index("Head"), :, 2]
+    upright = clip.rotations[:, clip.bone("Spine1"), 1, 1] > UPRIGHT_ABOVE
+    forward = clip.rotations[upright & ~clip.broken, clip.bone("Head"), :, 2]
     return np.asarray(np.arcsin(np.clip(forward[:, 1], -1, 1)))
 
 
@@ -54,6 +54,6 @@ def _pitched(clip: Clip, angle: float) -> Clip:
     cosine, sine = np.cos(angle), np.sin(angle)
     down = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
     rotations = clip.rotations.copy()
-    head = clip.bones.index("Head")
+    head = clip.bone("Head")
     rotations[:, head] = rotations[:, head] @ down
     return replace(clip, rotations=rotations)

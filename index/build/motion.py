@@ -13,6 +13,8 @@ import pybvh
 from numpy.typing import NDArray
 from pybvh.rotations import euler_to_rotmat
 
+from index.build.rig import CMU, FILE, MotionError, Rig
+
 T_POSE_BELOW_DEG = 6.0
 """Mean joint angle from the zero pose (arms out, legs straight) below which a frame is one.
 
@@ -23,9 +25,6 @@ JUMP_ABOVE_DEG = 45.0
 """A bone that turns more than this in 1/30 s, and far more than just before and after, broke."""
 
 JUMP_RATIO = 4.0
-
-METRES_PER_UNIT = 0.05644
-"""CMU's unit of length."""
 
 SPEED_WINDOW = 7
 """Frames before and after over which speed is measured: half a second at 30 fps."""
@@ -41,10 +40,6 @@ SHORT_RUN = 8
 
 _UNRELIABLE = re.compile("Thumb|Finger|Hand.*[0-9]|Index|ToeBase")
 """CMU's hands and toes carry too few markers for their rotations to mean much."""
-
-
-class MotionError(ValueError):
-    """Motion data that cannot be used; the message names the file and what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +94,15 @@ class Clip:
     t_poses: int
     jumps: int
 
+    def bone(self, name: str) -> int:
+        """Row of a bone; :class:`MotionError` if there is none."""
+        if name not in self.bones:
+            raise MotionError(
+                f"the clip {self.name} has no joint {name!r}, which the body needs; "
+                f"{FILE} may say what it is called there"
+            )
+        return self.bones.index(name)
+
 
 def read_manifest(folder: Path) -> list[Segment]:
     """Read the segments that the manifests of a motion folder list.
@@ -145,8 +149,14 @@ def _read_segments(file: Path) -> list[Segment]:
     return segments
 
 
-def read_clip(file: Path) -> Clip:
-    """Read one BVH file.
+def read_clip(file: Path, rig: Rig = CMU) -> Clip:
+    """Read one BVH file, whose joints get the names of ours.
+
+    Parameters
+    ----------
+    file : Path
+    rig : Rig
+        How its own joints are called.
 
     Raises
     ------
@@ -165,8 +175,8 @@ def read_clip(file: Path) -> Clip:
             f"the clip {file} is malformed: a channel holds a value that is not finite"
         )
     nodes = [node for node in bvh.nodes if not node.is_end_site()]
-    bones = tuple(bvh.joint_names)
-    parents = tuple(-1 if node.parent is None else bones.index(node.parent.name) for node in nodes)
+    names = tuple(bvh.joint_names)
+    parents = tuple(-1 if node.parent is None else names.index(node.parent.name) for node in nodes)
     local = np.empty((*bvh.joint_angles.shape, 3))
     for bone, order in enumerate(bvh.euler_orders):
         local[:, bone] = euler_to_rotmat(bvh.joint_angles[:, bone], order)
@@ -174,23 +184,37 @@ def read_clip(file: Path) -> Clip:
     for bone, parent in enumerate(parents):
         if parent >= 0:
             rotations[:, bone] = rotations[:, parent] @ local[:, bone]
-    reliable = [b for b, name in enumerate(bones) if b and not _UNRELIABLE.search(name)]
+    reliable = [b for b, name in enumerate(names) if b and not _UNRELIABLE.search(name)]
     t_pose = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2)) < T_POSE_BELOW_DEG
     jump = _jumps(local[:, [0, *reliable]]) & ~t_pose
-    positions = METRES_PER_UNIT * np.asarray(bvh.root_pos, np.float64)
+    bones, rows = _named(names, rig, file)
+    positions = rig.metres_per_unit * np.asarray(bvh.root_pos, np.float64)
     return Clip(
         name=Path(file).stem,
         bones=bones,
-        parents=parents,
-        offsets=np.array([node.offset for node in nodes], np.float64),
-        tips=np.array([_tip(node) for node in nodes], np.float64),
-        rotations=rotations,
+        parents=tuple(parents[row] for row in rows),
+        offsets=np.array([nodes[row].offset for row in rows], np.float64),
+        tips=np.array([_tip(nodes[row]) for row in rows], np.float64),
+        rotations=rotations[:, rows],
         positions=positions,
         speeds=_speeds(positions, bvh.frame_time),
         broken=t_pose | jump,
         t_poses=int(t_pose.sum()),
         jumps=int(jump.sum()),
     )
+
+
+def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...], list[int]]:
+    """Names of the bones of a clip, first those of the file in its order, and the row of each."""
+    missing = [(ours, theirs) for ours, theirs in rig.joints.items() if theirs not in names]
+    if missing:
+        ours, theirs = missing[0]
+        raise MotionError(
+            f"the clip {file} has no joint {theirs!r}, which {FILE} names for {ours!r}"
+        )
+    # A joint of theirs may be called as another one of ours.
+    kept = tuple(f"{name} of the file" if name in rig.joints else name for name in names)
+    return kept + tuple(rig.joints), [*range(len(names)), *map(names.index, rig.joints.values())]
 
 
 def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.float64]:

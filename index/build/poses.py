@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from index.build.body import Avatar, pose_transforms, posed_points, retarget, turned_to_front
 from index.build.heads import with_level_heads
 from index.build.lying import SIDES, TRUNK_BELOW_M, laid_down, side_of
-from index.build.motion import Clip, MotionError, Segment, read_clip
+from index.build.motion import Clip, Segment, read_clip
+from index.build.rig import MotionError, read_rig
 from index.posture import POSTURES, classify
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 
@@ -90,8 +91,9 @@ def read_poses(motion: Path, segments: Sequence[Segment]) -> tuple[Poses, Droppe
         raise MotionError("expected at least one segment of motion, got none")
     names = sorted({segment.clip for segment in segments})
     subjects = {segment.clip: segment.subject for segment in segments}
+    rig = read_rig(motion)
     clips = with_level_heads(
-        [read_clip(Path(motion) / "bvh" / f"{name}.bvh") for name in names],
+        [read_clip(Path(motion) / "bvh" / f"{name}.bvh", rig) for name in names],
         [subjects[name] for name in names],
     )
     actions = tuple(sorted({segment.action for segment in segments}))

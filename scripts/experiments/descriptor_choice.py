@@ -22,9 +22,9 @@ from index.build.builder import (
     Plan,
     assemble,
     choose_poses,
+    entries_of,
     simulate_queries,
     split_by_clip,
-    without_clips,
 )
 from index.build.calibrate import Queries, Trial, run_trial
 from index.build.learn import Recipe, Scatter, discriminate, measure_scatter
@@ -120,7 +120,7 @@ def make_folds(motion: Path, garments: Path) -> list[Fold]:
     folds = []
     for position in FOLDS:
         rest, held = split_by_clip(kept, position=position)
-        known = without_clips(simulation, {segment.clip for segment in rest})
+        known = simulation.take(entries_of(simulation, rest))
         simulated = simulate_queries(motion, held, strangers, ASKED, QUERY_SEED)
         folds.append((known, Queries.of(simulated).half_degraded(QUERY_SEED)))
     return folds

@@ -16,9 +16,10 @@ from index.build.body import (
     retarget,
     rotation_between,
 )
-from index.build.motion import METRES_PER_UNIT, Clip
+from index.build.motion import Clip
 from index.build.poses import Poses
 from index.build.render import fill_triangles, skin
+from index.build.rig import METRES_PER_UNIT
 from index.skeleton import JOINT_NAMES, camera_rotation
 
 CLIP_FPS = 30

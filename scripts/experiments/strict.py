@@ -2,7 +2,8 @@
 
 The index is built as the shipped one is, but without the held-out clips
 (:func:`index.build.builder.split_by_clip`, and :data:`ALSO_HELD_OUT`); descriptor and confidence
-are fitted on what remains. Queries are frames spread evenly over the held-out clips, on the bodies
+are fitted on what remains; the network that re-ranks is the shipped one, which knows none of these
+clips either. Queries are frames spread evenly over the held-out clips, on the bodies
 of ``HELD_OUT_AVATARS``, each from one random view of the hemisphere: of upright motion, of clips
 near the ground, and of both laid down.
 """
@@ -37,6 +38,8 @@ from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
 from index.store import PoseIndex
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.strict_pictures import draw_hard_queries, draw_postures, plot_reliability
+from scripts.experiments.strict_ranking import COLUMNS as STEP_COLUMNS
+from scripts.experiments.strict_ranking import by_step, shipped_reranker
 
 ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground whose actions have too few clips for one to be held out of each."""
@@ -61,6 +64,8 @@ POSTURE_COLUMNS = (
     "| queries | right at 1 | right within 7 | 3D first (mm) | 3D best of 7 (mm) | ECE "
     "| posture right |\n|---|---|---|---|---|---|---|"
 )
+
+LOW_GROUP = "low: " + ", ".join(LOW)
 
 COMMAND = "python -m scripts.evaluate simulation"
 
@@ -88,7 +93,7 @@ def strict(shared: Path, out: Path, folder: Path | None) -> None:
     """
     motion, garments = shared / "mocap", shared / "garments"
     _, held = hold_out(read_manifest(motion))
-    index = strict_index(shared, folder)
+    index = replace(strict_index(shared, folder), reranker=shipped_reranker(held))
     avatars = make_avatars(HELD_OUT_AVATARS, garments)
     simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)
     queries = Queries.of(simulated)
@@ -100,7 +105,8 @@ def strict(shared: Path, out: Path, folder: Path | None) -> None:
     for std in NOISE_STD_PX:
         disturbed_trial = run_trial(index, disturbed(some, std), progress=True)
         trials[f"contour noise {std:g} px"] = disturbed_trial
-    trials["degraded"] = run_trial(index, some.degraded(QUERY_SEED), progress=True)
+    degraded = some.degraded(QUERY_SEED)
+    trials["degraded"] = run_trial(index, degraded, progress=True)
     postures = true_postures(simulated)
     lines = [
         "# Strict: unseen bodies, clips and views\n",
@@ -117,6 +123,7 @@ def strict(shared: Path, out: Path, folder: Path | None) -> None:
         "filled, background attached, hands, feet or heads missing (index/build/noise.py).\n",
         COLUMNS,
         *(row(name, trial) for name, trial in trials.items()),
+        *ranking_section(index, queries, everybody, postures, degraded, trials["degraded"]),
         "\n## By posture\n",
         f"The same and {ASKED.near_ground:,} frames of held-out clips near the ground and "
         f"{ASKED.laid_down:,} of all held-out clips laid on the ground (elevation 5 to 70 degrees "
@@ -160,6 +167,35 @@ def strict(shared: Path, out: Path, folder: Path | None) -> None:
     ]
     (out / "strict.md").write_text("\n".join(lines) + "\n")
     (out / "strict.json").write_text(json.dumps({"command": COMMAND, **results}, indent=1) + "\n")
+
+
+def ranking_section(
+    index: PoseIndex,
+    queries: Queries,
+    everybody: Trial,
+    postures: NDArray[np.int64],
+    degraded: Queries,
+    degraded_trial: Trial,
+) -> list[str]:
+    """What each step of the matching adds; empty without a network."""
+    if index.reranker is None:
+        return []
+    upright = np.arange(0, ASKED.upright, DISTURBED_EVERY)
+    low = np.flatnonzero(posture_groups(postures)[LOW_GROUP])
+    groups = {
+        "upright": (queries.take(upright), everybody.take(upright)),
+        "degraded": (degraded, degraded_trial),
+        "low postures": (queries.take(low), everybody.take(low)),
+    }
+    return [
+        "\n## What ranks the hypotheses\n",
+        "The descriptor alone: the nearest entries as they are. Modes: distinct and interpolated, "
+        "in the order of their distance. The network: in the order of distance and of the "
+        "likelihood that it gives their joints (docs/index.md); alone: the likeliest place of each "
+        "joint by itself.\n",
+        STEP_COLUMNS,
+        *by_step(index, groups),
+    ]
 
 
 def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
@@ -208,7 +244,7 @@ def voted_postures(trial: Trial) -> NDArray[np.int64]:
 def posture_groups(postures: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
     """Which queries are in each posture, and which in the upright and the low ones together."""
     low = np.isin(postures, [POSTURES.index(name) for name in LOW])
-    groups = {"upright": ~low, "low: " + ", ".join(LOW): low}
+    groups = {"upright": ~low, LOW_GROUP: low}
     groups |= {name: postures == row for row, name in enumerate(POSTURES)}
     return {name: rows for name, rows in groups.items() if rows.any()}
 

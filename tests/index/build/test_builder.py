@@ -24,13 +24,16 @@ from index.build.builder import (
     Asked,
     Plan,
     choose_poses,
+    entries_of,
     simulate_queries,
+    split,
     split_by_clip,
     spread,
 )
 from index.build.lying import SIDES
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import Poses, joints_of, read_poses
+from index.build.simulate import Simulation
 from index.posture import LOW, POSTURES, classify
 from index.store import PoseIndex
 
@@ -85,6 +88,29 @@ class TestSplitByClip:
         assert [s.clip for s in held if s.manifest == MANIFESTS[1]] == ["g2"]
         _, without = split_by_clip(self.segments)
         assert [s for s in held if s.manifest == MANIFESTS[0]] == without
+
+
+class TestSplit:
+    def test_clips_of_their_own_where_there_are_enough(self) -> None:
+        *parts, honest = split(TestSplitByClip.segments)
+        assert honest
+        assert tuple(parts) == split_by_clip(TestSplitByClip.segments)
+
+    def test_the_ends_of_clips_where_there_are_too_few(self) -> None:
+        few = [Segment("a", "s", "walk", 10, 110), Segment("b", "s", "jump", 0, 2)]
+        kept, held, honest = split(few)
+        assert not honest
+        assert [(s.clip, s.start, s.end) for s in kept] == [("a", 10, 76), ("b", 0, 1)]
+        assert [(s.clip, s.start, s.end) for s in held] == [("a", 85, 110)]
+
+    def test_entries_are_those_of_the_frames(self, simulation: Simulation) -> None:
+        rows = entries_of(simulation, [Segment("stroll", "s1", "walk", 3, 7)])
+        labels = simulation.skeleton_labels[simulation.entries["skeleton"][rows]]
+        assert {simulation.clips[clip] for clip in labels["clip"]} == {"stroll"}
+        assert sorted(set(labels["frame"].tolist())) == [3, 4, 5, 6]
+        clips = [Segment(clip, "s", "walk", 0, 99) for clip in simulation.clips]
+        assert len(entries_of(simulation, clips)) == len(simulation)
+        assert len(entries_of(simulation, [Segment("ghost", "s", "walk", 0, 9)])) == 0
 
 
 @pytest.fixture(scope="module")

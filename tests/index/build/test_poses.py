@@ -20,8 +20,9 @@ from index.build.body import (
     turned_to_front,
 )
 from index.build.lying import laid_down
-from index.build.motion import MotionError, Segment
+from index.build.motion import Segment
 from index.build.poses import Poses, farthest_points, joints_of, merged, read_poses
+from index.build.rig import MotionError
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:

@@ -1,0 +1,302 @@
+"""Training the network of :mod:`index.joint_network` on the silhouettes of an index."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from descriptor.silhouette import HEIGHT, WIDTH
+from index.build.noise import degrade
+from index.joint_network import (
+    AXES,
+    BINS,
+    CONVOLUTIONS,
+    HIDDEN,
+    JointNetwork,
+    input_planes,
+    network_input,
+    places,
+)
+from index.skeleton import JOINTS, POINTS, exchange_sides
+from index.store import PoseIndex
+
+ROLLED_DEG = 30.0
+"""Entries rolled by more were wider than high, and rotated to stand."""
+
+DEGRADED_SHARE = 0.5
+"""Of the silhouettes, how many are shown degraded as well."""
+
+FLIPPED_SHARE = 0.25
+"""Silhouettes whose border pixels are flipped at random."""
+
+FLIPS = 0.2
+"""Share of the border pixels that are flipped, at the most."""
+
+_BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the network is trained.
+
+    Parameters
+    ----------
+    passes : float
+        Over the silhouettes, those degraded included.
+    batch : int
+        Silhouettes of a step.
+    rate : float
+        Highest learning rate; it rises over the first twentieth, then falls to nothing.
+    decay : float
+        Of the weights.
+    seed : int
+    """
+
+    passes: float = 7.0
+    batch: int = 128
+    rate: float = 2e-3
+    decay: float = 0.02
+    seed: int = 20161
+
+
+def train(
+    index: PoseIndex,
+    rows: NDArray[np.integer],
+    course: Course,
+    *,
+    start: JointNetwork | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    checkpoint: Callable[[JointNetwork], None] = lambda _: None,
+    every: int = 500,
+) -> JointNetwork:
+    """Train on some entries of an index, their mirror images and degraded versions.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    rows : (R,) int array
+        The entries.
+    course : Course
+    start : JointNetwork, optional
+        Trained already, on other silhouettes or fewer; by default one of random weights.
+    say : callable
+        Takes a line about the progress.
+    checkpoint : callable
+        Takes the network as it is, from time to time.
+    every : int
+        Steps between two lines.
+
+    Returns
+    -------
+    JointNetwork
+    """
+    torch.set_num_threads(1)
+    torch.manual_seed(course.seed)
+    generator = np.random.default_rng(course.seed)
+    examples = Examples.of(index, rows, generator)
+    layers = _layers().to(memory_format=torch.channels_last)
+    if start is not None:
+        some = generator.permutation(len(examples))[:_BLOCK]
+        _start_from(layers, start, examples.take(some, generator)[0])
+    steps = max(1, round(course.passes * len(examples) / course.batch))
+    optimiser = torch.optim.AdamW(layers.parameters(), lr=course.rate, weight_decay=course.decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, course.rate, total_steps=steps, pct_start=0.05
+    )
+    order, lost = np.empty(0, np.int64), 0.0
+    for step in range(1, steps + 1):
+        if len(order) < course.batch:
+            order = np.concatenate([order, generator.permutation(len(examples))])
+        batch, order = order[: course.batch], order[course.batch :]
+        planes, truth = examples.take(batch, generator)
+        loss = _loss(layers(_channels_first(planes)), torch.from_numpy(truth))
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(layers.parameters(), 2.0)
+        optimiser.step()
+        schedule.step()
+        lost += loss.item()
+        if step % every == 0 or step == steps:
+            say(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
+            lost = 0.0
+            checkpoint(_exported(layers))
+    return _exported(layers)
+
+
+@dataclass(frozen=True)
+class Examples:
+    """What the network learns from.
+
+    Parameters
+    ----------
+    bits : (N, 192) uint8 array
+        Silhouettes at half the resolution, bit-packed.
+    points : (N, 24, 3) float16 array
+        Column and row in pixels of the normalised frame, and depth in metres.
+    stood_up : (N,) bool array
+        Those that were wider than high, and rotated to stand.
+    """
+
+    bits: NDArray[np.uint8]
+    points: NDArray[np.float16]
+    stood_up: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.bits)
+
+    @classmethod
+    def of(
+        cls, index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
+    ) -> Examples:
+        """Some entries of an index, and a share of them degraded."""
+        worse = generator.random(len(rows)) < DEGRADED_SHARE
+        numbers = np.concatenate([rows, rows[worse]])
+        degraded = np.arange(len(numbers)) >= len(rows)
+        bits = np.empty((len(numbers), HEIGHT * WIDTH // 32), np.uint8)
+        points = np.empty((len(numbers), POINTS, 3), np.float16)
+        for start in range(0, len(numbers), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            silhouettes = index.silhouettes(numbers[block])
+            points_3d, points_2d = index.points(numbers[block])
+            for row in np.flatnonzero(degraded[block]):
+                joints = points_2d[row, :JOINTS]
+                silhouettes[row], placement = degrade(silhouettes[row], joints, generator)
+                points_2d[row] = placement.to_normalised(points_2d[row])
+            pictures = network_input(silhouettes)[..., 0].astype(np.uint8)
+            bits[block] = np.packbits(pictures.reshape(len(pictures), -1), axis=1)
+            points[block, :, :2], points[block, :, 2] = points_2d, points_3d[..., 2]
+        return cls(bits, points, np.abs(index.entries["roll_deg"][numbers]) > ROLLED_DEG)
+
+    def take(
+        self, rows: NDArray[np.integer], generator: np.random.Generator
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What the network is shown of some examples, and where their joints are.
+
+        Each is mirrored or not; who was rotated to stand also stands on the head, since a
+        silhouette alone does not tell which end that is.
+
+        Returns
+        -------
+        planes : (B, 64, 24, 3) float32 array
+        truth : (B, 19, 3) float32 array
+            Fractional bins of columns, rows and depths.
+        """
+        pictures = np.unpackbits(self.bits[rows], axis=1).reshape(-1, HEIGHT // 2, WIDTH // 2)
+        points = self.points[rows].astype(np.float64)
+        mirrored = generator.random(len(rows)) < 0.5
+        pictures[mirrored] = pictures[mirrored, :, ::-1]
+        points[mirrored] = exchange_sides(points[mirrored])
+        points[mirrored, :, 0] = WIDTH - 1 - points[mirrored, :, 0]
+        turned = self.stood_up[rows] & (generator.random(len(rows)) < 0.5)
+        pictures[turned] = pictures[turned, ::-1, ::-1]
+        points[turned, :, :2] = (WIDTH - 1, HEIGHT - 1) - points[turned, :, :2]
+        noisy = generator.random(len(rows)) < FLIPPED_SHARE
+        pictures[noisy] = _flipped(pictures[noisy], generator)
+        return input_planes(pictures), places(points[:, :JOINTS])
+
+
+def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
+    """Pictures ``(B, H, W)`` of which some pixels beside the outline are flipped."""
+    around = np.pad(pictures, ((0, 0), (1, 1), (1, 1)))
+    shifted = [
+        around[:, 1 + y : 1 + y + pictures.shape[1], 1 + x : 1 + x + pictures.shape[2]]
+        for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1))
+    ]
+    border = np.any([neighbour != pictures for neighbour in shifted], axis=0)
+    share = FLIPS * generator.random((len(pictures), 1, 1))
+    flips = border & (generator.random(pictures.shape, np.float32) < share)
+    return np.where(flips, 1 - pictures, pictures)
+
+
+def _layers() -> nn.Sequential:
+    """The network, with a normalisation after each convolution that its export takes up."""
+    layers: list[nn.Module] = []
+    channels, rows, columns = 3, HEIGHT // 2, WIDTH // 2
+    for size, stride, features in CONVOLUTIONS:
+        layers += [
+            nn.Conv2d(channels, features, size, stride, size // 2, bias=False),
+            nn.BatchNorm2d(features),
+            nn.ReLU(),
+        ]
+        channels, rows, columns = features, -(-rows // stride), -(-columns // stride)
+    layers += [
+        nn.Flatten(),
+        nn.Linear(channels * rows * columns, HIDDEN),
+        nn.ReLU(),
+        nn.Linear(HIDDEN, JOINTS * BINS),
+    ]
+    return nn.Sequential(*layers)
+
+
+def _start_from(layers: nn.Sequential, network: JointNetwork, planes: NDArray[np.float32]) -> None:
+    """Inverse of :func:`_exported`; normalisations get the statistics of some input."""
+    modules, values = list(layers), _channels_first(planes)
+    weights = zip(network.kernels, network.biases, strict=True)
+    with torch.no_grad():
+        for position, module in enumerate(modules):
+            norm = modules[position + 1] if position + 1 < len(modules) else None
+            if isinstance(module, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                kernel, bias = (torch.from_numpy(array) for array in next(weights))
+                shape = (*module.kernel_size, module.in_channels, module.out_channels)
+                module.weight.copy_(kernel.reshape(shape).permute(3, 2, 0, 1))
+                convolved = module(values)
+                mean, variance = convolved.mean((0, 2, 3)), convolved.var((0, 2, 3))
+                assert norm.running_mean is not None and norm.running_var is not None
+                norm.running_mean.copy_(mean)
+                norm.running_var.copy_(variance)
+                norm.weight.copy_(torch.sqrt(variance + norm.eps))
+                norm.bias.copy_(bias + mean)
+                values = torch.relu(convolved + bias[:, None, None])
+        hidden, output = (module for module in modules if isinstance(module, nn.Linear))
+        features = CONVOLUTIONS[-1][-1]
+        places_first = torch.from_numpy(network.hidden).reshape(-1, features, HIDDEN)
+        hidden.weight.copy_(places_first.permute(2, 1, 0).flatten(1))
+        hidden.bias.copy_(torch.from_numpy(network.hidden_bias))
+        output.weight.copy_(torch.from_numpy(network.output.T))
+        output.bias.copy_(torch.from_numpy(network.output_bias))
+
+
+def _channels_first(planes: NDArray[np.float32]) -> torch.Tensor:
+    return torch.from_numpy(planes).permute(0, 3, 1, 2)
+
+
+def _loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    """Mean cross-entropy with targets softened by a bin, over joints and axes."""
+    loss = torch.zeros(())
+    parts = logits.reshape(len(logits), JOINTS, BINS).split([axis.bins for axis in AXES], dim=-1)
+    for position, part in enumerate(parts):
+        apart = torch.arange(part.shape[-1]) - truth[..., position, None]
+        target = torch.softmax(-(apart**2) / 2, dim=-1)
+        loss = loss - (target * part.log_softmax(dim=-1)).sum(dim=-1).mean()
+    return loss / len(AXES)
+
+
+def _exported(layers: nn.Sequential) -> JointNetwork:
+    """The network for NumPy: normalisations taken up, channels last."""
+    modules = list(layers)
+    kernels, biases = [], []
+    for convolution, norm in pairwise(modules):
+        if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+            assert norm.running_mean is not None and norm.running_var is not None
+            scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+            kernel = convolution.weight * scale[:, None, None, None]
+            kernels.append(_array(kernel.permute(2, 3, 1, 0).flatten(0, 2)))
+            biases.append(_array(norm.bias - norm.running_mean * scale))
+    hidden, output = (module for module in modules if isinstance(module, nn.Linear))
+    features = CONVOLUTIONS[-1][-1]
+    # From channel, place to place, channel.
+    weights = hidden.weight.reshape(HIDDEN, features, -1).permute(2, 1, 0).flatten(0, 1)
+    return JointNetwork(
+        tuple(kernels), tuple(biases), _array(weights), _array(hidden.bias),
+        _array(output.weight.T), _array(output.bias),
+    )  # fmt: skip
+
+
+def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+    return np.ascontiguousarray(tensor.detach().numpy(), np.float32)

@@ -1,0 +1,250 @@
+"""Hypotheses re-ranked by a network: their order, confidence, and the files beside an index."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from index.artefact import copy_index, load_index, save_index
+from index.candidates import Candidates, find_candidates
+from index.confidence import Calibration
+from index.keypoints import Keypoints
+from index.matching import match
+from index.modes import find_modes
+from index.neighbours import ExactNeighbours
+from index.reranker import (
+    FILES,
+    MANIFEST,
+    RERANKING_FEATURES,
+    WEIGHTS,
+    Reranker,
+    load_reranker,
+    reranker_files,
+    save_reranker,
+)
+from index.reranking import Ranking
+from index.skeleton import JOINTS
+from index.store import PoseIndex
+from index.verified_files import ArtefactError
+from tests.index.networks import random_network
+
+ROOT = Path(__file__).resolve().parents[2]
+QUERIES = (3, 100, 401)
+
+
+@pytest.fixture(scope="module")
+def reranker() -> Reranker:
+    count = len(RERANKING_FEATURES)
+    calibration = Calibration((0.1,) * count, -0.2, RERANKING_FEATURES)
+    return Reranker(random_network(1), calibration, {"passes": 0})
+
+
+@pytest.fixture(scope="module")
+def reranked(toy_index: PoseIndex, reranker: Reranker) -> PoseIndex:
+    return dataclasses.replace(toy_index, reranker=reranker)
+
+
+class TestRanking:
+    @pytest.fixture
+    def silhouette(self, toy_index: PoseIndex) -> NDArray[np.uint8]:
+        """Near an entry, but none."""
+        silhouette = toy_index.silhouette(5)
+        silhouette[60:70, 20:28] = 1
+        return silhouette
+
+    @pytest.fixture
+    def ranking(self, reranker: Reranker, silhouette: NDArray[np.uint8]) -> Ranking:
+        return Ranking.of(dataclasses.replace(reranker, support_weight=2.0), silhouette)
+
+    @pytest.fixture
+    def candidates(self, toy_index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
+        return find_candidates(toy_index, silhouette, 60)
+
+    def test_the_likeliest_keeps_its_distance_and_the_others_become_farther(
+        self, ranking: Ranking, candidates: Candidates
+    ) -> None:
+        modes = find_modes(candidates, 5)
+        likelihoods, distances = ranking.log_likelihood(modes), ranking.distances(modes)
+        others = np.arange(len(modes)) != likelihoods.argmax()
+        assert distances[~others] == modes.distances[~others]
+        assert (distances[others] > modes.distances[others]).all()
+        # The less likely, the longer for its descriptor.
+        longer = distances / modes.distances
+        assert (np.argsort(longer) == np.argsort(-likelihoods)).all()
+
+    def test_support_is_one_for_the_likeliest_and_less_for_others(
+        self, ranking: Ranking, candidates: Candidates
+    ) -> None:
+        likelihoods, support = ranking.log_likelihood(candidates), ranking.support(candidates)
+        assert support is not None
+        assert support.max() == support[likelihoods.argmax()] == 1
+        assert (np.argsort(support) == np.argsort(likelihoods)).all()
+
+    def test_support_without_a_weight_changes_nothing(
+        self, reranker: Reranker, silhouette: NDArray[np.uint8], candidates: Candidates
+    ) -> None:
+        plain = dataclasses.replace(reranker, support_weight=0.0)
+        assert Ranking.of(plain, silhouette).support(candidates) is None
+
+
+class TestMatch:
+    @pytest.mark.parametrize("number", QUERIES)
+    def test_distances_ascend(self, reranked: PoseIndex, number: int) -> None:
+        found = match(reranked, reranked.silhouette(number), 7).hypotheses
+        assert len(found) >= 7
+        distances = [hypothesis.distance for hypothesis in found]
+        assert distances == sorted(distances)
+        assert np.isfinite(distances).all()
+
+    def test_confidences_are_computed_from_the_features(
+        self, reranked: PoseIndex, reranker: Reranker
+    ) -> None:
+        found = match(reranked, reranked.silhouette(5), 3)
+        assert found.features.shape == (len(found.hypotheses), len(RERANKING_FEATURES))
+        assert_allclose(
+            reranker.calibration.probability(found.features),
+            [hypothesis.confidence for hypothesis in found.hypotheses],
+        )
+
+    def test_shares_sum_to_one(self, reranked: PoseIndex) -> None:
+        features = match(reranked, reranked.silhouette(5), 7).features
+        shares = np.exp(features[:, RERANKING_FEATURES.index("log_share")])
+        assert shares.sum() == pytest.approx(1)
+
+    def test_an_index_without_a_network_is_matched_as_before(
+        self, toy_index: PoseIndex, reranked: PoseIndex
+    ) -> None:
+        plain = match(toy_index, toy_index.silhouette(5), 7)
+        other = match(dataclasses.replace(reranked, reranker=None), toy_index.silhouette(5), 7)
+        assert [h.entry for h in plain.hypotheses] == [h.entry for h in other.hypotheses]
+        assert_array_equal(plain.features, other.features)
+
+    def test_keypoints_are_matched_without_the_network(
+        self, toy_index: PoseIndex, reranked: PoseIndex
+    ) -> None:
+        entry = toy_index.entry(5)
+        rows = np.arange(JOINTS)
+        keypoints = Keypoints(
+            tuple(rows.tolist()), entry.points_normalised[:JOINTS], np.ones(JOINTS)
+        )
+        plain, other = (
+            match(index, index.silhouette(5), 3, keypoints) for index in (toy_index, reranked)
+        )
+        assert_array_equal(plain.features, other.features)
+        assert [h.distance for h in plain.hypotheses] == [h.distance for h in other.hypotheses]
+
+
+class TestFiles:
+    @pytest.fixture
+    def saved(self, toy_index: PoseIndex, reranker: Reranker, tmp_path: Path) -> Path:
+        folder = tmp_path / "artefact"
+        save_index(toy_index, folder)
+        save_reranker(reranker, folder)
+        return folder
+
+    def test_loads_what_was_saved(self, saved: Path, reranker: Reranker) -> None:
+        back = load_index(saved).reranker
+        assert back is not None
+        assert back.calibration == reranker.calibration
+        assert back.training == reranker.training
+        assert_allclose(back.network.output_bias, reranker.network.output_bias)
+
+    def test_the_same_network_gives_the_same_bytes(self, saved: Path, reranker: Reranker) -> None:
+        assert reranker_files(reranker) == {name: (saved / name).read_bytes() for name in FILES}
+
+    def test_the_files_and_the_version_of_the_index_stay(
+        self, toy_index: PoseIndex, reranker: Reranker, tmp_path: Path
+    ) -> None:
+        version = save_index(toy_index, tmp_path / "index")
+        before = {file: file.read_bytes() for file in (tmp_path / "index").iterdir()}
+        save_reranker(reranker, tmp_path / "index")
+        assert load_index(tmp_path / "index").version == version
+        assert all(file.read_bytes() == content for file, content in before.items())
+
+    def test_an_index_is_saved_with_its_network(
+        self, reranked: PoseIndex, saved: Path, tmp_path: Path
+    ) -> None:
+        save_index(reranked, tmp_path / "again")
+        assert all(
+            (tmp_path / "again" / name).read_bytes() == (saved / name).read_bytes()
+            for name in FILES
+        )
+
+    def test_a_copy_with_another_search_keeps_the_network(
+        self, toy_index: PoseIndex, saved: Path, tmp_path: Path
+    ) -> None:
+        copy_index(saved, tmp_path / "copy", ExactNeighbours(toy_index.vectors))
+        assert load_index(tmp_path / "copy").reranker is not None
+
+    def test_an_index_may_have_none(self, toy_index: PoseIndex, tmp_path: Path) -> None:
+        save_index(toy_index, tmp_path / "plain")
+        assert load_reranker(tmp_path / "plain") is None
+        assert load_index(tmp_path / "plain").reranker is None
+
+    def refused(self, folder: Path) -> str:
+        with pytest.raises(ArtefactError) as error:
+            load_index(folder)
+        message = str(error.value)
+        assert "\n" not in message
+        return message
+
+    def test_altered_weights_are_refused(self, saved: Path) -> None:
+        content = bytearray((saved / WEIGHTS).read_bytes())
+        content[1000] ^= 1
+        (saved / WEIGHTS).write_bytes(content)
+        assert "reranking.npz was altered: its SHA-256 does not fit" in self.refused(saved)
+
+    def test_missing_weights_are_refused(self, saved: Path) -> None:
+        (saved / WEIGHTS).unlink()
+        assert "reranking.npz cannot be read: No such file" in self.refused(saved)
+
+    def test_weights_without_their_manifest_are_refused(self, saved: Path) -> None:
+        (saved / MANIFEST).unlink()
+        assert "lacks its manifest reranking.json" in self.refused(saved)
+
+    @pytest.mark.parametrize("content", ["", "[]", "{}", '{"format_version": 1}'])
+    def test_unreadable_manifests_are_refused(self, saved: Path, content: str) -> None:
+        (saved / MANIFEST).write_text(content)
+        assert "reranking.json" in self.refused(saved)
+
+    def test_another_format_is_refused(self, saved: Path) -> None:
+        manifest = json.loads((saved / MANIFEST).read_text())
+        (saved / MANIFEST).write_text(json.dumps({**manifest, "format_version": 9}))
+        assert "has format 9, this service reads format 1" in self.refused(saved)
+
+    def test_a_confidence_over_other_features_is_refused(self, saved: Path) -> None:
+        manifest = json.loads((saved / MANIFEST).read_text())
+        manifest["confidence"]["features"].pop()
+        (saved / MANIFEST).write_text(json.dumps(manifest))
+        assert "expected a calibration over" in self.refused(saved)
+
+
+def test_threads_change_nothing_but_the_last_digits(reranked: PoseIndex, tmp_path: Path) -> None:
+    """Log-likelihoods on one thread and on two agree to 1e-5."""
+    save_index(reranked, tmp_path / "index")
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from index.artefact import load_index\n"
+        "index = load_index(Path(sys.argv[1]))\n"
+        "seen = index.reranker.network.distributions(index.silhouette(3))\n"
+        "print(*seen.log_likelihood(*index.points(np.arange(50))).tolist())\n"
+    )
+    answers = []
+    for threads in ("1", "2"):
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / "index")],
+            env=environment, cwd=ROOT, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        answers.append([float(word) for word in done.stdout.split()])
+    assert_allclose(*answers, rtol=0, atol=1e-5)
