@@ -1,15 +1,14 @@
 """Fit what photographs teach: who is a person, who lies on the ground, and which posture is right.
 
-Writes the parts `detection`, `grounded` and `posture` of ``app/vision/weights/fitted.json``, and
-prints what a model fitted without each source says of it. Takes about ten minutes.
+Writes the parts `detection`, `grounded`, `posture` and `confidence` of
+``app/vision/weights/fitted.json``. Takes about ten minutes.
 
     python -m scripts.fit_people --shared ../shared
 
 Fitted on street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP
-Extended, detection alone), photographs of people who fell and who did not (Ambianic), and simulated
-bodies of the index, for who bends or crouches. Not used,
-so that they remain a test: Pose2Sim, UP-Fall and the fall videos. Frames of UP-Fall among the fall
-photographs are left out.
+Extended: detection and confidence), photographs of people who fell and who did not (Ambianic), and
+simulated bodies of the index, for who bends or crouches. Not used, so that they remain a test:
+Pose2Sim, UP-Fall and the fall videos. Frames of UP-Fall among the fall photographs are left out.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from tqdm import tqdm
 
 from app.estimates import Person
 from app.estimator import Estimator
+from app.hypotheses import set_upright
 from app.posture import GROUNDED, GROUPS, body_features, log_odds
 from app.settings import Settings
 from app.upload import Upload
@@ -36,9 +36,11 @@ from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detection.detector import NetworkDetector, logit
 from app.vision.people import LANDMARK_NAMES, Box, Landmarks
 from app.vision.weights import write_fitted
+from index.confidence import RIGHT_BELOW_PX
 from index.landmark_search import rotate_clockwise
 from index.posture import POSTURES, UPRIGHT, camera_up, classify
-from index.skeleton import POINT_NAMES, camera_rotation
+from index.ranking import DISTANCE_WEIGHT
+from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
 from index.store import PoseIndex
 from scripts.experiments.real_data import as_array, read_pennfudan, read_vtest
 from scripts.experiments.real_detection import fit_hog
@@ -327,6 +329,53 @@ def fit_posture(
     }
 
 
+def confidence_samples(estimator: Estimator, shared: Path) -> tuple[list[float], list[bool]]:
+    """Log distances of the hypotheses of people in sport, and whether their limbs are right.
+
+    The annotated limb joints that are visible, in pixels of the normalised frame.
+    """
+    document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
+    limbs = [name for name in document["joint_names"] if name in LIMBS]
+    annotated = [document["joint_names"].index(name) for name in limbs]
+    rows = [POINT_NAMES.index(name) for name in limbs]
+    distances, right = [], []
+    for one in tqdm(document["people"], desc="sports people"):
+        frame = np.asarray(cv2.imread(str(shared / "real" / "lsp" / one["image"])), np.uint8)
+        joints = np.array(one["joints_2d"])[annotated]
+        seen = np.array(one["visible"])[annotated]
+        middle = joints[seen].mean(axis=0)
+        people = [
+            person
+            for person in estimate(estimator, frame)
+            if _holds(person.observed.whole_box, middle) and person.hypotheses
+        ]
+        if not people or not seen.any():
+            continue
+        person = max(people, key=lambda other: other.observed.whole_box.area)
+        upright = set_upright(person.observed)
+        assert upright is not None
+        to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))
+        for placed in person.hypotheses:
+            errors = np.linalg.norm(placed.points_2d[rows] - joints, axis=1)[seen]
+            distances.append(float(np.log(max(placed.distance, 1e-9))))
+            right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
+    return distances, right
+
+
+def _holds(box: Box, place: NDArray[np.float64]) -> bool:
+    return bool(box.x <= place[0] <= box.right and box.y <= place[1] <= box.bottom)
+
+
+def fit_confidence(distances: list[float], right: list[bool]) -> dict[str, float]:
+    """Slope and offset of the log odds that a hypothesis is right, by its log distance."""
+    agreement = -DISTANCE_WEIGHT * np.array(distances)[:, None]
+    model = LogisticRegression().fit(agreement, right)
+    return {
+        "slope": round(float(model.coef_[0, 0]), 4),
+        "offset": round(float(model.intercept_[0]), 4),
+    }
+
+
 def main() -> None:
     """Fit as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -354,6 +403,13 @@ def main() -> None:
     # Shares depend on the model above.
     _, people = posture_samples(estimator, options.shared)
     write_fitted("posture", COMMAND, "people who fell or walk", fit_posture(people))
+    distances, right = confidence_samples(estimator, options.shared)
+    write_fitted(
+        "confidence",
+        COMMAND,
+        f"{len(right)} hypotheses of people in sport, {100 * np.mean(right):.0f} % of them right",
+        fit_confidence(distances, right),
+    )
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ class TestMatch:
     def test_distances_ascend(self, reranked: PoseIndex, number: int) -> None:
         found = match(reranked, reranked.silhouette(number), 7).hypotheses
         assert len(found) >= 7
-        distances = [hypothesis.distance for hypothesis in found]
+        distances = [hypothesis.fused_distance for hypothesis in found]
         assert distances == sorted(distances)
         assert np.isfinite(distances).all()
 
