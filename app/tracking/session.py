@@ -19,10 +19,10 @@ from app.stopwatch import Stopwatch
 from app.tracking.association import associate
 from app.tracking.following import PeopleFollower
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
 from app.upload import Upload
 from app.vision.people import Box
+from index.matching import FIRST_HYPOTHESES
 
 LONGEST_GAP_S = 10.0
 """After a longer gap the session begins anew: the scene may be another."""
@@ -267,7 +267,7 @@ class CameraSession:
     ) -> tuple[TrackedPerson, ...]:
         searched = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
         scene = Scene(frame, tuple(seen[i][0] for i in searched))
-        persons = self._estimator.with_hypotheses(scene, max(n, STATES), check, stopwatch)
+        persons = self._estimator.with_hypotheses(scene, max(n, FIRST_HYPOTHESES), check, stopwatch)
         found = dict(zip(searched, persons, strict=True))
         tracked = []
         for i, (observed, track) in enumerate(seen):

@@ -22,14 +22,14 @@ from app.tracking.results import SmoothedPose
 from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture, camera_up
 from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS, mean_joint_distance
 
-STATES = 7
-"""Hypotheses of each frame that are states."""
+STATES = 12
+"""Most hypotheses of a frame that are states; 30 are no better."""
 
 EVIDENCE_WEIGHT = 1.5
 """Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
 
 LOW_COST = 2.0
-"""Of a state that is not upright. Half of the entries are not, of people before a camera about one
+"""Of a state that is not upright, by silhouettes alone. Half of the entries are not, of people before a camera about one
 in eight; and a silhouette that is cut out badly soon looks like somebody who sits or lies."""
 
 COST_PER_M = 60.0
@@ -207,12 +207,16 @@ class PoseSmoother:
             float(weights @ elevations_deg),
         )
         low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
-        log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3) - self._low_cost * low
+        log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3)
         line_s = self._line_s
         if person.facing.evidence == "image":
             line_s = min(line_s, LANDMARK_LINE_S)
             distances = np.array([placed.distance for placed in hypotheses])
-            log_evidence -= LANDMARK_WEIGHT * np.log((distances + 1e-9) / (distances.min() + 1e-9))
+            log_evidence = log_evidence - LANDMARK_WEIGHT * np.log(
+                (distances + 1e-9) / (distances.min() + 1e-9)
+            )
+        else:
+            log_evidence = log_evidence - self._low_cost * low
         if self._frames:
             log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
         going = min(1.0, (velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S))
