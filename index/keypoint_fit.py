@@ -20,7 +20,7 @@ from index.keypoints import SPREAD_M, Keypoints
 from index.modes import with_bones_of
 from index.skeleton import JOINTS, LIMBS, POINT_NAMES, exchange_sides
 
-STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 4))
+STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 10))
 """Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
 iteration, and iterations. Chosen on the street people of even-numbered photographs."""
 
@@ -83,12 +83,19 @@ def _deepened(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> NDArray[n
 def _pulls(
     keypoints: Keypoints, points_normalised: NDArray[np.float64], points_3d: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Offsets ``(M, 24, 2)`` to the keypoints, for the likelier assignment of left and right."""
+    """Offsets ``(M, 24, 2)`` to the keypoints, for the likelier assignment of left and right.
+
+    Where landmarks come with their depth, the first skeleton follows them however far they are.
+    """
     agreement = keypoints.compare(points_normalised, points_3d)
     pulls = np.zeros_like(points_normalised)
     pulls[:, list(keypoints.rows)] = agreement.pulls
     exchanged = agreement.side_odds < 0
     pulls[exchanged] = exchange_sides(pulls[exchanged])
+    if keypoints.limbs_3d is not None:
+        rows = list(keypoints.rows)
+        offsets = keypoints.positions - points_normalised[0, rows]
+        pulls[0, rows] = keypoints.scores[:, None] * offsets
     return pulls
 
 
