@@ -59,9 +59,15 @@ class EventDetector:
         self._fallen = False
 
     def update(
-        self, track_id: int, timestamp: float, posture: VotedPosture, confidence: float
+        self,
+        track_id: int,
+        timestamp: float,
+        posture: VotedPosture,
+        confidence: float,
+        *,
+        rests: bool = False,
     ) -> tuple[Event, ...]:
-        """Take in a frame of the track and return what begins or ends with it.
+        """Take in a frame of the track and return what begins, ends or happens with it.
 
         Parameters
         ----------
@@ -73,6 +79,8 @@ class EventDetector:
         confidence : float
             Of this frame's pose. A frame counts by it: a silhouette that nobody fits, of a person
             half hidden or cut out wrongly, says nothing.
+        rests : bool
+            Whether the person is in a zone for resting, where lying is no event.
         """
         step = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
         step *= confidence
@@ -92,22 +100,20 @@ class EventDetector:
             self._arms_raised.update(timestamp, raised, step),
             self._arms_raised.level,
         )
-        lies = probability if posture.label == "lying" else 0.0
+        lies = probability if posture.label == "lying" and not rests else 0.0
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        self._down.update(timestamp, probability if posture.label in DOWN else 0.0, step)
-        return (*events, *happened("fell", self._fell(timestamp), self._down.level))
+        down = probability if posture.label in DOWN and not rests else 0.0
+        self._down.update(timestamp, down, step)
+        fell: EventState | None = "instant" if self._fell(timestamp) else None
+        return (*events, *happened("fell", fell, self._down.level))
 
-    def _fell(self, timestamp: float) -> EventState | None:
-        """Whether a fall begins or ends at this frame."""
+    def _fell(self, timestamp: float) -> bool:
+        """Whether it is now certain that the person fell; told once until they are up again."""
         down = self._down
-        if self._fallen and not down.holds:
-            self._fallen = False
-            return "end"
+        self._fallen = self._fallen and down.holds
         if self._fallen or not down.holds or self._upright_at is None:
-            return None
+            return False
         suddenly = 0 <= down.since - self._upright_at <= DOWN_WITHIN_S
-        if suddenly and timestamp - down.since >= STAYS_DOWN_S:
-            self._fallen = True
-            return "begin"
-        return None
+        self._fallen = suddenly and timestamp - down.since >= STAYS_DOWN_S
+        return self._fallen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -21,6 +21,7 @@ from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.search import PeopleSearch
 from app.tracking.smoothing import STATES
 from app.tracking.track import Sighting, Track, clothes_histogram
+from app.tracking.zones import Zone
 from app.upload import Upload
 
 CANDIDATES_PER_HYPOTHESIS = 7
@@ -77,6 +78,8 @@ class CameraSession:
         self._estimator = estimator
         self._clock = clock
         self._live = live
+        self.zones: Sequence[Zone] = ()
+        """Those of the camera; may be changed between frames."""
         self._search = PeopleSearch(estimator.finder, estimator.map_parts)
         self._tracks: list[Track] = []
         self._given_ids = 0
@@ -151,7 +154,7 @@ class CameraSession:
             found = self._search.find(frame, timestamp, self._tracks, check, stopwatch)
         else:
             people = self._estimator.finder.find(decoded, reads, check, stopwatch)
-            found = [(person, None) for person in people]
+            found = self._named(people, upload.track_ids, timestamp)
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
         if reads and timestamp - self._read_at >= READ_EVERY_S:
@@ -201,6 +204,24 @@ class CameraSession:
             self._tell("left", track, timestamp)
         self._tracks = []
 
+    def _named(
+        self,
+        people: Sequence[ObservedPerson],
+        caller_ids: Sequence[str] | None,
+        timestamp: float,
+    ) -> list[tuple[ObservedPerson, Track | None]]:
+        """People whose identities the caller may have given, with their tracks if so."""
+        if caller_ids is None:
+            return [(person, None) for person in people]
+        known = {track.caller_id: track for track in self._tracks}
+        found = []
+        for person, caller_id in zip(people, caller_ids, strict=True):
+            track = known.get(caller_id) or self._begin(Sighting(person, None), timestamp)
+            if track is not None:
+                track.caller_id = caller_id
+            found.append((person, track))
+        return found
+
     def _identify(
         self,
         frame: NDArray[np.uint8] | None,
@@ -229,7 +250,7 @@ class CameraSession:
                 continue  # Somebody was found who is the one expected here.
             own = track or self._begin(sighting, timestamp)
             if own is not None:
-                own.see(sighting, timestamp)
+                own.see(sighting, timestamp, self.zones)
                 seen.append((person, own))
         for track in self._tracks:
             track.age_frames += 1
@@ -321,7 +342,7 @@ class CameraSession:
         tracked = []
         for i, (observed, track) in enumerate(seen):
             result = (
-                track.update(found[i], timestamp)
+                track.update(found[i], timestamp, self.zones)
                 if i in found
                 else track.carry(observed, timestamp)
             )
@@ -332,7 +353,8 @@ class CameraSession:
 
     def _tell(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
         if track.track_id is not None:
-            self._events.append(Event(event, track.track_id, "begin", timestamp, track.score))
+            moment = Event(event, track.track_id, "instant", timestamp, track.score)
+            self._events.append(track.told(moment))
 
 
 def _sighting(frame: NDArray[np.uint8] | None, person: ObservedPerson) -> Sighting:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,6 +17,7 @@ from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
+from app.tracking.zones import Zone, is_rest, zones_of
 from app.vision.people import Box, Silhouette
 
 SURE_SCORE = 0.6
@@ -148,6 +150,10 @@ class Track:
         observed = sighting.observed
         self.track_id: int | None = None
         """None until the track is confirmed."""
+        self.caller_id: str | None = None
+        """The identity that the caller gave the person's box."""
+        self.zones: tuple[Zone, ...] = ()
+        """Those in which the person was seen last."""
         self.motion = MotionFilter(observed.box, timestamp)
         self.age_frames = 0
         self.sightings = 0
@@ -175,9 +181,10 @@ class Track:
         """Whether enough speaks for a person."""
         return self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
 
-    def see(self, sighting: Sighting, timestamp: float) -> None:
-        """Take in where the person is in this frame."""
+    def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
+        """Take in where the person is in this frame, in which of the camera's zones."""
         observed = sighting.observed
+        self._locate(observed, zones)
         if self.sightings and observed.source != "track":
             whole = observed.silhouette is None or not observed.silhouette.truncated
             self.motion.correct(observed.box, timestamp, whole=whole)
@@ -196,18 +203,26 @@ class Track:
         elif sighting.clothes is not None and self.clothes is not None and clear:
             self.clothes = self.clothes + _CLOTHES_GAIN * (sighting.clothes - self.clothes)
 
-    def update(self, person: Person, timestamp: float) -> TrackedPerson:
-        """Take in the poses of this frame."""
+    def update(self, person: Person, timestamp: float, zones: Sequence[Zone] = ()) -> TrackedPerson:
+        """Take in the poses of this frame; the posture says what part of the body is in a zone."""
         self.posed_at = timestamp
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
             return self.carry(person.observed, timestamp)
         self._facing, self._posture = smoothed.facing, smoothed.posture
         self._action = self._recogniser.update(timestamp, person, smoothed)
+        self._locate(person.observed, zones)
         if self.track_id is not None:
-            self._events += self._detector.update(
-                self.track_id, timestamp, smoothed.posture, smoothed.pose.confidence
-            )
+            self._events += [
+                self.told(event)
+                for event in self._detector.update(
+                    self.track_id,
+                    timestamp,
+                    smoothed.posture,
+                    smoothed.pose.confidence,
+                    rests=is_rest(self.zones),
+                )
+            ]
         person = replace(person, facing=smoothed.facing, posture=smoothed.posture)
         return self._tracked(person, smoothed.pose)
 
@@ -218,12 +233,31 @@ class Track:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
+    def told(self, event: Event) -> Event:
+        """An event of this track with where it happened and to whom."""
+        return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)
+
     def take_events(self) -> list[Event]:
         """Return what began or ended since this was called last."""
         events, self._events = self._events, []
         return events
 
+    def _locate(self, observed: ObservedPerson, zones: Sequence[Zone]) -> None:
+        posture = self._posture.label if self._posture else None
+        self.zones = zones_of(zones, observed.box, posture)
+
+    def _zone_names(self) -> tuple[str, ...]:
+        return tuple(zone.name for zone in self.zones)
+
     def _tracked(self, person: Person, pose: SmoothedPose | None) -> TrackedPerson:
         if self.track_id is None:
             raise ValueError("expected a confirmed track")
-        return TrackedPerson(person, self.track_id, self.age_frames, pose, self._action)
+        return TrackedPerson(
+            person,
+            self.track_id,
+            self.age_frames,
+            pose,
+            self._action,
+            self._zone_names(),
+            self.caller_id,
+        )

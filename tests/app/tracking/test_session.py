@@ -136,8 +136,8 @@ def test_a_walker_keeps_an_identity_and_leaves(session: CameraSession) -> None:
         result = send(session, time + step / 10)
         events += result.events
     assert [(e.event, e.track_id, e.state) for e in events] == [
-        ("entered", 1, "begin"),
-        ("left", 1, "begin"),
+        ("entered", 1, "instant"),
+        ("left", 1, "instant"),
     ]
     assert result.persons == ()
     assert session.track_ids == ()
