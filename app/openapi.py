@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from app.schemas import DeepstackUpload, FrameUpload, Problem
-from app.tracking_schemas import TrackUpload, VideoUpload
+from app.tracking_schemas import CameraConfiguration, TrackUpload, VideoUpload
 
 _FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
 
@@ -67,8 +67,10 @@ def add_openapi(app: FastAPI) -> None:
             )
             components = document["components"]
             components["headers"] = HEADERS
-            for model in (Problem, *_FORMS):
-                components["schemas"][model.__name__] = model.model_json_schema()
+            for model in (Problem, CameraConfiguration, *_FORMS):
+                schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+                components["schemas"].update(schema.pop("$defs", {}))
+                components["schemas"][model.__name__] = schema
             for name, schema in components["schemas"].items():
                 _mend_schema(name, schema)
             for path in document["paths"].values():

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
+
+import numpy as np
 
 from app import tracking_schemas as schemas
 from app.replies import ReplyForm, frame_fields, joint_fields, person_fields
@@ -10,6 +13,7 @@ from app.schemas import ImageSize
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.sequence import SequenceSummary, Track
 from app.tracking.sessions import CameraSummary
+from app.tracking.zones import Zone
 from index.store import PoseIndex
 
 SECOND_DIGITS = 4
@@ -52,17 +56,27 @@ def sequence_line(reply: schemas.SequenceLine) -> bytes:
 
 
 def camera_reply(camera: CameraSummary) -> schemas.CameraState:
-    """Describe a camera session."""
+    """Describe a camera."""
+    session = camera.session
     return schemas.CameraState(
         camera_id=camera.camera_id,
-        frames=camera.frames,
-        timestamp=round(camera.timestamp, SECOND_DIGITS),
-        image=ImageSize(width=camera.width, height=camera.height),
-        track_ids=list(camera.track_ids),
-        age_s=round(camera.age_s, SECOND_DIGITS),
-        idle_s=round(camera.idle_s, SECOND_DIGITS),
-        memory_bytes=camera.memory_bytes,
+        zones=[
+            schemas.Zone(name=zone.name, kind=zone.kind, polygon=zone.polygon.tolist())
+            for zone in camera.zones
+        ],
+        frames=session.frames if session else 0,
+        timestamp=round(session.timestamp, SECOND_DIGITS) if session else None,
+        image=ImageSize(width=session.width, height=session.height) if session else None,
+        track_ids=list(session.track_ids) if session else [],
+        age_s=round(session.age_s, SECOND_DIGITS) if session else None,
+        idle_s=round(session.idle_s, SECOND_DIGITS) if session else None,
+        memory_bytes=session.memory_bytes if session else 0,
     )
+
+
+def zones_from(zones: Iterable[schemas.Zone]) -> tuple[Zone, ...]:
+    """Read the zones that a caller sets."""
+    return tuple(Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in zones)
 
 
 def _tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
@@ -85,6 +99,8 @@ def _person(
         age_frames=tracked.age_frames,
         pose=_pose(tracked.pose, form) if tracked.pose else None,
         action=_action(tracked.action) if tracked.action else None,
+        zones=list(tracked.zones),
+        caller_track_id=tracked.caller_track_id,
     )
 
 
@@ -108,6 +124,8 @@ def _event(event: Event) -> schemas.Event:
         state=event.state,
         timestamp=round(event.timestamp, SECOND_DIGITS),
         probability=round(event.probability, 4),
+        zones=list(event.zones),
+        caller_track_id=event.caller_track_id,
     )
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field, FiniteFloat, field_validator
 
 from app.schemas import (
     FrameUpload,
@@ -19,7 +19,8 @@ from app.schemas import (
 from index.posture import Posture as PostureLabel
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end"]
+EventState = Literal["begin", "end", "instant"]
+ZoneKind = Literal["rest", "watch"]
 SequenceEndReason = Literal[
     "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
 ]
@@ -28,9 +29,20 @@ LATEST_TIMESTAMP_S = 1e11
 """Later than any clock says in seconds, earlier than today in milliseconds."""
 
 
+MOST_TRACK_ID_CHARACTERS = 64
+MOST_ZONES, MOST_CORNERS = 32, 64
+
+
 class TrackUpload(FrameUpload):
     """A frame of a camera and, if known, when it was taken and where its people are."""
 
+    track_ids: str | None = Field(
+        default=None,
+        description="The caller's own identities of the people in `boxes`, for callers who track "
+        "people themselves: a JSON list of texts or whole numbers, one for each box. They come "
+        "back as `caller_track_id`, as text; who has the same one is the same person.",
+        examples=['["17", "18"]'],
+    )
     timestamp: float | None = Field(
         default=None,
         ge=0,
@@ -40,6 +52,46 @@ class TrackUpload(FrameUpload):
         "than that of the last frame. By default the time of arrival counts.",
         examples=[12.4],
     )
+
+
+class Zone(Model):
+    """A part of a camera's picture."""
+
+    name: str = Field(
+        min_length=1, max_length=64, description="Unique for the camera.", examples=["bed"]
+    )
+    kind: ZoneKind = Field(
+        description="`rest`: a bed or a sofa, where lying is no event: neither `lying` nor `fell` "
+        "begins there; `watch`: any other place that persons and events shall name.",
+        examples=["rest"],
+    )
+    polygon: list[
+        Annotated[
+            list[Annotated[FiniteFloat, Field(strict=True)]], Field(min_length=2, max_length=2)
+        ]
+    ] = Field(
+        min_length=3,
+        max_length=MOST_CORNERS,
+        description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
+        examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
+    )
+
+
+class CameraConfiguration(Model):
+    """What is known of a camera beforehand."""
+
+    zones: list[Zone] = Field(
+        max_length=MOST_ZONES, description="All of them; an empty list removes them."
+    )
+
+    @field_validator("zones")
+    @classmethod
+    def _named_once(cls, zones: list[Zone]) -> list[Zone]:
+        names = [zone.name for zone in zones]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"expected zones of different names, got {name!r} twice")
+        return zones
 
 
 class SmoothedPose(Model):
@@ -104,10 +156,20 @@ class TrackedPerson(Person):
         "a second."
     )
     action: Action | None = Field(description="Null until enough frames were seen.")
+    zones: list[str] = Field(
+        description="Names of the camera's zones in which the person is, with the feet or, if "
+        "they lie or crawl, with the middle of the box.",
+        examples=[["bed"]],
+    )
+    caller_track_id: str | None = Field(
+        description="The caller's own identity of the person, last given in `track_ids`. Null if "
+        "none was.",
+        examples=["17"],
+    )
 
 
 class Event(Model):
-    """Something about a track that began or ended at a frame."""
+    """Something about a track that began, ended or happened at a frame."""
 
     event: EventName = Field(
         description="`entered` and `left`: the track began, ended; `fell`: went down and lies; "
@@ -115,7 +177,19 @@ class Event(Model):
         examples=["fell"],
     )
     track_id: int = Field(ge=1, description="Of the person.", examples=[3])
-    state: EventState = Field(description="Whether it began or ended.", examples=["begin"])
+    state: EventState = Field(
+        description="Whether it began or ended; `instant` of `entered`, `left` and `fell`, which "
+        "are moments.",
+        examples=["instant"],
+    )
+    zones: list[str] = Field(
+        description="Names of the camera's zones in which the person is, or was seen last.",
+        examples=[["kitchen"]],
+    )
+    caller_track_id: str | None = Field(
+        description="The caller's own identity of the person. Null if none was given.",
+        examples=["17"],
+    )
     timestamp: FiniteFloat = Field(description="Seconds, of the frame.", examples=[12.4])
     probability: Probability = Field(description="How sure it is.", examples=[0.93])
 
@@ -135,7 +209,7 @@ class _TrackedFrame(PoseResponse):
     persons: list[TrackedPerson] = Field(  # type: ignore[assignment]
         description="Ordered left to right; empty if there are none."
     )
-    events: list[Event] = Field(description="What began or ended at this frame.")
+    events: list[Event] = Field(description="What began, ended or happened at this frame.")
 
 
 class TrackResponse(_TrackedFrame):
@@ -145,26 +219,37 @@ class TrackResponse(_TrackedFrame):
 
 
 class CameraState(Model):
-    """A camera session at a glance."""
+    """A camera at a glance: its zones, and its session if it has one."""
 
     camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
-    frames: int = Field(ge=1, description="Frames since the session began.", examples=[4120])
-    timestamp: FiniteFloat = Field(description="Seconds, of the last frame.", examples=[412.0])
-    image: ImageSize
+    zones: list[Zone] = Field(description="As `PUT` set them.")
+    frames: int = Field(
+        ge=0,
+        description="Frames since the session began; 0 where there is none.",
+        examples=[4120],
+    )
+    timestamp: FiniteFloat | None = Field(
+        description="Seconds, of the last frame. Null without a session.", examples=[412.0]
+    )
+    image: ImageSize | None = Field(description="Of the last frame. Null without a session.")
     track_ids: list[int] = Field(
         description="The people in the last frame, left to right.", examples=[[3, 7]]
     )
-    age_s: FiniteFloat = Field(
-        ge=0, description="Seconds since the first frame came.", examples=[413.2]
+    age_s: FiniteFloat | None = Field(
+        ge=0,
+        description="Seconds since the first frame came. Null without a session.",
+        examples=[413.2],
     )
-    idle_s: FiniteFloat = Field(
-        ge=0, description="Seconds since the last frame came.", examples=[0.1]
+    idle_s: FiniteFloat | None = Field(
+        ge=0,
+        description="Seconds since the last frame came. Null without a session.",
+        examples=[0.1],
     )
     memory_bytes: int = Field(ge=0, description="What the session holds.", examples=[2400000])
 
 
 class CameraList(Model):
-    """The camera sessions of the caller."""
+    """The cameras of the caller that have a session or zones."""
 
     cameras: list[CameraState] = Field(description="Ordered by name.")
 

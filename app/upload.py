@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -36,7 +37,7 @@ class UploadError(ValueError):
     Parameters
     ----------
     field : str
-        ``frame``, ``mask``, ``background`` or ``boxes``.
+        ``frame``, ``mask``, ``background``, ``boxes`` or ``track_ids``.
     reason : str
         ``undecodable``, ``too_large``, or ``misfit``: valid, but not for this frame.
     message : str
@@ -65,12 +66,15 @@ class Upload:
         Encoded photograph of the empty scene, of the same size.
     boxes : sequence of Box, optional
         In pixels of the frame. Neither boxes nor a background may come with a mask.
+    track_ids : sequence of str, optional
+        The caller's own identity of the person in each box.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
     mask: bytes | None = None
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
+    track_ids: Sequence[str] | None = None
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -83,6 +87,23 @@ class Upload:
         for name in ("background", "boxes"):
             if self.mask is not None and getattr(self, name) is not None:
                 raise UploadError(name, "misfit", f"expected a mask or {name}, got both")
+        if self.track_ids is not None:
+            _check_track_ids(self.track_ids, self.boxes)
+
+
+def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> None:
+    if boxes is None or len(track_ids) != len(boxes):
+        count = "no boxes" if boxes is None else f"{len(boxes)} boxes"
+        raise UploadError(
+            "track_ids",
+            "misfit",
+            f"track_ids: expected one for each box, got {len(track_ids)} and {count}",
+        )
+    for track_id, times in Counter(track_ids).items():
+        if times > 1:
+            raise UploadError(
+                "track_ids", "misfit", f"track_ids: expected each once, got {track_id!r} twice"
+            )
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request
 from fastapi.responses import Response
+from pydantic import ValidationError
 
 from app.auth import Caller, RequireKey
 from app.cameras import CAMERA_PATTERN
 from app.cancellation import CancellationToken
 from app.errors import ProblemError, documented
+from app.messages import expected_and_got
 from app.replies import ReplyForm
 from app.request_context import note_header
 from app.routes.forms import CheckQuery
@@ -27,9 +29,9 @@ from app.routes.uploads import (
 )
 from app.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
-from app.tracking.sessions import CameraKey
-from app.tracking_replies import camera_reply, track_reply
-from app.tracking_schemas import CameraList, CameraState, TrackResponse
+from app.tracking.sessions import CameraKey, TooManyCamerasError
+from app.tracking_replies import camera_reply, track_reply, zones_from
+from app.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, CheckQuery])
@@ -115,11 +117,11 @@ async def track_frame(
 @router.get(
     "",
     operation_id="list_cameras",
-    summary="The camera sessions",
+    summary="The cameras",
     responses=documented(401),
 )
 async def list_cameras(request: Request, caller: Caller) -> CameraList:
-    """List the caller's camera sessions, ordered by name."""
+    """List the caller's cameras that have a session or zones, ordered by name."""
     sessions = runtime_of(request).sessions.summaries(caller)
     return CameraList(cameras=[camera_reply(session) for session in sessions])
 
@@ -127,15 +129,61 @@ async def list_cameras(request: Request, caller: Caller) -> CameraList:
 @router.get(
     "/{camera_id}",
     operation_id="get_camera",
-    summary="One camera session",
+    summary="One camera",
     responses=documented(401, 404, 422),
 )
 async def get_camera(request: Request, camera: Camera) -> CameraState:
-    """Get the state of a camera session."""
+    """Get the zones of a camera and the state of its session."""
     try:
         return camera_reply(runtime_of(request).sessions.summary(camera))
     except KeyError:
         raise _unknown(camera) from None
+
+
+# Parsed here, so that whatever is wrong is told in one sentence, and after the key is checked.
+async def _read_configuration(request: Request) -> CameraConfiguration:
+    try:
+        return CameraConfiguration.model_validate_json(await request.body())
+    except ValidationError as error:
+        first = error.errors()[0]
+        if first["type"] == "json_invalid" or not first["loc"]:
+            raise ProblemError(
+                422, 'expected a JSON object such as {"zones": []}, got something else'
+            ) from None
+        steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in first["loc"])
+        place = "".join(steps)[1:]
+        raise ProblemError(422, f"{place}: {expected_and_got(first)}", field=place) from None
+
+
+@router.put(
+    "/{camera_id}",
+    operation_id="configure_camera",
+    summary="Set the zones of a camera",
+    responses=documented(401, 422),
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {
+                "application/json": {"schema": {"$ref": "#/components/schemas/CameraConfiguration"}}
+            },
+        }
+    },
+)
+async def configure_camera(
+    request: Request,
+    camera: Camera,
+    configuration: Annotated[CameraConfiguration, Depends(_read_configuration)],
+) -> CameraState:
+    """Set the zones of a camera, whether or not it has sent frames.
+
+    From its next frame on, persons and events name those in which they are. They replace the ones
+    before, and outlive the camera's session, but not the service: set them again after a restart.
+    """
+    try:
+        zones = zones_from(configuration.zones)
+        return camera_reply(runtime_of(request).sessions.configure(camera, zones))
+    except TooManyCamerasError as error:
+        raise ProblemError(422, f"zones: {error}", field="zones") from None
 
 
 @router.delete(
@@ -148,7 +196,10 @@ async def get_camera(request: Request, camera: Camera) -> CameraState:
     responses=documented(401, 404, 422),
 )
 async def forget_camera(request: Request, camera: Camera) -> None:
-    """End a camera session: its next frame starts afresh."""
+    """Forget a camera's zones and end its session: its next frame starts afresh.
+
+    To remove the zones alone, set an empty list.
+    """
     try:
         runtime_of(request).sessions.forget(camera)
     except KeyError:
@@ -157,5 +208,5 @@ async def forget_camera(request: Request, camera: Camera) -> None:
 
 def _unknown(camera: CameraKey) -> ProblemError:
     return ProblemError(
-        404, f"expected a camera that has sent frames of late, got {camera.camera_id}"
+        404, f"expected a camera that has sent frames of late or has zones, got {camera.camera_id}"
     )

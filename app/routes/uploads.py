@@ -8,7 +8,7 @@ from fastapi import Depends, Query, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from app.errors import ProblemError, is_image, is_multipart, unsupported_body
-from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got
+from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got, shortened
 from app.routes.forms import check_fields, file_of, text_of
 from app.runtime import runtime_of
 from app.schemas import (
@@ -20,13 +20,20 @@ from app.schemas import (
     SilhouetteForm,
 )
 from app.settings import Settings
-from app.tracking_schemas import LATEST_TIMESTAMP_S, TrackUpload
+from app.tracking_schemas import LATEST_TIMESTAMP_S, MOST_TRACK_ID_CHARACTERS, TrackUpload
 from app.upload import Upload, UploadError
 from app.vision.people import Box
 
 # Strict: true and "12" are no numbers.
 _BOXES = TypeAdapter(
     list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]],
+    config=ConfigDict(strict=True),
+)
+_TRACK_IDS = TypeAdapter(
+    list[
+        Annotated[str, Field(min_length=1, max_length=MOST_TRACK_ID_CHARACTERS)]
+        | Annotated[int, Field(ge=-(2**63), lt=2**63)]
+    ],
     config=ConfigDict(strict=True),
 )
 Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S), NUMBER]
@@ -128,11 +135,13 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
     async with request.form() as form:
         check_fields(form, model.model_fields)
         boxes, timestamp = text_of(form, "boxes"), text_of(form, "timestamp")
+        track_ids = text_of(form, "track_ids")
         upload = Upload(
             await file_of(form, "frame"),
             mask=await file_of(form, "mask"),
             background=await file_of(form, "background"),
             boxes=_parse_boxes(boxes, runtime_of(request).settings) if boxes else None,
+            track_ids=_parse_track_ids(track_ids) if track_ids else None,
         )
         return upload, _parse_timestamp(timestamp) if timestamp else None
 
@@ -200,3 +209,15 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
                 "boxes", "misfit", f"boxes: expected a positive width and height, got {got}"
             )
     return [Box(*numbers) for numbers in boxes]
+
+
+def _parse_track_ids(text: str) -> list[str]:
+    try:
+        return [str(track_id) for track_id in _TRACK_IDS.validate_json(text)]
+    except ValidationError:
+        raise ProblemError(
+            422,
+            "track_ids: expected a JSON list of texts of 1 to "
+            f"{MOST_TRACK_ID_CHARACTERS} characters or whole numbers, got {shortened(text)}",
+            field="track_ids",
+        ) from None

@@ -237,7 +237,7 @@ export class SessionView {
     const who = element("b", { textContent: event.track_id });
     who.style.borderBottomColor = personColour(event.track_id - 1);
     item.append(who, ` ${eventWords(event)} (${percent(event.probability)})`);
-    item.classList.toggle("alarm", event.event === "fell" && event.state === "begin");
+    item.classList.toggle("alarm", event.event === "fell");
     $("events").prepend(item);
     while ($("events").children.length > MOST_EVENTS) $("events").lastChild.remove();
   }

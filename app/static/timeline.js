@@ -21,7 +21,7 @@ const ROW_PX = 20, AXIS_PX = 22, LEFT_PX = 44, RIGHT_PX = 10;
 export const inWords = (name) => name.replace("_", " ");
 
 export const eventWords = ({ event, state }) => ({
-  entered: "entered", left: "left", fell: state === "end" ? "is up again" : "fell",
+  entered: "entered", left: "left", fell: "fell",
   lying: state === "end" ? "lies no more" : "lies",
   arms_raised: state === "end" ? "lowers the arms" : "raises both arms",
 })[event] ?? `${inWords(event)}: ${state}`;

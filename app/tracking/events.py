@@ -89,8 +89,10 @@ class EventDetector:
         shares: NDArray[np.float64],
         trust: Trust,
         height_px: float | None = None,
+        *,
+        rests: bool = False,
     ) -> tuple[Event, ...]:
-        """Take in a frame of the track and return what begins or ends with it.
+        """Take in a frame of the track and return what begins, ends or happens with it.
 
         Parameters
         ----------
@@ -104,6 +106,8 @@ class EventDetector:
             upright and is down counts as long as it is a person.
         height_px : float, optional
             Of the person in the picture; None where not all of them is seen.
+        rests : bool
+            Whether the person is in a zone for resting, where lying is no event.
         """
         elapsed = 0.0 if self._last is None else min(timestamp - self._last, MOST_STEP_S)
         step = trust.body * elapsed
@@ -128,12 +132,13 @@ class EventDetector:
             self._arms_raised.update(timestamp, raised, step),
             self._arms_raised.level,
         )
-        lies = share("lying")
+        lies = 0.0 if rests else share("lying")
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
         down = 1.0 if self._dropped(height_px) else share(*DOWN)
-        self._down.update(timestamp, down, trust.person * elapsed)
-        return (*events, *happened("fell", self._fell(timestamp), self._down.level))
+        self._down.update(timestamp, 0.0 if rests else down, trust.person * elapsed)
+        fell: EventState | None = "instant" if self._fell(timestamp) else None
+        return (*events, *happened("fell", fell, self._down.level))
 
     def _dropped(self, height_px: float | None) -> bool:
         """Whether somebody is far lower than when they were upright."""
@@ -141,16 +146,12 @@ class EventDetector:
             return False
         return height_px < DROPPED_TO * self._upright_px
 
-    def _fell(self, timestamp: float) -> EventState | None:
-        """Whether a fall begins or ends at this frame."""
+    def _fell(self, timestamp: float) -> bool:
+        """Whether it is now certain that the person fell; told once until they are up again."""
         down = self._down
-        if self._fallen and not down.holds:
-            self._fallen = False
-            return "end"
+        self._fallen = self._fallen and down.holds
         if self._fallen or not down.holds or self._upright_at is None:
-            return None
+            return False
         suddenly = 0 <= down.since - self._upright_at <= DOWN_WITHIN_S
-        if suddenly and timestamp - down.since >= STAYS_DOWN_S:
-            self._fallen = True
-            return "begin"
-        return None
+        self._fallen = suddenly and timestamp - down.since >= STAYS_DOWN_S
+        return self._fallen

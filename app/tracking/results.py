@@ -12,7 +12,7 @@ from app.estimates import Person
 from index.skeleton import POINTS
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end"]
+EventState = Literal["begin", "end", "instant"]
 SessionState = Literal["new", "warm"]
 
 
@@ -55,16 +55,21 @@ class RecognisedAction:
 
 @dataclass(frozen=True)
 class Event:
-    """Something about a track that began or ended at a frame.
+    """Something about a track that began, ended or happened at a frame.
 
     Parameters
     ----------
     event : str
     track_id : int
     state : str
+        ``instant`` of what is but a moment: ``entered``, ``left``, ``fell``.
     timestamp : float
         Seconds, of the frame.
     probability : float
+    zones : tuple of str
+        Names of those in which the person is.
+    caller_track_id : str or None
+        As in :class:`TrackedPerson`.
     """
 
     event: EventName
@@ -72,6 +77,8 @@ class Event:
     state: EventState
     timestamp: float
     probability: float
+    zones: tuple[str, ...] = ()
+    caller_track_id: str | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,10 @@ class TrackedPerson:
         None where the track has no pose yet: nobody could be cut out so far.
     action : RecognisedAction or None
         None until enough frames were seen.
+    zones : tuple of str
+        Names of those in which the person is.
+    caller_track_id : str or None
+        The identity that the caller gave the person's box, if any.
     """
 
     person: Person
@@ -97,6 +108,8 @@ class TrackedPerson:
     age_frames: int
     pose: SmoothedPose | None
     action: RecognisedAction | None
+    zones: tuple[str, ...] = ()
+    caller_track_id: str | None = None
 
 
 @dataclass(frozen=True)
@@ -118,7 +131,7 @@ class TrackedFrame:
     persons : tuple of TrackedPerson
         Ordered left to right.
     events : tuple of Event
-        What began or ended at this frame.
+        What began, ended or happened at this frame.
     timings_ms : dict
     """
 

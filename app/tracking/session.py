@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -20,6 +20,7 @@ from app.tracking.association import associate
 from app.tracking.following import PeopleFollower
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track, clothes_histogram
+from app.tracking.zones import Zone
 from app.upload import Upload
 from app.vision.people import Box
 from index.matching import FIRST_HYPOTHESES
@@ -59,6 +60,8 @@ class CameraSession:
         self._estimator = estimator
         self._clock = clock
         self._follower = PeopleFollower(estimator.finder)
+        self.zones: Sequence[Zone] = ()
+        """Those of the camera; may be changed between frames."""
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -131,7 +134,7 @@ class CameraSession:
             found = self._follower.find(frame, timestamp, self._tracks, check, stopwatch)
         else:
             people = self._estimator.finder.find(decoded, reads, check, stopwatch)
-            found = [(person, None) for person in people]
+            found = self._named(people, upload.track_ids, timestamp)
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
         tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
@@ -179,6 +182,24 @@ class CameraSession:
             self._tell("left", track, timestamp)
         self._tracks = []
 
+    def _named(
+        self,
+        people: Sequence[ObservedPerson],
+        caller_ids: Sequence[str] | None,
+        timestamp: float,
+    ) -> list[tuple[ObservedPerson, Track | None]]:
+        """People whose identities the caller may have given, with their tracks if so."""
+        if caller_ids is None:
+            return [(person, None) for person in people]
+        known = {track.caller_id: track for track in self._tracks}
+        found = []
+        for person, caller_id in zip(people, caller_ids, strict=True):
+            track = known.get(caller_id) or self._begin(Sighting(person, None), timestamp)
+            if track is not None:
+                track.caller_id = caller_id
+            found.append((person, track))
+        return found
+
     def _identify(
         self,
         frame: NDArray[np.uint8] | None,
@@ -198,13 +219,19 @@ class CameraSession:
         timestamp : float
         """
         sightings = [_sighting(frame, *pair) for pair in found]
-        assigned = associate(self._tracks, sightings, timestamp)
-        known = [None if row is None else self._tracks[row] for row in assigned]
+        # Whom the caller names is the caller's.
+        known = [track if track and track.caller_id else None for _, track in found]
+        free = [i for i, track in enumerate(known) if track is None]
+        others = [track for track in self._tracks if track not in known]
+        for i, row in zip(
+            free, associate(others, [sightings[i] for i in free], timestamp), strict=True
+        ):
+            known[i] = None if row is None else others[row]
         seen = []
         for (person, _), track, sighting in zip(found, known, sightings, strict=True):
             own = track or self._begin(sighting, timestamp)
             if own is not None:
-                own.see(sighting, timestamp)
+                own.see(sighting, timestamp, self.zones)
                 seen.append((person, own))
         seen += [
             (ObservedPerson(box, "track", None, None), track)
@@ -272,7 +299,7 @@ class CameraSession:
         tracked = []
         for i, (observed, track) in enumerate(seen):
             result = (
-                track.update(found[i], timestamp)
+                track.update(found[i], timestamp, self.zones)
                 if i in found
                 else track.carry(observed, timestamp)
             )
@@ -283,7 +310,8 @@ class CameraSession:
 
     def _tell(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
         if track.track_id is not None:
-            self._events.append(Event(event, track.track_id, "begin", timestamp, track.score))
+            moment = Event(event, track.track_id, "instant", timestamp, track.score)
+            self._events.append(track.told(moment))
 
 
 def _sighting(

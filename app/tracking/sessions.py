@@ -1,4 +1,4 @@
-"""The camera sessions of a service: how many there are, and which have to go."""
+"""The cameras of a service: their zones, and their sessions, of which some have to go."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from app.estimator import Estimator
 from app.finder import Check
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
+from app.tracking.zones import Zone
 from app.upload import Upload
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
@@ -26,13 +27,16 @@ class CameraKey(NamedTuple):
     camera_id: str
 
 
+class TooManyCamerasError(ValueError):
+    """A caller has set zones of as many cameras as they may."""
+
+
 @dataclass(frozen=True)
-class CameraSummary:
+class SessionSummary:
     """A camera session at a glance.
 
     Parameters
     ----------
-    camera_id : str
     frames : int
         Since the session began.
     timestamp : float
@@ -46,7 +50,6 @@ class CameraSummary:
     memory_bytes : int
     """
 
-    camera_id: str
     frames: int
     timestamp: float
     width: int
@@ -55,6 +58,22 @@ class CameraSummary:
     age_s: float
     idle_s: float
     memory_bytes: int
+
+
+@dataclass(frozen=True)
+class CameraSummary:
+    """A camera that has a session or zones.
+
+    Parameters
+    ----------
+    camera_id : str
+    zones : tuple of Zone
+    session : SessionSummary or None
+    """
+
+    camera_id: str
+    zones: tuple[Zone, ...]
+    session: SessionSummary | None
 
 
 class _Held:
@@ -76,9 +95,8 @@ class _Held:
         self._height, self._width = frame.frame.shape[:2]
         self._track_ids = tuple(person.track_id for person in frame.persons)
 
-    def summary(self, camera_id: str, now: float) -> CameraSummary:
-        return CameraSummary(
-            camera_id=camera_id,
+    def summary(self, now: float) -> SessionSummary:
+        return SessionSummary(
             frames=self._frames,
             timestamp=self._timestamp,
             width=self._width,
@@ -95,12 +113,14 @@ class CameraSessions:
 
     Where a limit is exceeded, the caller who has the most sessions loses the one that was least
     recently used, so that nobody crowds out others. A session whose frame is being worked on stays.
+    Zones stay when a session ends by a limit, until they are set anew or the camera is forgotten.
 
     Parameters
     ----------
     create : callable
         Makes a session for a camera's first frame with an estimator.
     max_sessions : int
+        Of all callers; each may also set the zones of as many cameras.
     idle_s : float
         Seconds without a frame after which a session ends.
     max_memory_bytes : int
@@ -132,6 +152,7 @@ class CameraSessions:
         self._on_begin, self._on_end = on_begin, on_end
         self._clock = clock
         self._held: dict[CameraKey, _Held] = {}
+        self._zones: dict[CameraKey, tuple[Zone, ...]] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -172,9 +193,11 @@ class CameraSessions:
                 held = None
             if held is not None:
                 held.busy = True
+            zones = self._zones.get(key, ())
         begins = held is None
         if held is None:
             held = _Held(self._create(estimator), estimator, self._clock())
+        held.session.zones = zones
         try:
             frame = held.session.process(upload, timestamp, n, check, evidence)
             with self._lock:
@@ -187,31 +210,51 @@ class CameraSessions:
             held.busy = False
         return frame
 
+    def configure(self, key: CameraKey, zones: tuple[Zone, ...]) -> CameraSummary:
+        """Set the zones of a camera, from its next frame on.
+
+        Raises
+        ------
+        TooManyCamerasError
+            If the caller has set those of as many cameras as sessions are kept.
+        """
+        with self._lock:
+            others = sum(k.caller == key.caller for k in self._zones.keys() - {key})
+            if zones and others >= self._max_sessions:
+                raise TooManyCamerasError(
+                    f"expected zones of at most {self._max_sessions} cameras, got one more"
+                )
+            if zones:
+                self._zones[key] = zones
+            else:
+                self._zones.pop(key, None)
+            return self._summary(key)
+
     def summaries(self, caller: int) -> list[CameraSummary]:
-        """Return the summaries of a caller's sessions, ordered by camera."""
+        """Return the summaries of a caller's cameras, ordered by name."""
         with self._lock:
             self._end_idle()
-            now = self._clock()
-            return [
-                held.summary(key.camera_id, now)
-                for key, held in sorted(self._held.items(), key=lambda item: item[0])
-                if key.caller == caller
-            ]
+            known = self._held.keys() | self._zones.keys()
+            return [self._summary(key) for key in sorted(known) if key.caller == caller]
 
     def summary(self, key: CameraKey) -> CameraSummary:
-        """Return the summary of a session; raises KeyError if there is none."""
+        """Return the summary of a camera; raises KeyError if it has neither session nor zones."""
         with self._lock:
             self._end_idle()
-            return self._held[key].summary(key.camera_id, self._clock())
+            self._check_known(key)
+            return self._summary(key)
 
     def forget(self, key: CameraKey) -> None:
-        """End a session; raises KeyError if there is none.
+        """Forget zones and end the session of a camera; raises KeyError if it has neither.
 
         A frame of it that is being worked on is finished.
         """
         with self._lock:
             self._end_idle()
-            self._end(key, "forgotten")
+            self._check_known(key)
+            self._zones.pop(key, None)
+            if key in self._held:
+                self._end(key, "forgotten")
 
     def end_others(self, estimator: Estimator) -> None:
         """End the sessions of any other estimator, which each would keep in memory."""
@@ -224,6 +267,15 @@ class CameraSessions:
         """End the sessions whose last frame came too long ago."""
         with self._lock:
             self._end_idle()
+
+    def _check_known(self, key: CameraKey) -> None:
+        if key not in self._held and key not in self._zones:
+            raise KeyError(key)
+
+    def _summary(self, key: CameraKey) -> CameraSummary:
+        held = self._held.get(key)
+        session = held.summary(self._clock()) if held else None
+        return CameraSummary(key.camera_id, self._zones.get(key, ()), session)
 
     def _end_idle(self) -> None:
         since = self._clock() - self._idle_s

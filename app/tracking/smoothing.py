@@ -29,8 +29,9 @@ EVIDENCE_WEIGHT = 1.5
 """Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
 
 LOW_COST = 2.0
-"""Of a state that is not upright, by silhouettes alone. Half of the entries are not, of people before a camera about one
-in eight; and a silhouette that is cut out badly soon looks like somebody who sits or lies."""
+"""Of a state that is not upright, by silhouettes alone. Half of the entries are not, of people
+before a camera about one in eight; and a silhouette that is cut out badly soon looks like somebody
+who sits or lies."""
 
 COST_PER_M = 60.0
 """Of the joints' mean way between frames ``1 / RATE`` seconds apart; twice that between frames

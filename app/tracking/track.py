@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,6 +18,7 @@ from app.tracking.events import EventDetector, Trust
 from app.tracking.postures import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
+from app.tracking.zones import Zone, is_rest, zones_of
 from app.vision.people import Box, PersonWindow, Silhouette
 
 SURE_SCORE = 0.6
@@ -152,6 +154,10 @@ class Track:
         observed = sighting.observed
         self.track_id: int | None = None
         """None until the track is confirmed."""
+        self.caller_id: str | None = None
+        """The identity that the caller gave the person's box."""
+        self.zones: tuple[Zone, ...] = ()
+        """Those in which the person was seen last."""
         self.motion = MotionFilter(observed.box, timestamp)
         self.age_frames = 0
         self.sightings = 0
@@ -178,9 +184,10 @@ class Track:
         """Whether enough speaks for a person."""
         return self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
 
-    def see(self, sighting: Sighting, timestamp: float) -> None:
-        """Take in where the person is in this frame."""
+    def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
+        """Take in where the person is in this frame, in which of the camera's zones."""
         observed = sighting.observed
+        self._locate(observed, zones)
         if self.sightings:
             whole = observed.silhouette is None or not observed.silhouette.truncated
             self.motion.correct(observed.box, timestamp, whole=whole)
@@ -197,8 +204,8 @@ class Track:
         elif sighting.clothes is not None and self.clothes is not None and clear:
             self.clothes = self.clothes + _CLOTHES_GAIN * (sighting.clothes - self.clothes)
 
-    def update(self, person: Person, timestamp: float) -> TrackedPerson:
-        """Take in the poses of this frame."""
+    def update(self, person: Person, timestamp: float, zones: Sequence[Zone] = ()) -> TrackedPerson:
+        """Take in the poses of this frame; the posture says what part of the body is in a zone."""
         self.posed_at = timestamp
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
@@ -210,14 +217,17 @@ class Track:
             timestamp, smoothed.votes, observed.landmarks, presence, observed.whole_box
         )
         self._action = self._recogniser.update(timestamp, person, smoothed)
+        self._locate(person.observed, zones)
         if self.track_id is not None:
-            self._events += self._detector.update(
+            told = self._detector.update(
                 self.track_id,
                 timestamp,
                 shares,
                 self._trust(observed, smoothed.pose),
                 height_px=_height_px(observed),
+                rests=is_rest(self.zones),
             )
+            self._events += [self.told(event) for event in told]
         person = replace(person, facing=self._facing, posture=self._posture)
         return self._tracked(person, smoothed.pose)
 
@@ -235,15 +245,35 @@ class Track:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
+    def told(self, event: Event) -> Event:
+        """An event of this track with where it happened and to whom."""
+        return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)
+
     def take_events(self) -> list[Event]:
         """Return what began or ended since this was called last."""
         events, self._events = self._events, []
         return events
 
+    def _locate(self, observed: ObservedPerson, zones: Sequence[Zone]) -> None:
+        label = self._posture.label if self._posture else None
+        posture = None if label == "unclear" else label
+        self.zones = zones_of(zones, observed.box, posture)
+
+    def _zone_names(self) -> tuple[str, ...]:
+        return tuple(zone.name for zone in self.zones)
+
     def _tracked(self, person: Person, pose: SmoothedPose | None) -> TrackedPerson:
         if self.track_id is None:
             raise ValueError("expected a confirmed track")
-        return TrackedPerson(person, self.track_id, self.age_frames, pose, self._action)
+        return TrackedPerson(
+            person,
+            self.track_id,
+            self.age_frames,
+            pose,
+            self._action,
+            self._zone_names(),
+            self.caller_id,
+        )
 
 
 def _height_px(observed: ObservedPerson) -> float | None:

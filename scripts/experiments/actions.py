@@ -343,7 +343,7 @@ def told_falls(tracks: Sequence[Track]) -> Falls:
             for event in detector.update(
                 1, timestamp, smoothed.posture, smoothed.pose.confidence
             )
-            if event.event == "fell" and event.state == "begin"
+            if event.event == "fell"
         ]  # fmt: skip
         if track.action == FALL:
             found += bool(events)

@@ -116,7 +116,7 @@ class Report:
             self._compare(tracked)
             self.cut_by[observed.silhouette.segmenter if observed.silhouette else "none"] += 1
             self._count_posture(tracked.person)
-        self.events.update(event.event for event in result.events if event.state == "begin")
+        self.events.update(event.event for event in result.events if event.state != "end")
         if estimator is None or number % every:
             return
         for tracked in result.persons:

@@ -90,6 +90,13 @@ def test_it_asks_for_boxes_as_deepstack_does(package: Any, server: Server, photo
 
 def test_it_tracks_the_frames_of_a_camera(package: Any, server: Server, photo: Photo) -> None:
     file, client = load("types").File, package.Client(server.url)
+    models = load("models")
+    wall = [[0.0, 0.0], [320.0, 0.0], [320.0, 240.0], [0.0, 240.0]]
+    zone = models.Zone(name="wall", kind=models.ZoneKind.WATCH, polygon=wall)
+    state = load("api.cameras.configure_camera").sync(
+        "generated", client=client, body=models.CameraConfiguration(zones=[zone])
+    )
+    assert (state.zones[0].polygon, state.frames, state.image) == (wall, 0, None)
     for index in range(2):
         body = load("models").TrackUpload(
             frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
@@ -100,6 +107,7 @@ def test_it_tracks_the_frames_of_a_camera(package: Any, server: Server, photo: P
         response = operation.sync_detailed("generated", client=client, body=body)
         assert response.headers["x-session"] == ("warm" if index else "new")
         assert response.parsed.frame_index == index
+        assert response.parsed.persons[0].zones == ["wall"]
     (camera,) = load("api.cameras.list_cameras").sync(client=client).cameras
     assert (camera.camera_id, camera.frames) == ("generated", 2)
     forget = load("api.cameras.forget_camera")

@@ -36,6 +36,7 @@ def test_operation_ids_are_those_of_the_contract(document: dict[str, Any]) -> No
         "track_frame",
         "list_cameras",
         "get_camera",
+        "configure_camera",
         "forget_camera",
         "analyse_sequence",
         "describe_index",

@@ -20,7 +20,7 @@ from app.upload import Upload
 from index.skeleton import KEYPOINT_SETS, NATIVE
 from tests.conftest import Photo
 
-EVENT = Event("fell", 3, "begin", 12.34567, 0.93)
+EVENT = Event("fell", 3, "instant", 12.34567, 0.93, ("kitchen",), "17")
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +66,9 @@ def test_what_time_tells_stands_beside_what_the_frame_tells(
     assert person.pose.confidence == 0.9123
     assert person.pose.entry == person.hypotheses[0].entry
     (event,) = answer.events
-    assert (event.event, event.track_id, event.state) == ("fell", 3, "begin")
+    assert (event.event, event.track_id, event.state) == ("fell", 3, "instant")
     assert (event.timestamp, event.probability) == (12.3457, 0.93)
+    assert (event.zones, event.caller_track_id) == (["kitchen"], "17")
 
 
 @pytest.mark.parametrize("form", ["full", "compact", "none"])

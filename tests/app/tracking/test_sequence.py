@@ -24,7 +24,7 @@ def person(
 def summarised(*frames: tuple[float, list[TrackedPerson]]) -> SequenceSummary:
     summary = SequenceSummary()
     for index, (timestamp, persons) in enumerate(frames):
-        event = Event("entered", index + 1, "begin", timestamp, 1.0)
+        event = Event("entered", index + 1, "instant", timestamp, 1.0)
         summary.add(
             TrackedFrame(
                 frame=np.zeros((2, 2, 3), np.uint8),

@@ -150,8 +150,8 @@ def test_a_walker_keeps_an_identity_and_leaves(session: CameraSession) -> None:
     # The landmarks of a rectangle may lie.
     seen = [event for event in events if event.event in ("entered", "left")]
     assert [(e.event, e.track_id, e.state) for e in seen] == [
-        ("entered", 1, "begin"),
-        ("left", 1, "begin"),
+        ("entered", 1, "instant"),
+        ("left", 1, "instant"),
     ]
     assert result.persons == ()
     assert session.track_ids == ()

@@ -95,7 +95,8 @@ def test_a_summary_tells_of_the_last_frame() -> None:
     registry.send("yard")
     registry.send("yard", n=7)
     registry.now += 5
-    summary = registry.summary(CameraKey(0, "yard"))
+    summary = registry.summary(CameraKey(0, "yard")).session
+    assert summary is not None
     assert (summary.frames, summary.timestamp) == (2, 2.0)
     assert (summary.width, summary.height) == (7, 2)
     assert (summary.age_s, summary.idle_s, summary.memory_bytes) == (6.0, 5.0, 7000)

@@ -1,0 +1,264 @@
+"""Zones of a camera over HTTP, and the identities of a caller who tracks people themselves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from pydantic import SecretStr
+
+from app.estimator import Estimator
+from app.main import create_app
+from app.runtime import Runtime
+from app.settings import Settings
+from app.tracking_schemas import MOST_CORNERS, MOST_ZONES, CameraState
+from index.store import DEFAULT_PATH, PoseIndex
+from tests.app.test_camera_sessions import send
+from tests.app.test_errors import check_problem
+from tests.conftest import Photo, photograph, png
+
+LEFT = {"name": "door", "kind": "watch", "polygon": [[0, 0], [100, 0], [100, 240], [0, 240]]}
+RIGHT = {"name": "bed", "kind": "rest", "polygon": [[100, 0], [400, 0], [400, 500], [100, 500]]}
+
+
+def configure(client: TestClient, *zones: Any, camera: str = "yard", **options: Any) -> Any:
+    return client.put(f"/cameras/{camera}", json={"zones": zones}, **options)
+
+
+def track(client: TestClient, photo: Photo, boxes: Any, **fields: str) -> dict[str, Any]:
+    response = client.post(
+        "/cameras/yard/frames",
+        files={"frame": photo.frame_png},
+        data={"boxes": json.dumps(boxes), **fields},
+        params={"evidence": "silhouette"},
+    )
+    assert response.status_code == 200, response.text
+    answer: dict[str, Any] = response.json()
+    return answer
+
+
+class TestConfigure:
+    def test_zones_are_shown_before_during_and_after_a_session(
+        self, settings: Settings, estimator: Estimator, photo: Photo
+    ) -> None:
+        brief = settings.model_copy(update={"camera_idle_s": 0.2})
+        with TestClient(create_app(brief, estimator)) as client:
+            for response in (configure(client, LEFT, RIGHT), client.get("/cameras/yard")):
+                state = CameraState.model_validate_json(response.content)
+                assert [zone.model_dump() for zone in state.zones] == [LEFT, RIGHT]
+                assert (state.frames, state.timestamp, state.image, state.idle_s) == (
+                    0, None, None, None,
+                )  # fmt: skip
+            send(client, photo)
+            assert client.get("/cameras/yard").json()["frames"] == 1
+            while client.get("/cameras/yard").json()["frames"]:
+                pass
+            assert client.get("/cameras/yard").json()["zones"] == [LEFT, RIGHT]
+            assert [one["camera_id"] for one in client.get("/cameras").json()["cameras"]] == [
+                "yard"
+            ]
+
+    def test_they_are_replaced_and_removed(self, client: TestClient) -> None:
+        configure(client, LEFT, RIGHT)
+        assert configure(client, RIGHT).json()["zones"] == [RIGHT]
+        assert configure(client).json()["zones"] == []
+        check_problem(client.get("/cameras/yard"), 404)
+
+    def test_forgetting_a_camera_forgets_its_zones(self, client: TestClient, photo: Photo) -> None:
+        configure(client, LEFT)
+        send(client, photo)
+        assert client.delete("/cameras/yard").status_code == 204
+        check_problem(client.get("/cameras/yard"), 404)
+        configure(client, LEFT)
+        assert client.delete("/cameras/yard").status_code == 204
+        check_problem(client.delete("/cameras/yard"), 404)
+
+    def test_callers_have_zones_of_their_own(
+        self, settings: Settings, estimator: Estimator
+    ) -> None:
+        keys = (SecretStr("first"), SecretStr("second"))
+        locked = settings.model_copy(update={"api_keys": keys, "max_cameras": 2})
+        with TestClient(create_app(locked, estimator)) as client:
+            first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
+            assert configure(client, LEFT, headers=first).status_code == 200
+            check_problem(client.get("/cameras/yard", headers=second), 404)
+            check_problem(configure(client, {"name": 1}), 401)
+            # As many cameras as sessions each.
+            assert configure(client, LEFT, camera="gate", headers=first).status_code == 200
+            refused = configure(client, LEFT, camera="roof", headers=first)
+            assert "at most 2 cameras" in check_problem(refused, 422, "zones")
+            assert configure(client, RIGHT, camera="gate", headers=first).status_code == 200
+            assert configure(client, LEFT, camera="roof", headers=second).status_code == 200
+            assert configure(client, camera="gate", headers=first).status_code == 200
+            assert configure(client, LEFT, camera="roof", headers=first).status_code == 200
+
+    @pytest.mark.parametrize(
+        ("zones", "field", "part"),
+        [
+            ([LEFT | {"kind": "bed"}], "zones[0].kind", "'rest' or 'watch'"),
+            ([LEFT | {"name": ""}], "zones[0].name", "some text"),
+            ([LEFT | {"name": "x" * 65}], "zones[0].name", "64"),
+            ([LEFT | {"polygon": [[0, 0], [9, 9]]}], "zones[0].polygon", "expected 3 values"),
+            ([LEFT | {"polygon": [[0, 0]] * (MOST_CORNERS + 1)}], "zones[0].polygon", "64"),
+            ([LEFT | {"polygon": [[0, 0], [9, 9], [1]]}], "zones[0].polygon[2]", "2 values"),
+            ([LEFT | {"polygon": [[0, 0], [9, 9], ["1", 2]]}], "zones[0].polygon[2][0]", "number"),
+            ([LEFT | {"colour": "red"}], "zones[0].colour", "not permitted"),
+            ([LEFT, LEFT], "zones", "'door' twice"),
+            ([LEFT] * (MOST_ZONES + 1), "zones", "32"),
+            ("door", "zones", "a list"),
+        ],
+    )
+    def test_zones_that_are_none_are_refused(
+        self, client: TestClient, zones: Any, field: str, part: str
+    ) -> None:
+        response = client.put("/cameras/yard", json={"zones": zones})
+        assert part in check_problem(response, 422, field)
+        check_problem(client.get("/cameras/yard"), 404)
+
+    @pytest.mark.parametrize(
+        "body", [b"", b"{", b"[]", b"null", b'"zones"', b"\xff", b'{"zones": [{]}', b"[" * 9999]
+    )
+    def test_a_body_that_is_none_is_refused(self, client: TestClient, body: bytes) -> None:
+        assert "JSON object" in check_problem(client.put("/cameras/yard", content=body), 422)
+
+    def test_infinite_corners_are_refused(self, client: TestClient) -> None:
+        text = json.dumps({"zones": [LEFT]}).replace("240", "1e999")
+        response = client.put("/cameras/yard", content=text)
+        assert "finite" in check_problem(response, 422, "zones[0].polygon[2][1]")
+
+    def test_no_zones_and_names_of_cameras_that_are_none(self, client: TestClient) -> None:
+        assert "a value" in check_problem(client.put("/cameras/yard", json={}), 422, "zones")
+        check_problem(client.put("/cameras/a b", json={"zones": []}), 422, "camera_id")
+
+
+class TestPeople:
+    def test_people_and_events_name_their_zones(
+        self, client: TestClient, tiny_index: PoseIndex
+    ) -> None:
+        configure(client, LEFT, RIGHT)
+        masks = [photograph(tiny_index, 8, left).mask for left in (20, 200)]
+        response = client.post(
+            "/cameras/yard/frames", files={"mask": png(np.asarray(masks[0] + 2 * masks[1]))}
+        )
+        answer = response.json()
+        assert [person["zones"] for person in answer["persons"]] == [["door"], ["bed"]]
+        told = {event["track_id"]: event for event in answer["events"]}
+        for person in answer["persons"]:
+            event = told[person["track_id"]]
+            assert (event["event"], event["state"]) == ("entered", "instant")
+            assert event["zones"] == person["zones"]
+
+    def test_new_zones_hold_from_the_next_frame_on(self, client: TestClient, photo: Photo) -> None:
+        (before,) = send(client, photo).json()["persons"]
+        configure(client, RIGHT)
+        (after,) = send(client, photo).json()["persons"]
+        assert (before["zones"], after["zones"]) == ([], ["bed"])
+        assert after["track_id"] == before["track_id"]
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Iterator[TestClient]:
+    """An application over the index that ships, which knows people who lie."""
+    settings = Settings(index=DEFAULT_PATH)
+    with TestClient(create_app(settings, Estimator.load(settings))) as client:
+        yield client
+
+
+def lying_masks(index: PoseIndex) -> list[bytes]:
+    """Masks of three people who lie on their backs, seen by a camera that is not rolled."""
+    skeletons = index.skeleton_labels[index.entries["skeleton"]]
+    lies = skeletons["action"] == index.actions.index("lie-on-back")
+    steady = (np.abs(index.entries["roll_deg"]) < 3) & (index.entries["elevation_deg"] > 15)
+    numbers = np.flatnonzero(lies & steady)
+    return [photograph(index, int(number)).mask_png for number in numbers[:: len(numbers) // 3][:3]]
+
+
+def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
+    """What is told of somebody who lies before a camera for four seconds, and where."""
+    events = []
+    for frame in range(20):
+        response = client.post(
+            "/cameras/yard/frames", files={"mask": mask}, data={"timestamp": str(frame / 5)}
+        )
+        events += [(event["event"], *event["zones"]) for event in response.json()["events"]]
+    client.delete("/cameras/yard")
+    return events
+
+
+def test_lying_is_an_event_but_in_bed(shipped: TestClient) -> None:
+    runtime: Runtime = shipped.app.state.runtime  # type: ignore[attr-defined]
+    told = set()
+    for mask in lying_masks(runtime.ready_estimator().index):
+        configure(shipped, RIGHT | {"kind": "watch"})
+        told.update(watch(shipped, mask))
+        configure(shipped, RIGHT)
+        assert watch(shipped, mask) == [("entered", "bed")]
+    assert told == {("entered", "bed"), ("lying", "bed")}
+
+
+class TestTrackIds:
+    BOXES = ([20, 30, 60, 150], [145, 35, 58, 140], [230, 30, 60, 150])
+
+    def test_they_come_back_in_whatever_order(self, client: TestClient, photo: Photo) -> None:
+        one, two, three = self.BOXES
+        first = track(client, photo, [one, two], track_ids='["17", 4]')
+        assert [person["caller_track_id"] for person in first["persons"]] == ["17", "4"]
+        own = {person["caller_track_id"]: person["track_id"] for person in first["persons"]}
+        # They change places, as no tracker of ours would believe.
+        second = track(client, photo, [three, one], track_ids='["17", "4"]')
+        assert [person["caller_track_id"] for person in second["persons"]] == ["4", "17"]
+        for person in second["persons"]:
+            assert person["track_id"] == own[person["caller_track_id"]]
+            assert person["age_frames"] == 2
+        assert second["events"] == []
+
+    def test_events_name_them(self, client: TestClient, photo: Photo) -> None:
+        box = self.BOXES[1]
+        (entered,) = track(client, photo, [box], track_ids='["a"]', timestamp="0")["events"]
+        assert (entered["event"], entered["caller_track_id"]) == ("entered", "a")
+        answer = track(client, photo, [box], track_ids='["b"]', timestamp="5")
+        assert [(e["event"], e["caller_track_id"]) for e in answer["events"]] == [
+            ("entered", "b"),
+            ("left", "a"),
+        ]
+
+    def test_none_were_given(self, client: TestClient, photo: Photo) -> None:
+        (person,) = track(client, photo, [self.BOXES[1]])["persons"]
+        assert person["caller_track_id"] is None
+
+    @pytest.mark.parametrize(
+        ("text", "part"),
+        [
+            ('["17"]', "one for each box, got 1 and 2 boxes"),
+            ('["17", "17"]', "each once, got '17' twice"),
+            ('["17", 17]', "each once, got '17' twice"),
+            ('["17", ""]', "1 to 64 characters"),
+            ('["17", true]', "1 to 64 characters"),
+            ('["17", 1.5]', "1 to 64 characters"),
+            ('{"17": 1}', "1 to 64 characters"),
+            (f'["17", "{"x" * 65}"]', "1 to 64 characters"),
+            (f'["17", {"9" * 99}]', "1 to 64 characters"),
+            ("17", "1 to 64 characters"),
+            ("[", "1 to 64 characters"),
+        ],
+    )
+    def test_what_are_none_are_refused(
+        self, client: TestClient, photo: Photo, text: str, part: str
+    ) -> None:
+        response = client.post(
+            "/cameras/yard/frames",
+            files={"frame": photo.frame_png},
+            data={"boxes": json.dumps(self.BOXES[:2]), "track_ids": text},
+        )
+        assert part in check_problem(response, 422, "track_ids")
+
+    def test_they_belong_to_boxes_of_a_camera(self, client: TestClient, photo: Photo) -> None:
+        files = {"frame": photo.frame_png}
+        without = client.post("/cameras/yard/frames", files=files, data={"track_ids": '["17"]'})
+        assert "no boxes" in check_problem(without, 422, "track_ids")
+        single = client.post("/pose", files=files, data={"track_ids": '["17"]'})
+        check_problem(single, 422, "track_ids")

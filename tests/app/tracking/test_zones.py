@@ -1,0 +1,74 @@
+"""Zones: who is in them, and by which part of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.tracking.zones import Zone, ZoneKind, contains, is_rest, place, zones_of
+from app.vision.people import Box
+from index.posture import POSTURES, Posture
+
+SQUARE = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])
+# An L: the upper right quarter of the square is missing.
+ELL = np.array([[10.0, 10.0], [30.0, 10.0], [30.0, 30.0], [50.0, 30.0], [50.0, 50.0], [10.0, 50.0]])
+
+
+def zone(name: str, left: float, right: float, kind: ZoneKind = "watch") -> Zone:
+    return Zone(name, kind, np.array([[left, 0.0], [right, 0.0], [right, 90.0], [left, 90.0]]))
+
+
+@given(x=st.floats(0, 60), y=st.floats(0, 60))
+def test_a_square_holds_what_is_between_its_sides(x: float, y: float) -> None:
+    if 10 not in (x, y) and 50 not in (x, y):
+        assert contains(SQUARE, np.array([x, y])) == (10 < x < 50 and 10 < y < 50)
+
+
+@pytest.mark.parametrize(("point", "inside"), [((20, 20), 1), ((40, 20), 0), ((40, 40), 1)])
+def test_polygons_may_have_inward_corners(point: tuple[float, float], inside: int) -> None:
+    assert contains(ELL, np.array(point)) == bool(inside)
+
+
+@given(x=st.floats(0, 60), y=st.floats(0, 60), first=st.integers(0, 5))
+def test_neither_the_first_corner_nor_the_direction_matters(x: float, y: float, first: int) -> None:
+    point = np.array([x, y])
+    expected = contains(ELL, point)
+    assert contains(np.roll(ELL, first, axis=0), point) == expected
+    assert contains(ELL[::-1], point) == expected
+
+
+@given(split=st.floats(11, 49), y=st.floats(11, 49), x=st.floats(11, 49))
+def test_of_two_halves_a_point_is_in_exactly_one(split: float, x: float, y: float) -> None:
+    left, right = SQUARE.copy(), SQUARE.copy()
+    left[[1, 2], 0] = right[[0, 3], 0] = split
+    for point in (np.array([x, y]), np.array([split, y])):
+        assert contains(left, point) + contains(right, point) == 1
+
+
+@pytest.mark.parametrize("posture", [*POSTURES, None])
+def test_people_stand_on_their_feet_and_lie_on_their_middle(posture: Posture | None) -> None:
+    box = Box(10.0, 20.0, 30.0, 60.0)
+    lies = posture in ("lying", "crawling")
+    assert place(box, posture).tolist() == [25.0, 50.0 if lies else 80.0]
+
+
+def test_zones_come_in_the_order_given() -> None:
+    zones = [zone("b", 0, 40), zone("a", 20, 80), zone("c", 60, 90)]
+    found = zones_of(zones, Box(20.0, 10.0, 20.0, 50.0), "standing")
+    assert [one.name for one in found] == ["b", "a"]
+    assert zones_of((), Box(0.0, 0.0, 9.0, 9.0), None) == ()
+
+
+def test_one_zone_for_resting_is_enough() -> None:
+    watch, bed = zone("room", 0, 90), zone("bed", 0, 40, "rest")
+    assert not is_rest([watch])
+    assert is_rest([watch, bed])
+    assert not is_rest([])
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (4, 3), (8,)])
+def test_what_is_no_polygon_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="expected a polygon"):
+        Zone("bed", "rest", np.zeros(shape))
