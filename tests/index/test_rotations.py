@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from index.keypoint_search import Nearest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
 from index.candidates import find_candidates
-from index.keypoint_search import Nearest
 from index.rotations import (
     MAX_LIKELY,
     MIN_SHARE,
