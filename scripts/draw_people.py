@@ -67,8 +67,7 @@ def pictures(
     silhouette = found.silhouette
     if silhouette is None:
         return None
-    scene = estimator.with_keypoints(Scene(frame, (found,)), lambda: None, Stopwatch())
-    (person,) = estimator.with_hypotheses(scene, 1, lambda: None, Stopwatch())
+    (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, lambda: None, Stopwatch())
     box = silhouette.box
     window, scale = _window(box), CELL_PX / _window(box).height
     photograph = _cut(frame, window, scale, (127, 127, 127))

@@ -8,6 +8,7 @@
     python -m scripts.evaluate coverage     what its entries could answer at best
     python -m scripts.evaluate real         photographs and videos of ../shared/real
     python -m scripts.evaluate people       people who fall, sit, lie, lean or do sport
+    python -m scripts.evaluate scales       at which size MoveNet is shown a frame
     python -m scripts.evaluate actions      actions, postures and falls of tracks
     python -m scripts.evaluate weizmann     actions in the Weizmann data set, as in the paper
     python -m scripts.evaluate truncation   people cut by the edge of a photograph

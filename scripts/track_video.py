@@ -187,7 +187,7 @@ async def track(
     VideoError
         If the rest of the video, or all of it, cannot be read; the last line says so as well.
     """
-    session, summary = CameraSession(estimator, live=False), SequenceSummary()
+    session, summary = CameraSession(estimator), SequenceSummary()
 
     def end(reason: SequenceEndReason, detail: str) -> None:
         lines.write(sequence_line(sequence_end_reply(summary, reason, detail)))

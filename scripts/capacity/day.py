@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.moving import READY_FRAMES
-from app.tracking.search import SEARCH_EVERY_S
+from app.tracking.following import SEARCH_EVERY_S
 from app.tracking.session import LONGEST_GAP_S
 from scripts.capacity.coefficients import Coefficients
 from scripts.capacity.queueing import Fate, serve
@@ -24,8 +23,8 @@ HOURS = np.arange(STEPS) * STEP_S / 3600
 IN_TIME_S = 1.0
 JITTER_S = 0.02
 """Mean delay of a frame on its way, exponentially distributed."""
-LEARNING = READY_FRAMES - 1
-"""Frames that a session searches as a whole until its background is known."""
+LEARNING = 1
+"""Frames that a session searches as a whole until it knows who is there."""
 
 UNEVENNESS = 0.03
 """Standard deviation of a replica's share of the circle of hashes; measured in haproxy.cfg."""
@@ -120,7 +119,7 @@ class Day:
     begun : float64 array
         Cameras that start afresh each second: after a pause, or on another replica.
     searched : float64 array
-        Share of frames that are searched as a whole.
+        Share of the frames that show somebody that are searched as a whole; all others are.
     cores : float64 array
         Cores that this work keeps busy.
     sessions : float64 array
@@ -223,12 +222,13 @@ def simulate(
     busy_rate = load.cameras * load.frames_per_s * busy
     quiet_rate = load.cameras * load.frames_per_s * (1 - busy) * quiet
     sent = busy_rate + quiet_rate
-    first = np.minimum(load.cameras * begun * LEARNING / sent, 1.0)
+    first = np.minimum(load.cameras * begun * LEARNING / busy_rate, 1.0)
     searched = first + (1 - first) / math.ceil(SEARCH_EVERY_S * load.frames_per_s)
     search_ms = costs.larger_index_ms(replicas.index, replicas.entries)
     frame_ms = searched * costs.searched_ms + (1 - searched) * costs.warm_ms
     person_ms = searched * costs.searched_person_ms + (1 - searched) * costs.warm_person_ms
-    cores = (sent * frame_ms + busy_rate * load.people * (person_ms + search_ms)) / 1000
+    busy_ms = frame_ms + load.people * (person_ms + search_ms)
+    cores = (busy_rate * busy_ms + quiet_rate * costs.searched_ms) / 1000
     wanted = {
         "cores": _whole(cores / (replicas.cores * replicas.target)),
         "memory of sessions": _whole(sessions * costs.session_mb / replicas.session_memory_mb),
@@ -309,7 +309,8 @@ def _one_replica(
     count = np.where(name < seeing[minute], people, 0)
 
     search_ms = costs.larger_index_ms(replicas.index, replicas.entries)
-    whole = rng.random(len(minute)) < searched[minute]
+    # Where nobody is followed, the whole frame is searched for newcomers.
+    whole = (count == 0) | (rng.random(len(minute)) < searched[minute])
     frame_ms = np.where(whole, costs.searched_ms, costs.warm_ms)
     person_ms = np.where(whole, costs.searched_person_ms, costs.warm_person_ms) + search_ms
     shape = 1 / costs.spread**2

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.tracking.actions import LEAST_SHARE, ActionModel
 from app.tracking.events import EventDetector
+from app.tracking.postures import PostureFilter
 from descriptor.descriptor import DiagonalDescriptor
 from index.artefact import load_index
 from index.build.avatars import INDEX_AVATARS, make_avatars
@@ -303,10 +304,12 @@ def told_postures(tracks: Sequence[Track]) -> dict[str, tuple[int, list[float]]]
     """Frames of each posture, and percent right by frame and smoothed."""
     truth, told = [], []
     for track in tracks:
+        postures = PostureFilter()
         for row, (person, smoothed) in enumerate(zip(track.people, track.smoothed, strict=True)):
-            labels = (person.posture, smoothed.posture)
+            over_time, _ = postures.update(float(track.timestamps[row]), smoothed.votes, None, 1.0)
+            labels = [p.label if p else "unclear" for p in (person.posture, over_time)]
             truth.append(track.posture[row])
-            told.append([POSTURES.index(p.label) if p else -1 for p in labels])
+            told.append([-1 if p == "unclear" else POSTURES.index(p) for p in labels])
     true = np.array(truth)
     right = np.array(told) == true[:, None]
     groups = {"all": np.ones(len(true), bool)}
@@ -341,7 +344,7 @@ def told_falls(tracks: Sequence[Track]) -> Falls:
                 track.timestamps.tolist(), track.smoothed, strict=True
             )
             for event in detector.update(
-                1, timestamp, smoothed.posture, smoothed.pose.confidence
+                1, timestamp, smoothed.votes, smoothed.pose.confidence
             )
             if event.event == "fell"
         ]  # fmt: skip

@@ -20,12 +20,17 @@ from tqdm import tqdm
 from index.approximate import METHODS, ApproximateNeighbours, method_of
 from index.artefact import load_index
 from index.build.calibrate import HYPOTHESES, OWN_ROLL_DEG, Queries
-from index.keypoint_search import SEARCHED, KeypointSearch
 from index.keypoints import Keypoints
+from index.landmark_search import (
+    DIMENSION,
+    SEARCHED,
+    LandmarkSearch,
+    pose_vectors,
+    rotate_clockwise,
+)
 from index.matching import CANDIDATES, Match, match
 from index.neighbours import STEPS, ExactNeighbours, Neighbours
-from index.landmark_search import rotate_clockwise
-from index.skeleton import JOINTS
+from index.skeleton import JOINTS, POINT_NAMES
 from index.store import DEFAULT_PATH, PoseIndex
 from index.verified_files import read_bytes
 from scripts.experiments.embedded_index_report import report
@@ -49,7 +54,8 @@ TRUE_FIRST, TRUE_FOUND = 1, 150
 WITHIN_S = 8.0
 """Searches are repeated for about this long, 5 to 200 times."""
 
-KEYPOINT_NOISE_PX = 3.0
+KEYPOINT_NOISE_PX, LANDMARK_NOISE_M = 3.0, 0.05
+HIPS = [POINT_NAMES.index("left_hip"), POINT_NAMES.index("right_hip")]
 _BLOCK = 100_000
 
 Figures = dict[str, Any]
@@ -71,7 +77,7 @@ def run(options: argparse.Namespace) -> None:
         ("memory", memory_of_the_rest, ()),
     ]
     cases += [(f"flat-{size}", measure_flat, (work, size)) for size in sizes]
-    cases += [(f"keypoints-{size}", measure_keypoints, (size,)) for size in sizes]
+    cases += [(f"landmarks-{size}", measure_landmarks, (size,)) for size in sizes]
     cases += [
         (f"{kind}-{size}{part}", measure, (work, kind, size))
         for size in sizes
@@ -238,36 +244,52 @@ def timed(ask: Callable[[int], object]) -> Figures:
     return {"ms": float(np.percentile(times, 10)), "median_ms": float(np.median(times))}
 
 
-def measure_keypoints(size: int) -> Figures:
-    """Measure the search by keypoints among copies of the shipped index's points."""
+def measure_landmarks(size: int) -> Figures:
+    """Measure the search by landmarks among copies of the shipped index's skeletons."""
     index = load_index(DEFAULT_PATH)
-    asked = noisy_keypoints(degraded_queries(index))
-    numbers = np.arange(SHIPPED)
-    real = np.concatenate(
-        [index.points(part, SEARCHED)[1].astype(np.float32) for part in np.array_split(numbers, 20)]
+    numbers = np.arange(len(index))
+    limbs = np.concatenate(
+        [index.points(part, SEARCHED)[0] for part in np.array_split(numbers, 20)]
     )
-    search = KeypointSearch(np.resize(real, (size, *real.shape[1:])))
-    del index, real
-    return timed(lambda number: search.nearest(asked[number % len(asked)], TRUE_FOUND))
+    asked = noisy_limbs(limbs)
+    vectors = pose_vectors(limbs)
+    search = LandmarkSearch(np.resize(vectors, (size, vectors.shape[1])))
+    del index, limbs, vectors
+    return timed(lambda number: search.nearest(asked[number % len(asked)], (0.0,), TRUE_FOUND))
+
+
+def noisy_limbs(limbs: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Landmarks near the limbs of some of the entries."""
+    rng = np.random.default_rng(SEED)
+    chosen = limbs[rng.choice(len(limbs), QUERIES, replace=False)]
+    return np.asarray(chosen + rng.normal(0, LANDMARK_NOISE_M, chosen.shape), np.float64)
 
 
 def noisy_keypoints(queries: Queries) -> list[Keypoints]:
-    """Keypoints near the limbs of each query."""
-    limbs = queries.joints_2d[:, SEARCHED]
-    noise = np.random.default_rng(SEED).normal(0, KEYPOINT_NOISE_PX, limbs.shape)
-    return [Keypoints(SEARCHED, places, np.ones(len(SEARCHED))) for places in limbs + noise]
+    """Keypoints near the limbs of each query, in the picture and in depth."""
+    rng = np.random.default_rng(SEED)
+    rows = list(SEARCHED)
+    sure = np.ones(len(rows))
+    places = queries.joints_2d[:, rows]
+    places = places + rng.normal(0, KEYPOINT_NOISE_PX, places.shape)
+    limbs = queries.joints_3d[:, rows] - queries.joints_3d[:, HIPS].mean(axis=1, keepdims=True)
+    limbs = limbs + rng.normal(0, LANDMARK_NOISE_M, limbs.shape)
+    return [
+        Keypoints(SEARCHED, place, sure, rotate_clockwise(limb, roll_deg), sure)
+        for place, limb, roll_deg in zip(places, limbs, queries.roll_deg.tolist(), strict=True)
+    ]
 
 
 def memory_of_the_rest(size: int = 1_000_000) -> Figures:
     """Bytes an entry of everything in a PoseIndex but the search; resident memory at ``size``."""
     index = load_index(DEFAULT_PATH)
-    store, search = index.silhouette_store, index.keypoint_search
+    store = index.silhouette_store
     parts = {
         "vectors": index.vectors.nbytes,
         "entries": index.entries.nbytes,
         "skeletons": index.skeletons.nbytes + index.skeleton_labels.nbytes,
         "silhouettes": store.data.nbytes + store.ends.nbytes,
-        "keypoint search": search._rows.nbytes,
+        "landmark search": len(index.landmark_search) * DIMENSION,
     }
     times = -(-size // len(index))
     before = anonymous_mib()

@@ -77,12 +77,12 @@ def report(figures: Figures, sizes: Sequence[int], command: str, out: Path) -> N
         ),
         f"## One core within {WITHIN_MS:.0f} ms",
         "A person with keypoints: the search by descriptors, scaled from two vectors to as many as "
-        "above, and the search by keypoints, which is a matrix product over all entries.",
+        "above, and the search by landmarks, which compares 48 bytes of every entry.",
         table(
-            ["entries", *(f"{kind} (ms)" for kind in DEFAULTS), "keypoints (ms)"],
+            ["entries", *(f"{kind} (ms)" for kind in DEFAULTS), "landmarks (ms)"],
             [
                 [f"{size:,}", *(_ms(_person_ms(figures, kind, size)) for kind in DEFAULTS),
-                 _ms(figures[f"keypoints-{size}"]["ms"])]
+                 _ms(figures[f"landmarks-{size}"]["ms"])]
                 for size in sizes
             ],
         ),
@@ -108,8 +108,8 @@ def plot(figures: Figures, sizes: Sequence[int], file: Path) -> None:
                     entries, [100 * found[key] for _, found in points], style, marker="o",
                     color=left.lines[-1].get_color(), label=f"{kind}, {what}",
                 )  # fmt: skip
-    by_keypoints = [figures[f"keypoints-{size}"]["ms"] for size in sizes]
-    left.loglog(sizes, by_keypoints, ":", marker=".", color="gray", label="by keypoints")
+    by_landmarks = [figures[f"landmarks-{size}"]["ms"] for size in sizes]
+    left.loglog(sizes, by_landmarks, ":", marker=".", color="gray", label="by landmarks")
     left.set(xlabel="entries", ylabel="ms a search (2 vectors, k = 160)")
     right.set(xlabel="entries", ylabel="recall (%)", ylim=(96.5, 100.3))
     for axes, place in ((left, "upper left"), (right, "lower left")):
@@ -182,17 +182,17 @@ def _capacity(figures: Figures, sizes: Sequence[int]) -> str:
         two = [one["ms"] for one in found if one is not None]
         person = [_person_ms(figures, kind, size) or 0.0 for size in measured]
         both = [
-            ms + figures[f"keypoints-{size}"]["ms"]
+            ms + figures[f"landmarks-{size}"]["ms"]
             for ms, size in zip(person, measured, strict=True)
         ]
         lines.append([kind, *(_within(measured, times) for times in (two, person, both))])
     vectors = figures["answers"]["vectors_a_search"]["keypoints"]
-    alone = _within(sizes, [figures[f"keypoints-{size}"]["ms"] for size in sizes])
+    alone = _within(sizes, [figures[f"landmarks-{size}"]["ms"] for size in sizes])
     return (
         table(
-            ["search", "silhouette alone", "with keypoints", "with the search by keypoints"], lines
+            ["search", "silhouette alone", "with keypoints", "with the search by landmarks"], lines
         )
-        + f"\n\nThe search by keypoints alone takes {WITHIN_MS:.0f} ms at {alone} entries. "
+        + f"\n\nThe search by landmarks alone takes {WITHIN_MS:.0f} ms at {alone} entries. "
         f"Inverted lists save {WORTH_MS:.0f} ms a person from {_saved(figures, sizes, 2)} entries "
         "on where an upright silhouette is all, "
         f"from {_saved(figures, sizes, vectors)} with keypoints."

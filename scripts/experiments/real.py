@@ -43,13 +43,10 @@ from scripts.experiments.real_data import (
     read_vtest,
 )
 from scripts.experiments.real_detection import (
-    Candidates,
     all_candidates,
-    fit_detector,
-    fit_hog,
     measure_detection,
 )
-from scripts.experiments.real_keypoints import estimate_by_keypoints
+from scripts.experiments.real_keypoints import estimate_by_landmarks
 from scripts.experiments.real_lying import measure_lying
 from scripts.experiments.real_peer import why_absent
 from scripts.experiments.real_poses import (
@@ -64,7 +61,12 @@ from scripts.experiments.real_poses import (
     street_trials,
     video_trials,
 )
-from scripts.experiments.real_silhouettes import end_to_end, in_true_boxes, peer_in_true_boxes
+from scripts.experiments.real_silhouettes import (
+    cut_out,
+    end_to_end,
+    in_true_boxes,
+    peer_in_true_boxes,
+)
 from scripts.experiments.real_vtest import FOUND_FROM, MARKS, measure_vtest, read_marks
 from scripts.results import machine
 
@@ -87,7 +89,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument(
         "--fit",
         action="store_true",
-        help="fit the constants in app/vision/weights/fitted.json and write them instead",
+        help="fit the confidence in app/vision/weights/fitted.json and write it instead",
     )
 
 
@@ -100,10 +102,10 @@ def run(options: argparse.Namespace) -> None:
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
-    candidates = all_candidates(photographs, detector)
     if options.fit:
-        fit(photographs, people, candidates, estimator)
+        fit(people, estimator)
         return
+    candidates = all_candidates(photographs, detector)
     absent = why_absent(options.mediapipe)
     python = None if absent else options.mediapipe
     results: dict[str, Any] = {"command": COMMAND, "machine": machine()}
@@ -117,7 +119,7 @@ def run(options: argparse.Namespace) -> None:
     videos, results["pose2sim"] = pose2sim(folder, estimator, options, python)
     if MARKS.is_file():
         results["vtest"] = vtest(folder, detector)
-    own = cross_validated(street["silhouette and keypoints"])
+    own = cross_validated(street["silhouette and landmarks"])
     grouped = {
         "street people": own,
         "street people, odd": [trial for trial in own if trial.odd],
@@ -134,26 +136,17 @@ def run(options: argparse.Namespace) -> None:
     (options.out / "real.md").write_text(report(results))
 
 
-def fit(
-    photographs: Sequence[Photograph],
-    people: Sequence[StreetPerson],
-    candidates: Sequence[Candidates],
-    estimator: Estimator,
-) -> None:
-    """Fit what the service's probabilities are made of, and write it beside the networks."""
-    command = f"{COMMAND} --fit"
-    detection = {**fit_detector(photographs, candidates), **fit_hog(photographs)}
-    write_fitted("detection", command, "Penn-Fudan, 74 photographs", detection)
-    trials = street_trials(people, estimator, segmented(estimator.segmenter))
+def fit(people: Sequence[StreetPerson], estimator: Estimator) -> None:
+    """Fit what confidences are made of, and write it beside the networks."""
+    trials = street_trials(people, estimator, segmented(estimator))
     slope, offset = fit_confidence(trials)
     write_fitted(
         "confidence",
-        command,
+        f"{COMMAND} --fit",
         "105 street people of Penn-Fudan, silhouettes in true boxes, all 7 hypotheses",
         {"slope": round(slope, 4), "offset": round(offset, 4)},
     )
-    for name in ("detection", "confidence"):
-        print(name, fitted(name))
+    print("confidence", fitted("confidence"))
 
 
 def silhouettes(
@@ -161,10 +154,8 @@ def silhouettes(
 ) -> dict[str, Figures]:
     """Overlap with the true masks: in true boxes, end to end, and the peer's."""
     found = {
-        "body network, true boxes": in_true_boxes(photographs, estimator.segmenter),
-        "body network, own detections": end_to_end(
-            photographs, estimator.detector, estimator.segmenter
-        ),
+        "true boxes": in_true_boxes(photographs, estimator),
+        "own detections": end_to_end(photographs, estimator),
     }
     if python is not None:
         found["MediaPipe, true boxes"] = peer_in_true_boxes(photographs, python)
@@ -178,24 +169,24 @@ def street_people(people: Sequence[StreetPerson], estimator: Estimator) -> dict[
         mask = person.photograph.labels == person.label
         return silhouette_from_mask(mask, segmenter="mask", truncated=False)
 
-    own = segmented(estimator.segmenter)
-    by_keypoints = []
+    own = segmented(estimator)
+    by_landmarks = []
     for person in people:
         box = person.photograph.boxes[person.label - 1]
         silhouette = own(person)
-        found = silhouette and estimate_by_keypoints(
+        found = silhouette and estimate_by_landmarks(
             estimator, person.photograph.frame, box, silhouette, HYPOTHESES
         )
         if found:
             name = f"{person.photograph.name}-{person.label}"
             odd = person.photograph.odd
-            by_keypoints.append(judge(name, found, person.reference, box.height, odd=odd))
+            by_landmarks.append(judge(name, found, person.reference, box.height, odd=odd))
     return {
         "silhouette alone": street_trials(people, estimator, own, "silhouette"),
-        "keypoints alone": by_keypoints,
-        "silhouette and keypoints": street_trials(people, estimator, own),
+        "landmarks alone": by_landmarks,
+        "silhouette and landmarks": street_trials(people, estimator, own),
         "true silhouette alone": street_trials(people, estimator, true_mask, "silhouette"),
-        "true silhouette and keypoints": street_trials(people, estimator, true_mask),
+        "true silhouette and landmarks": street_trials(people, estimator, true_mask),
     }
 
 
@@ -216,14 +207,14 @@ def pose2sim(
     for camera in CAMERAS:
         frames = read_pose2sim(folder / "pose2sim", camera, options.step)
         alone = video_trials(frames, estimator, own_detection=False, evidence="silhouette")
-        by_keypoints = []
+        by_landmarks = []
         for one in frames:
-            (silhouette,) = estimator.segmenter.segment(one.frame, [one.box])
-            person = silhouette and estimate_by_keypoints(
+            (silhouette,) = cut_out(estimator, one.frame, [one.box])
+            person = silhouette and estimate_by_landmarks(
                 estimator, one.frame, one.box, silhouette, HYPOTHESES
             )
             if person:
-                by_keypoints.append(judge(one.name, person, one.reference, one.box.height))
+                by_landmarks.append(judge(one.name, person, one.reference, one.box.height))
         both = video_trials(frames, estimator, own_detection=False)
         own = video_trials(frames, estimator, own_detection=True)
         trials += both.trials
@@ -231,7 +222,7 @@ def pose2sim(
             name: {**figures(some), "frames": len(frames)}
             for name, some in (
                 ("true box, silhouette alone", alone.trials),
-                ("true box, keypoints alone", by_keypoints),
+                ("true box, landmarks alone", by_landmarks),
                 ("true box", both.trials),
                 ("own detection", own.trials),
             )
@@ -336,7 +327,7 @@ def _street(results: dict[str, Any]) -> list[str]:
         "| facing of any of 7 | first (mm) | best of 7 (mm) |",
         "|---|---|---|---|---|---|---|---|---|",
         *rows,
-        f"\nThe observed keypoints themselves: PCK {observed['pck']:.1f} % "
+        f"\nThe landmarks themselves: PCK {observed['pck']:.1f} % "
         f"(odd {observed['odd_pck']:.1f} %), left and right as in the reference for "
         f"{observed['sides']:.1f} % of the people.",
     ]

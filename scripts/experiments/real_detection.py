@@ -36,7 +36,7 @@ class Candidates:
     ----------
     boxes : (N, 4) float64 array
     features : (N, 2) float64 array
-        Log odds of the network's score, and HOG's margin.
+        Log odds of MoveNet's score, and HOG's margin where it is positive.
     milliseconds : float
     """
 
@@ -52,24 +52,11 @@ def all_candidates(
     result = []
     for photograph in tqdm(photographs, desc="candidates", unit="photograph"):
         started = time.perf_counter()
-        boxes, _, scores = detector.candidates(photograph.frame)
+        found, scores = detector.candidates(photograph.frame)
         spent = 1000 * (time.perf_counter() - started)
-        scores[:, 0] = logit(scores[:, 0])
-        result.append(Candidates(as_array(boxes), scores, spent))
+        features = np.stack([logit(scores[:, 0]), np.maximum(0.0, scores[:, 1])], axis=1)
+        result.append(Candidates(as_array([one.box for one in found]), features, spent))
     return result
-
-
-def fit_detector(
-    photographs: Sequence[Photograph], candidates: Sequence[Candidates]
-) -> dict[str, float]:
-    """The constants by which the scores of network and HOG become one probability."""
-    model = _fit(candidates, [as_array(one.boxes) for one in photographs], columns=[0, 1])
-    network, hog = model.coef_[0].tolist()
-    return {
-        "network": round(network, 4),
-        "hog": round(hog, 4),
-        "offset": round(float(model.intercept_[0]), 4),
-    }
 
 
 def fit_hog(photographs: Sequence[Photograph]) -> dict[str, float]:

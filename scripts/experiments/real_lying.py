@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import Person
+from app.estimates import ObservedPerson, Person
 from app.estimator import Estimator
+from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.vision.boxes import iou_matrix
 from app.vision.people import Box
 from app.vision.rotation import rotate_box
+from index.skeleton import wrap_degrees
 from scripts.experiments.real_data import Photograph, as_array, encode_png
 from scripts.experiments.real_silhouettes import overlap
 from scripts.experiments.real_vtest import FOUND_FROM
@@ -38,14 +40,14 @@ class Turned:
     labels : (H, W) uint16 array
     boxes : list of Box
         Of the labelled people, by label.
-    back : int
-        Quarter turns counterclockwise that set it upright.
+    roll_deg : float
+        Where the heads of people who stood are, clockwise from up.
     """
 
     frame: NDArray[np.uint8]
     labels: NDArray[np.uint16]
     boxes: list[Box]
-    back: int
+    roll_deg: float
 
 
 def estimate_boxes(
@@ -56,12 +58,23 @@ def estimate_boxes(
     return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
 
 
+def find(estimator: Estimator, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
+    """The people whom the service finds in a frame."""
+    return estimator.find_people(Upload(encode_png(frame)), lambda: None, Stopwatch()).people
+
+
+def is_turned(person: ObservedPerson, roll_deg: float) -> bool:
+    """Whether somebody's head is found in a direction, to 45 degrees."""
+    window = person.next_window
+    return window is not None and bool(abs(wrap_degrees(window.roll_deg - roll_deg)) < 45)
+
+
 def turned(photograph: Photograph) -> Turned:
     """The odd photographs turned to the left, the others to the right."""
     quarter_turns = 1 if photograph.odd else 3
     frame = np.ascontiguousarray(np.rot90(photograph.frame, quarter_turns))
     boxes = [rotate_box(box, photograph.frame.shape, quarter_turns) for box in photograph.boxes]
-    return Turned(frame, np.rot90(photograph.labels, quarter_turns), boxes, 4 - quarter_turns)
+    return Turned(frame, np.rot90(photograph.labels, quarter_turns), boxes, -90.0 * quarter_turns)
 
 
 def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> dict[str, float]:
@@ -73,7 +86,7 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
     stands: list[bool] = []
     for photograph in tqdm(photographs, desc="lying", unit="photograph"):
         lying = turned(photograph)
-        detections = estimator.detector.detect(lying.frame)
+        detections = find(estimator, lying.frame)
         matrix = iou_matrix(as_array([d.box for d in detections]), as_array(lying.boxes))
         people += len(lying.boxes)
         taken += len(detections)
@@ -83,7 +96,7 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
             if reachable.size and reachable.max() >= FOUND_FROM:
                 free[reachable.argmax()] = False
                 found += 1
-                right_way += detection.quarter_turns == lying.back
+                right_way += is_turned(detection, lying.roll_deg)
         answers = estimate_boxes(estimator, lying.frame, lying.boxes)
         lies.extend(person.posture.label == "lying" for person in answers if person.posture)
         as_taken = estimate_boxes(estimator, photograph.frame, photograph.boxes)
@@ -94,12 +107,12 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
             if person is None or person.silhouette is None:
                 overlaps.append(0.0)
                 continue
-            boxed_right += person.quarter_turns == lying.back
+            boxed_right += is_turned(person, lying.roll_deg)
             truth = lying.labels == label
             overlaps.append(overlap(person.silhouette.mask(truth.shape), truth))
-        for detection in estimator.detector.detect(photograph.frame):
+        for detection in find(estimator, photograph.frame):
             upright += 1
-            wrongly_turned += detection.quarter_turns != 0
+            wrongly_turned += not is_turned(detection, 0.0)
     return {
         "photographs": len(photographs),
         "people": people,

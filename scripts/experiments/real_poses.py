@@ -12,9 +12,9 @@ from tqdm import tqdm
 
 from app.estimates import Evidence, ObservedPerson, Person, Scene
 from app.estimator import Estimator
+from app.finder import observed
 from app.stopwatch import Stopwatch
-from app.vision.people import COCO_NAMES, Box, Silhouette
-from app.vision.segmentation.segment import Segmenter
+from app.vision.people import LANDMARK_NAMES, Box, Silhouette
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees
 from scripts.experiments.real_data import (
@@ -26,6 +26,7 @@ from scripts.experiments.real_data import (
     azimuth_of_limbs,
 )
 from scripts.experiments.real_peer import ask, room_about
+from scripts.experiments.real_silhouettes import cut_out
 
 HYPOTHESES = 7
 NEAR = 0.1
@@ -91,11 +92,20 @@ def estimate(
     evidence: Evidence = "photograph",
     n: int = HYPOTHESES,
 ) -> Person:
-    """Hypotheses of one silhouette, and of the keypoints in a box if the photograph is asked."""
-    scene = Scene(frame, (ObservedPerson(box, "boxes", None, silhouette),))
+    """Hypotheses of one silhouette, and of the landmarks in a box if the photograph is asked."""
+    person = ObservedPerson(box, "boxes", None, silhouette)
     if evidence == "photograph":
-        scene = estimator.with_keypoints(scene, lambda: None, Stopwatch())
+        person = with_landmarks(estimator, frame, box, silhouette)
+    scene = Scene(frame, (person,))
     return estimator.with_hypotheses(scene, n, lambda: None, Stopwatch())[0]
+
+
+def with_landmarks(
+    estimator: Estimator, frame: NDArray[np.uint8], box: Box, silhouette: Silhouette
+) -> ObservedPerson:
+    """A person whose silhouette is known, with the landmarks that are read in a box."""
+    reading = estimator.finder.reader.read(frame, box)
+    return observed(frame, box, "boxes", None, silhouette, reading)
 
 
 def judge(
@@ -170,14 +180,14 @@ def street_trials(
     return trials
 
 
-def segmented(segmenter: Segmenter) -> Callable[[StreetPerson], Silhouette | None]:
+def segmented(estimator: Estimator) -> Callable[[StreetPerson], Silhouette | None]:
     """The service's own silhouettes, in the true boxes of the photograph."""
     known: dict[str, list[Silhouette | None]] = {}
 
     def silhouette(person: StreetPerson) -> Silhouette | None:
         photograph: Photograph = person.photograph
         if photograph.name not in known:
-            known[photograph.name] = segmenter.segment(photograph.frame, photograph.boxes)
+            known[photograph.name] = cut_out(estimator, photograph.frame, photograph.boxes)
         return known[photograph.name][person.label - 1]
 
     return silhouette
@@ -208,7 +218,7 @@ def video_trials(
             if box is None or box.iou(one.box) < 0.3:
                 continue
         assert box is not None
-        silhouette = estimator.segmenter.segment(one.frame, [box])[0]
+        (silhouette,) = cut_out(estimator, one.frame, [box])
         if silhouette is None:
             continue
         person = estimate(estimator, one.frame, box, silhouette, evidence)
@@ -265,16 +275,13 @@ def peer_on_video(frames: Sequence[VideoFrame], python: Path) -> dict[str, float
 
 
 def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[str, float]:
-    """How near the observed keypoints themselves are to the reference, in true boxes."""
-    rows = [COCO_NAMES.index(name) for name in LIMBS]
+    """How near the landmarks themselves are to the reference, in true boxes."""
+    rows = [LANDMARK_NAMES.index(name) for name in LIMBS]
     other_side = [rows[i ^ 1] for i in range(len(rows))]
     near, sides = [], []
     for person in people:
         box = person.photograph.boxes[person.label - 1]
-        seen = estimator.read_keypoints(person.photograph.frame, box)
-        if seen is None:
-            near.append(0.0)
-            continue
+        seen = estimator.finder.reader.read(person.photograph.frame, box).landmarks
         own, exchanged = (
             np.linalg.norm(seen.positions[some] - person.reference.joints_2d, axis=-1)
             for some in (rows, other_side)

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.vision.detection.detector import Detector
-from app.vision.segmentation.segment import Segmenter
-from scripts.experiments.real_data import Photograph
+from app.estimator import Estimator
+from app.stopwatch import Stopwatch
+from app.upload import Upload
+from app.vision.people import Box, Detection, Silhouette
+from app.vision.person.silhouettes import silhouettes_of
+from scripts.experiments.real_data import Photograph, encode_png
 from scripts.experiments.real_peer import ask, room_about
 
 
@@ -39,13 +42,21 @@ def odd_people(photographs: Sequence[Photograph]) -> NDArray[np.bool_]:
     return np.concatenate([np.full(len(one.boxes), one.odd) for one in photographs])
 
 
-def in_true_boxes(photographs: Sequence[Photograph], segmenter: Segmenter) -> dict[str, float]:
-    """Overlap where the segmenter is given the true boxes; 0 where it finds nobody."""
+def cut_out(
+    estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box]
+) -> list[Silhouette | None]:
+    """The service's own silhouettes of people in boxes that are given."""
+    found = [Detection(box, 1.0) for box in boxes]
+    readings = estimator.finder.read(frame, found, lambda: None)
+    return silhouettes_of(readings, boxes, frame.shape, exact=True)
+
+
+def in_true_boxes(photographs: Sequence[Photograph], estimator: Estimator) -> dict[str, float]:
+    """Overlap where the true boxes are given; 0 where nobody is made out."""
     values, spent = [], 0.0
-    for photograph in tqdm(photographs, desc=segmenter.name, unit="photograph"):
-        boxes = photograph.boxes
+    for photograph in tqdm(photographs, desc="true boxes", unit="photograph"):
         started = time.perf_counter()
-        silhouettes = segmenter.segment(photograph.frame, boxes)
+        silhouettes = cut_out(estimator, photograph.frame, photograph.boxes)
         spent += time.perf_counter() - started
         for label, one in enumerate(silhouettes, start=1):
             truth = photograph.labels == label
@@ -55,15 +66,13 @@ def in_true_boxes(photographs: Sequence[Photograph], segmenter: Segmenter) -> di
     return found
 
 
-def end_to_end(
-    photographs: Sequence[Photograph], detector: Detector, segmenter: Segmenter
-) -> dict[str, float]:
+def end_to_end(photographs: Sequence[Photograph], estimator: Estimator) -> dict[str, float]:
     """Overlap of the best silhouette among those of all detections; 0 where none touches."""
     values = []
     for photograph in tqdm(photographs, desc="end to end", unit="photograph"):
-        boxes = [one.box for one in detector.detect(photograph.frame)]
-        silhouettes = segmenter.segment(photograph.frame, boxes)
-        masks = [one.mask(photograph.labels.shape) for one in silhouettes if one is not None]
+        upload = Upload(encode_png(photograph.frame))
+        people = estimator.find_people(upload, lambda: None, Stopwatch()).people
+        masks = [one.silhouette.mask(photograph.labels.shape) for one in people if one.silhouette]
         for label in range(1, len(photograph.boxes) + 1):
             truth = photograph.labels == label
             values.append(max((overlap(mask, truth) for mask in masks), default=0.0))

@@ -57,7 +57,7 @@ VARIANTS: dict[str, dict[str, float]] = {
     "without the direction people go": {"direction_weight": 0.0},
     "without the cost of moving": {"cost_per_m": 0.0},
     "without the cost of low postures": {"low_cost": 0.0},
-    "without the line through the last frames": {"line_frames": 1},
+    "without the line through the last frames": {"line_s": 0.0},
 }
 """What is left out of smoothing, to see what it is worth."""
 
@@ -65,7 +65,7 @@ CARRIED = {
     "poses searched for on every second frame": 2,
     "poses searched for on every third frame": 3,
 }
-"""As live sessions do where four or six people are in view."""
+"""What it costs to keep the pose of a frame before, as sessions do for people who are hidden."""
 
 HEADER = (
     "frames", "2D (px)", "right (%)", "3D (mm)", "front/back flipped (%)",

@@ -39,23 +39,15 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=None, help="play only the first ones")
     parser.add_argument("--rounds", type=int, default=1, help="play it several times over")
     parser.add_argument("--n", type=int, default=7, help="hypotheses of each person")
-    parser.add_argument("--all", action="store_true", help="poses of all on every frame, as videos")
     parser.add_argument("--evidence", choices=("photograph", "silhouette"), default="photograph")
     parser.add_argument("--sheets", type=Path, help="folder for annotated contact sheets")
-    parser.add_argument(
-        "--overlap",
-        type=int,
-        default=0,
-        metavar="EVERY",
-        help="compare silhouettes of every EVERY-th frame with the network's",
-    )
     options = parser.parse_args()
     configure_process()
     settings = Settings()
     executor = Executor(settings.concurrency, settings.max_wait_s, settings.request_timeout_s)
     estimator = Estimator.load(settings, executor.map)
     estimator.warm_up()
-    session = CameraSession(estimator, live=not options.all)
+    session = CameraSession(estimator)
     frames = 0
     for number in range(options.rounds):
         report = Report()
@@ -64,7 +56,7 @@ def main() -> None:
                 Upload(frame=data), frames / FRAMES_PER_S, options.n, lambda: None, options.evidence
             )
             frames += 1
-            report.add(shown, result, estimator if options.overlap else None, options.overlap)
+            report.add(shown, result)
             if options.sheets and shown % CONTACT_EVERY == 0:
                 report.draw(result)
         print(f"round {number}: {report.summary()}")
@@ -93,7 +85,6 @@ class Report:
         self.cut_by: dict[str, int] = defaultdict(int)
         self.found_by: dict[str, int] = defaultdict(int)
         self.tracks: dict[int, list[int]] = defaultdict(list)
-        self.overlaps: list[float] = []
         self.changes_m: dict[str, list[float]] = {"alone": [], "smooth": []}
         self.flips: dict[str, list[bool]] = {"alone": [], "smooth": []}
         self.not_upright: dict[str, list[bool]] = {"alone": [], "smooth": []}
@@ -101,9 +92,7 @@ class Report:
         self._last: dict[tuple[str, int], NDArray[np.float64]] = {}
         self.pictures: list[NDArray[np.uint8]] = []
 
-    def add(
-        self, number: int, result: TrackedFrame, estimator: Estimator | None, every: int
-    ) -> None:
+    def add(self, number: int, result: TrackedFrame) -> None:
         """Count a frame."""
         self.totals.append(result.timings_ms["total"])
         for stage, spent in result.timings_ms.items():
@@ -117,17 +106,6 @@ class Report:
             self.cut_by[observed.silhouette.segmenter if observed.silhouette else "none"] += 1
             self._count_posture(tracked.person)
         self.events.update(event.event for event in result.events if event.state != "end")
-        if estimator is None or number % every:
-            return
-        for tracked in result.persons:
-            silhouette = tracked.person.observed.silhouette
-            if silhouette is None or silhouette.segmenter != "background":
-                continue
-            (by_network,) = estimator.segmenter.segment(result.frame, [silhouette.box])
-            if by_network is not None:
-                first = silhouette.mask(result.frame.shape)
-                second = by_network.mask(result.frame.shape)
-                self.overlaps.append(float((first & second).sum() / (first | second).sum()))
 
     def _count_posture(self, person: Person) -> None:
         if person.hypotheses:
@@ -175,11 +153,6 @@ class Report:
             )
         ]
         lines.append(f"  events: {dict(self.events)}")
-        if self.overlaps:
-            lines.append(
-                f"  IoU of {len(self.overlaps)} background silhouettes with the network's: "
-                f"mean {np.mean(self.overlaps):.3f}, median {np.median(self.overlaps):.3f}"
-            )
         return "\n".join(lines)
 
     def draw(self, result: TrackedFrame) -> None:

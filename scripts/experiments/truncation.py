@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
+from app.estimates import Evidence
 from app.estimator import Estimator
 from app.settings import Settings
 from app.stopwatch import Stopwatch
@@ -25,6 +26,7 @@ from scripts.results import machine
 COMMAND = "python -m scripts.evaluate truncation"
 EDGES = ("left", "top", "right", "bottom")
 WHOLE = ("photograph", "loose crop")
+EVIDENCE: tuple[Evidence, ...] = ("photograph", "silhouette")
 HIDDEN = (0.1, 0.7)
 """Least and largest share of the person's height or width that an edge cuts off."""
 
@@ -62,7 +64,7 @@ class View:
 
 @dataclass(frozen=True)
 class Answer:
-    """Whether a person was found, and flagged by the silhouette alone or with keypoints."""
+    """Whether a person was found, and flagged by the silhouette alone or with landmarks."""
 
     view: View
     found: bool
@@ -170,22 +172,28 @@ def ask(estimator: Estimator, view: View, *, given: bool) -> Answer:
     """Look for the person of a view, in their box where it is given."""
     left, top, right, bottom = view.crop
     frame = encode_png(np.ascontiguousarray(view.photograph.frame[top:bottom, left:right]))
-    upload, watch = Upload(frame, boxes=[view.box] if given else None), Stopwatch()
-    scene = estimator.find_people(upload, lambda: None, watch)
-    read = estimator.with_keypoints(scene, lambda: None, watch)
-    flags = [
-        (view.box.iou(before.box), before.silhouette.truncated, after.silhouette.truncated)
-        for before, after in zip(scene.people, read.people, strict=True)
-        if before.silhouette is not None and after.silhouette is not None
-    ]
-    overlap, by_silhouette, flagged = max(flags, default=(0.0, False, False))
-    return Answer(view, overlap >= FOUND_FROM, by_silhouette, flagged)
+    upload = Upload(frame, boxes=[view.box] if given else None)
+    flags = []
+    for evidence in EVIDENCE:
+        people = estimator.find_people(upload, lambda: None, Stopwatch(), evidence).people
+        overlap, flag = max(
+            (
+                (view.box.iou(one.box), one.silhouette.truncated)
+                for one in people
+                if one.silhouette is not None
+            ),
+            default=(0.0, False),
+        )
+        flags.append(flag)
+    by_landmarks, by_silhouette = flags
+    # The same people are found with either evidence.
+    return Answer(view, overlap >= FOUND_FROM, by_silhouette, by_landmarks)
 
 
 def rows(answers: Sequence[Answer], title: str) -> list[str]:
     """Rows of the table for one size and source of boxes."""
     found = []
-    for evidence in ("photograph", "silhouette"):
+    for evidence in EVIDENCE:
         for half in ("all", "odd"):
             part = [one for one in answers if half == "all" or one.view.photograph.odd]
             cells = [title, evidence, half]

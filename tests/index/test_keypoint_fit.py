@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -32,16 +34,20 @@ def apart(points: NDArray[np.float64], keypoints: Keypoints) -> float:
 
 @pytest.mark.parametrize("target", range(0, 576, 52))
 def test_bones_stay_as_long_and_keypoints_come_nearer(toy_index: PoseIndex, target: int) -> None:
-    """Poses that are found near keypoints, among them those that hardly fit."""
-    keypoints = keypoints_of(toy_index.entry(target).points_normalised)
-    nearest = toy_index.keypoint_search.nearest(keypoints, 60)
-    near = (nearest.numbers != target) & ~nearest.mirrored & (np.abs(nearest.roll_deg) < 15)
+    """Poses that are found near landmarks, among them those that hardly fit."""
+    entry = toy_index.entry(target)
+    keypoints = keypoints_of(entry.points_normalised)
+    nearest = toy_index.landmark_search.nearest(entry.points_3d[list(ROWS)], (0.0,), 60)
+    near = (nearest.numbers != target) & ~nearest.mirrored
     points_3d, placed = toy_index.points(nearest.numbers[near])
     fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
     assert fitted.shape == points_3d.shape and fitted_placed.shape == placed.shape
     assert_allclose(bone_lengths(fitted), bone_lengths(points_3d), rtol=1e-6)
     assert_allclose(fitted[:, 0], 0, atol=1e-12)
-    agreement, better = keypoints.compare(placed), keypoints.compare(fitted_placed)
+    agreement, better = (
+        keypoints.compare(placed, points_3d),
+        keypoints.compare(fitted_placed, fitted),
+    )
     before, after = [], []
     for row, odds in enumerate(agreement.side_odds):
         twin = exchange_sides if odds < 0 else np.asarray
@@ -91,7 +97,7 @@ def test_sides_that_are_exchanged_are_fitted_as_they_are_meant(toy_index: PoseIn
     """Keypoints that take left for right pull the other side's points, not across the body."""
     points_3d, placed = toy_index.points(np.array([100]))
     mistaken = keypoints_of(exchange_sides(placed[0]))
-    assert mistaken.compare(placed).side_odds[0] < 0
+    assert mistaken.compare(placed, points_3d).side_odds[0] < 0
     fitted, _ = fit_to_keypoints(mistaken, points_3d, placed)
     assert_allclose(fitted, points_3d, atol=1e-9)
 
@@ -105,3 +111,44 @@ def test_several_at_once_are_fitted_as_each(toy_index: PoseIndex) -> None:
         alone = fit_to_keypoints(keypoints, points_3d[one], placed[one])
         assert_allclose(together[0][one], alone[0], atol=1e-9)
         assert_allclose(together[1][one], alone[1], atol=1e-9)
+
+
+def in_depth(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> Keypoints:
+    """The same keypoints with the limbs of a pose, seen well."""
+    limbs = points_3d[list(ROWS)]
+    hips = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
+    return replace(
+        keypoints, limbs_3d=limbs - limbs[hips].mean(axis=0), limb_scores=np.full(len(ROWS), 0.9)
+    )
+
+
+@pytest.mark.parametrize("target", range(0, 576, 52))
+def test_in_depth_bones_stay_as_long_and_the_first_comes_nearest(
+    toy_index: PoseIndex, target: int
+) -> None:
+    entry = toy_index.entry(target)
+    keypoints = in_depth(keypoints_of(entry.points_normalised), entry.points_3d)
+    points_3d, placed = toy_index.points(NUMBERS)
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert_allclose(bone_lengths(fitted), bone_lengths(points_3d), rtol=1e-6)
+    assert_allclose(fitted[:, 0], 0, atol=1e-12)
+    assert np.isfinite(fitted_placed).all()
+
+    def away(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.linalg.norm(keypoints.limb_offsets(points), axis=-1).mean(axis=-1)
+
+    # In the picture the fit follows the keypoints; what is left is the depth.
+    assert away(fitted)[0] <= away(points_3d)[0] + 1e-9
+    swapped = np.roll(np.arange(len(NUMBERS)), 1)
+    later, _ = fit_to_keypoints(keypoints, points_3d[swapped], placed[swapped])
+    # The same skeleton goes farther towards the landmarks as the first than as another.
+    assert away(fitted)[0] <= away(later)[1] + 0.01
+
+
+@pytest.mark.parametrize("number", [3, 300])
+def test_a_pose_that_fits_in_depth_stays(toy_index: PoseIndex, number: int) -> None:
+    points_3d, placed = toy_index.points(np.array([number]))
+    keypoints = in_depth(keypoints_of(placed[0]), points_3d[0])
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert_allclose(fitted, points_3d, atol=1e-6)
+    assert_allclose(fitted_placed, placed, atol=1e-4)

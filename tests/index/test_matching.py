@@ -12,9 +12,9 @@ from index.build.learn import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
+from index.landmark_search import rotate_clockwise, rotate_silhouette
 from index.matching import Hypothesis, match
 from index.posture import Posture
-from index.landmark_search import rotate_clockwise, rotate_silhouette
 from index.skeleton import JOINTS, POINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 

@@ -11,8 +11,8 @@ from index.build.learn import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.keypoints import Keypoints
-from index.matching import Hypothesis, Match, match
 from index.landmark_search import rotate_clockwise, rotate_silhouette
+from index.matching import Hypothesis, Match, match
 from index.skeleton import JOINTS, LIMBS, POINT_NAMES, POINTS, exchange_sides, mirror_normalised
 from index.store import PoseIndex
 

@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
 from index.candidates import find_candidates
-from index.keypoint_search import Nearest
+from index.landmark_search import Nearest, rotate_clockwise
 from index.rotations import (
-    MAX_LIKELY,
+    MAX_ROTATIONS,
     MIN_SHARE,
     STEP_DEG,
     RotatedQuery,
     compare_rotated_entries,
     find_rotated_candidates,
-    likely_rotations,
-    rotate_clockwise,
     rotate_silhouette,
+    rotations_of_landmarks,
     usual_rotations,
 )
 from index.skeleton import JOINTS, camera_rotation
@@ -168,34 +167,49 @@ def test_a_single_pixel_can_be_rotated() -> None:
     assert rotate_silhouette(dot, 33.0)[0].any()
 
 
-@given(rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60))
-def test_likely_rotations_are_few_and_the_most_frequent(rolls: list[float]) -> None:
-    found = likely_rotations(np.array(rolls))
-    assert len(found) == len(set(found)) <= MAX_LIKELY
-    rounded = (np.rint(np.array(rolls) / STEP_DEG) * STEP_DEG + 180) % 360 - 180
-    counts = [int((rounded == rotation).sum()) for rotation in found]
-    assert counts == sorted(counts, reverse=True)
-    assert all(count >= MIN_SHARE * len(rolls) for count in counts)
-    left_out = [int((rounded == other).sum()) for other in set(rounded.tolist()) - set(found)]
-    # Either too rare, or no more frequent than all that were found.
-    frequent = [count for count in left_out if count >= MIN_SHARE * len(rolls)]
-    assert not frequent or (len(found) == MAX_LIKELY and max(frequent) <= min(counts))
+UPRIGHT = (0.0,)
+
+
+@given(
+    rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60),
+    usual=st.sampled_from([UPRIGHT, (0.0, -180.0), (0.0, 37.0, -143.0)]),
+)
+def test_rotations_of_landmarks_are_few_and_the_most_frequent(
+    rolls: list[float], usual: tuple[float, ...]
+) -> None:
+    found = rotations_of_landmarks(usual, np.array(rolls))
+    assert 1 <= len(found) == len(set(found)) <= MAX_ROTATIONS
+
+    def apart(one: float, other: float) -> float:
+        return abs((one - other + 180) % 360 - 180)
+
+    # Each is a usual one or a multiple of a step, within one and a half steps of half a step.
+    for rotation in found:
+        assert rotation in usual or rotation % STEP_DEG == 0
+        assert min(apart(rotation, roll) for roll in rolls) <= STEP_DEG + 1e-6
+    near = [sum(apart(rotation, roll) <= STEP_DEG + 1e-6 for roll in rolls) for rotation in found]
+    if len(found) > 1:
+        assert all(count >= MIN_SHARE * len(rolls) for count in near)
 
 
 @pytest.mark.parametrize("lean", [-150.0, -90.0, -45.0, 0.0, 30.0, 60.0, 165.0])
 def test_the_most_frequent_rotation_comes_first(lean: float) -> None:
-    rolls = np.random.default_rng(1).normal(lean, 4, 100)
-    assert likely_rotations(rolls)[0] == lean
+    rolls = np.random.default_rng(1).normal(lean, 2, 100)
+    assert rotations_of_landmarks(UPRIGHT, rolls)[0] == lean
 
 
 def test_upside_down_is_one_rotation() -> None:
-    assert likely_rotations(np.array([179.0, -179.0, 181.0])) == (-180.0,)
+    assert rotations_of_landmarks(UPRIGHT, np.array([179.0, -179.0, 181.0])) == [-180.0]
+
+
+def test_usual_rotations_take_in_those_near_them() -> None:
+    assert rotations_of_landmarks((0.0, 37.0), np.array([41.0, 33.0, 37.0, 1.0])) == [37.0, 0.0]
 
 
 def test_mirrored_rotations_are_as_likely() -> None:
     rolls = np.array([14.0] * 30 + [-31.0] * 20 + [3.0] * 50)
-    assert likely_rotations(rolls) == (0.0, 15.0, -30.0)
-    assert likely_rotations(-rolls) == (0.0, -15.0, 30.0)
+    assert rotations_of_landmarks(UPRIGHT, rolls) == [0.0, 15.0]
+    assert rotations_of_landmarks(UPRIGHT, -rolls) == [0.0, -15.0]
 
 
 class TestUsualRotations:

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.settings import Settings
+from app.tracking.following import SEARCH_EVERY_S
 from scripts import simulate_load
 from scripts.capacity.coefficients import PATH, Coefficients, read_coefficients
 from scripts.capacity.day import STEPS, Load, Replicas, autoscaled, simulate, visits
@@ -169,20 +170,22 @@ class TestFleet:
         assert day.sent == pytest.approx(sent * np.ones(STEPS))
 
     def test_cores_kept_busy_are_frames_times_their_cost(self) -> None:
-        load = replace(SMALL, bursts=0)
+        load = replace(SMALL, bursts=0, frames_per_s=2 / SEARCH_EVERY_S)
         day = simulate(load, Replicas(), COSTS, sample=1)
-        # One frame a second, of which every other is searched as a whole.
+        # Of frames that show somebody every other is searched as a whole, of others each.
         frame_ms = (COSTS.searched_ms + COSTS.warm_ms) / 2
         person_ms = (COSTS.searched_person_ms + COSTS.warm_person_ms) / 2
-        each_ms = frame_ms + day.busy * person_ms * load.people
-        assert day.cores == pytest.approx(load.cameras * each_ms / 1000)
+        busy_ms = frame_ms + person_ms * load.people
+        each_ms = day.busy * busy_ms + (1 - day.busy) * COSTS.searched_ms
+        assert day.cores == pytest.approx(load.cameras * load.frames_per_s * each_ms / 1000)
         wanted = np.ceil(day.cores / (2 * 0.6))
         assert day.wanted["cores"].tolist() == wanted.tolist()
         assert day.core_hours(Replicas()) == 2 * day.replicas.sum() / 60
 
     def test_gating_saves_cores_and_costs_cold_frames(self) -> None:
-        all_the_time = simulate(SMALL, Replicas(), COSTS, sample=1)
-        gated = simulate(replace(SMALL, gated=True), Replicas(), COSTS, sample=1)
+        load = replace(SMALL, frames_per_s=2 / SEARCH_EVERY_S)
+        all_the_time = simulate(load, Replicas(), COSTS, sample=1)
+        gated = simulate(replace(load, gated=True), Replicas(), COSTS, sample=1)
         assert gated.cores.sum() < all_the_time.cores.sum() / 2
         assert gated.begun.sum() > all_the_time.begun.sum()
         assert gated.searched.mean() > all_the_time.searched.mean()
@@ -193,7 +196,7 @@ class TestFleet:
 
     def test_too_few_cores_show(self) -> None:
         calm = simulate(SMALL, Replicas(target=0.3), COSTS, sample=2)
-        pressed = simulate(SMALL, Replicas(target=1.5), COSTS, sample=2)
+        pressed = simulate(SMALL, Replicas(target=2.0), COSTS, sample=2)
         assert calm.overall(calm.in_time) > 0.98
         assert pressed.overall(pressed.refused + pressed.superseded) > 0.2
 

@@ -8,11 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.detection.detector import NetworkDetector
+from app.vision.detection.pose_detection import PoseDetection
 from app.vision.keypoints.movenet import MoveNet
 from app.vision.keypoints.reader import KeypointReader
 from app.vision.people import Box
-from app.vision.segmentation.body_network import BodyNetwork
-from app.vision.segmentation.segment import NetworkSegmenter
+from app.vision.person.landmarks import LandmarkNetwork
+from app.vision.person.reader import PersonReader
 from app.vision.weights import network_path
 from tests.conftest import ROOT
 
@@ -46,15 +47,22 @@ def reader(movenet: MoveNet) -> KeypointReader:
 
 
 @pytest.fixture(scope="session")
-def detector(movenet: MoveNet) -> NetworkDetector:
-    return NetworkDetector(movenet)
+def landmark_network() -> LandmarkNetwork:
+    return LandmarkNetwork(network_path("pose_landmarks"))
 
 
 @pytest.fixture(scope="session")
-def body() -> BodyNetwork:
-    return BodyNetwork(network_path("body_mask"))
+def pose_detection() -> PoseDetection:
+    return PoseDetection(network_path("pose_detection"))
 
 
 @pytest.fixture(scope="session")
-def segmenter(body: BodyNetwork) -> NetworkSegmenter:
-    return NetworkSegmenter(body)
+def detector(
+    movenet: MoveNet, pose_detection: PoseDetection, landmark_network: LandmarkNetwork
+) -> NetworkDetector:
+    return NetworkDetector(movenet, pose_detection, landmark_network)
+
+
+@pytest.fixture(scope="session")
+def person_reader(landmark_network: LandmarkNetwork, reader: KeypointReader) -> PersonReader:
+    return PersonReader(landmark_network, reader)

@@ -11,7 +11,9 @@ import pytest
 from app.vision.detection.detector import HogDetector, NetworkDetector
 from app.vision.keypoints.reader import KeypointReader
 from app.vision.people import Box
-from app.vision.segmentation.segment import NetworkSegmenter
+from app.vision.person.landmarks import LandmarkNetwork
+from app.vision.person.silhouettes import silhouettes_of
+from app.vision.person.window import window_about
 
 PIXELS = 1_000_000
 # What a pass of a network is shown, and what is drawn of it.
@@ -30,7 +32,7 @@ def peak_bytes(work: Callable[[], object]) -> int:
 
 @pytest.mark.parametrize("what", ["network", "hog", "keypoints", "silhouette"])
 def test_thin_frames(
-    detector: NetworkDetector, reader: KeypointReader, segmenter: NetworkSegmenter, what: str
+    detector: NetworkDetector, reader: KeypointReader, landmark_network: LandmarkNetwork, what: str
 ) -> None:
     def work(width: int) -> object:
         height = PIXELS // width
@@ -39,7 +41,8 @@ def test_thin_frames(
         if what == "keypoints":
             return reader.read(frame, box)
         if what == "silhouette":
-            return segmenter.segment(frame, [box])
+            reading = landmark_network.read(frame, window_about(box))
+            return silhouettes_of([reading], [box], frame.shape, exact=True)
         return (detector if what == "network" else HogDetector()).detect(frame)
 
     square = peak_bytes(lambda: work(1000))

@@ -9,9 +9,12 @@ from hypothesis import strategies as st
 
 from app.vision.people import (
     COCO_NAMES,
+    LANDMARK_NAMES,
     Box,
     Detection,
+    Landmarks,
     ObservedKeypoints,
+    PersonWindow,
     Silhouette,
     silhouette_from_mask,
 )
@@ -114,7 +117,24 @@ def test_keypoints_are_seventeen(rows: int, scores: int) -> None:
         ObservedKeypoints(np.zeros((rows, 2)), np.zeros(scores))
 
 
-@pytest.mark.parametrize("quarter_turns", [-1, 4])
-def test_there_are_four_ways_up(quarter_turns: int) -> None:
-    with pytest.raises(ValueError, match="quarter turns"):
-        Detection(Box(0, 0, 1, 1), 0.5, quarter_turns)
+@pytest.mark.parametrize("row", range(3))
+def test_landmarks_are_thirty_three(row: int) -> None:
+    arrays = [np.zeros((33, 2)), np.zeros(33), np.zeros((33, 3))]
+    assert Landmarks(*arrays).keypoints().positions.shape == (17, 2)
+    arrays[row] = arrays[row][:-1]
+    with pytest.raises(ValueError, match="expected arrays of shapes"):
+        Landmarks(*arrays)
+
+
+def test_the_keypoints_among_landmarks_have_their_names() -> None:
+    positions = np.stack([np.arange(33.0), np.zeros(33)], axis=1)
+    found = Landmarks(positions, np.arange(33) / 33, np.zeros((33, 3))).keypoints()
+    rows = found.positions[:, 0].astype(int)
+    assert tuple(LANDMARK_NAMES[row] for row in rows) == COCO_NAMES
+    assert found.scores == pytest.approx(rows / 33)
+
+
+@pytest.mark.parametrize("bad", [(0, 0, 0, 0), (0, 0, -1, 0), (np.nan, 0, 1, 0), (0, 0, 1, np.inf)])
+def test_a_window_without_size_is_refused(bad: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="positive finite size"):
+        PersonWindow(*bad)

@@ -34,6 +34,9 @@ _LARGE_PX = 96
 # Boxes that end within this many pixels, as shown, of a tile's edge inside the frame are cut by it.
 _CUT_PX = 4.0
 _LEAST_NETWORK_SCORE = 0.02
+# HOG enlarges a frame no further than to find people as small as this, in pixels: in a frame of a
+# few rows a share of its height would be next to nothing.
+_LEAST_HOG_PX = 16.0
 # Scores of BlazePose's detector from which a body is looked at, and the landmark network's presence
 # from which it is a person: walls and trees stay below 0.1, people mostly above 0.9.
 _LEAST_BODY_SCORE, _LEAST_PRESENCE = 0.3, 0.5
@@ -199,7 +202,7 @@ class HogDetector:
     def people(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
         """One box for each person, and its margin; see :func:`hog_people`."""
         height, width = frame.shape[:2]
-        smallest = smallest_person_px(frame.shape, self._min_person_px)
+        smallest = max(_LEAST_HOG_PX, smallest_person_px(frame.shape, self._min_person_px))
         factor = min(1.0, 50 / smallest, LONGEST_PX / max(height, width))
         small = resize(frame, max(1, round(width * factor)), max(1, round(height * factor)))
         boxes, margins = hog_people(small, max(min(50, smallest), 50 * factor))

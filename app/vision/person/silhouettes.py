@@ -135,8 +135,9 @@ def _cut_out(reading: Reading, rivals: Sequence[Reading], region: Box) -> Silhou
         theirs = _probability(rival, drawn, size)
         both = mask & (theirs >= _THRESHOLD)
         if both.any():
-            nearer = _distance(reading, drawn, size) <= _distance(rival, drawn, size)
-            mask &= nearer | ~both
+            rows, columns = np.nonzero(both)
+            places = np.stack([columns, rows], axis=1) @ drawn[:, :2].T + drawn[:, 2]
+            mask[rows, columns] = _distances(reading, places) <= _distances(rival, places)
     mask = fill_small_holes(keep_components(mask, 0.1), 0.01)
     covered = cv2.resize(mask.astype(np.float32), (width, height))
     inside = covered >= _HALF_COVERED
@@ -157,15 +158,16 @@ def _probability(
     return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
 
 
-def _distance(
-    reading: Reading, drawn: NDArray[np.float64], size: tuple[int, int]
-) -> NDArray[np.float32]:
-    """Distance ``(h, w)`` of the pixels of a region as drawn from a person's bones."""
-    to_drawn = cv2.invertAffineTransform(drawn)
-    points = reading.landmarks.positions @ to_drawn[:, :2].T + to_drawn[:, 2]
-    # Farther away OpenCV's whole numbers would overflow.
-    points = np.clip(np.rint(points), -(2**14), 2**14).astype(int)
-    canvas: NDArray[np.uint8] = np.full((size[1], size[0]), 255, np.uint8)
+def _distances(reading: Reading, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances ``(N,)`` of places ``(N, 2)`` in the frame from a person's bones."""
+    nearest = np.full(len(places), np.inf)
     for start, end in _BONES:
-        cv2.line(canvas, points[start].tolist(), points[end].tolist(), (0,))
-    return np.asarray(cv2.distanceTransform(canvas, cv2.DIST_L2, 3))
+        first, along = (
+            reading.landmarks.positions[start],
+            reading.landmarks.positions[end] - reading.landmarks.positions[start],
+        )
+        offsets = places - first
+        shares = np.clip(offsets @ along / max(float(along @ along), 1e-9), 0, 1)
+        offsets -= shares[:, None] * along
+        np.minimum(nearest, np.hypot(offsets[:, 0], offsets[:, 1]), out=nearest)
+    return nearest

@@ -188,7 +188,7 @@ def test_threads_agree(movenet: MoveNet, street: NDArray[np.uint8]) -> None:
 
 def test_another_network_is_refused() -> None:
     with pytest.raises(NetworkError, match="expected"):
-        MoveNet(network_path("body_mask"))
+        MoveNet(network_path("pose_detection"))
 
 
 CELLS = (40, 48)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from app.vision.segmentation.body_network import COLUMNS, ROWS
 from numpy.testing import assert_allclose, assert_array_equal
 
 from app.vision.runtime.tflite import NetworkError, TfliteNetwork
-from app.vision.segmentation.body_network import COLUMNS, ROWS
 from app.vision.weights import network_path
 
 INPUT, OUTPUTS = (ROWS, COLUMNS, 3), [(ROWS, COLUMNS, 1)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from app.vision.weights import (
     network_path,
     write_fitted,
 )
+from scripts.load.server import free_ports
 from tests.conftest import ROOT
 
 DOCUMENT = json.loads(MODELS.read_text())
@@ -92,6 +94,7 @@ def test_the_start_ends_with_that_sentence_alone(tmp_path: Path, how: str) -> No
     ended = subprocess.run(
         [sys.executable, "-m", "app"],
         cwd=tmp_path,
+        env={**os.environ, "PORT": str(free_ports(1)[0])},
         capture_output=True,
         text=True,
         check=False,
