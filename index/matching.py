@@ -125,10 +125,13 @@ class Match:
         Usually a few more than asked for, for a caller who re-ranks them.
     features : (N, F) float64 array
         :data:`index.confidence.FEATURES` of each, from which its confidence was computed.
+    first_batch : int
+        How many of them there are however many are asked for.
     """
 
     hypotheses: list[Hypothesis]
     features: NDArray[np.float64]
+    first_batch: int
 
 
 def match(
@@ -189,6 +192,7 @@ def match(
                 for one in (more.hypotheses[row] for row in later)
             ],
             np.concatenate([found.features, more.features[later]]),
+            found.first_batch,
         )
     return found
 
@@ -255,7 +259,7 @@ class _Query:
             )
             for row in order
         ]
-        return Match(hypotheses, features[order])
+        return Match(hypotheses, features[order], len(hypotheses))
 
     def _modes_of_both(
         self, usual: Sequence[float], keypoints: Keypoints, n: int, wanted: int
