@@ -51,7 +51,7 @@ def fit_poses(
     if upright is None:
         return Person(observed, None, None, ())
     keypoints = upright.keypoints()
-    matched = match(
+    found = match(
         index,
         upright.normalised,
         n,
@@ -59,11 +59,14 @@ def fit_poses(
         roll_deg=upright.roll_deg,
         whole=upright.whole,
         candidates_per_hypothesis=candidates_per_hypothesis,
-    ).hypotheses
-    # As many as vote, so that postures do not depend on how many are asked for.
+    )
+    matched = found.hypotheses
+    # Posture and facing do not depend on how many are asked for.
     most = max(n, VOTERS)
     ranked = (
-        rank_by_silhouette(matched, most) if keypoints is None else rank_by_keypoints(matched, most)
+        rank_by_silhouette(matched, most, VOTERS)
+        if keypoints is None
+        else rank_by_keypoints(matched, most, found.first_batch)
     )
     presence = 1.0 if observed.presence is None else observed.presence
     confidences = [presence * confidence for confidence in ranked.confidences]

@@ -32,7 +32,8 @@ class Ranked:
         Unchanged: their own distances and confidences are those of the silhouette.
     distances : tuple of float
         Ascending. The descriptors' distance, made shorter by keypoints that support a hypothesis
-        and longer by keypoints that contradict it.
+        and longer by keypoints that contradict it; where hypotheses of a later batch are nearer,
+        that of the farthest before them.
     confidences : tuple of float
         By silhouette and keypoints.
     """
@@ -43,7 +44,9 @@ class Ranked:
     confidences: tuple[float, ...]
 
 
-def rank_by_silhouette(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
+def rank_by_silhouette(
+    hypotheses: Sequence[Hypothesis], n: int, voters: int | None = None
+) -> Ranked:
     """Keep the nearest ``n`` hypotheses, unchanged.
 
     The facing is the share of their confidence that faces the camera.
@@ -53,18 +56,22 @@ def rank_by_silhouette(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
     hypotheses : sequence of Hypothesis
         At least one, nearest first.
     n : int
+    voters : int, optional
+        How many of the first tell the facing; by default all that are kept.
     """
     hypotheses = tuple(hypotheses[:n])
     confidences = np.array([hypothesis.confidence for hypothesis in hypotheses])
     return Ranked(
-        Facing(front_share(_azimuths(hypotheses), confidences), "none"),
+        Facing(front_share(_azimuths(hypotheses[:voters]), confidences[:voters]), "none"),
         hypotheses,
-        tuple(hypothesis.fused_distance for hypothesis in hypotheses),
+        tuple(np.maximum.accumulate([one.fused_distance for one in hypotheses]).tolist()),
         tuple(confidences.tolist()),
     )
 
 
-def rank_by_keypoints(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
+def rank_by_keypoints(
+    hypotheses: Sequence[Hypothesis], n: int, voters: int | None = None
+) -> Ranked:
     """Re-rank hypotheses that were matched with keypoints, and keep the nearest ``n``.
 
     Parameters
@@ -72,13 +79,15 @@ def rank_by_keypoints(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
     hypotheses : sequence of Hypothesis
         At least one; with more than ``n`` there is a choice.
     n : int
+    voters : int, optional
+        How many of the first tell the facing; by default all.
     """
     azimuths = _azimuths(hypotheses)
     distances = np.array([hypothesis.fused_distance for hypothesis in hypotheses])
     confidences = fused_confidences(distances)
     chosen = nearest_of_both_facings(azimuths, distances, n)
     return Ranked(
-        Facing(front_share(azimuths, confidences), "image"),
+        Facing(front_share(azimuths[:voters], confidences[:voters]), "image"),
         tuple(hypotheses[i] for i in chosen),
         tuple(np.maximum.accumulate(distances[chosen]).tolist()),
         tuple(confidences[chosen].tolist()),

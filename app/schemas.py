@@ -284,7 +284,8 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="By silhouette and keypoints; ascends with the rank. It is the distance of the "
+        description="By silhouette and keypoints; ascends with the rank: where a hypothesis after "
+        "the seventh is nearer, it is that of the one before. It is the distance of the "
         "silhouettes if `facing.evidence` is `none`; otherwise keypoints that support a hypothesis "
         "make it shorter, and keypoints that contradict it longer.",
         examples=[0.031],

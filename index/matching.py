@@ -130,10 +130,13 @@ class Match:
     features : (N, F) float64 array
         Of each, from which its confidence was computed: :data:`index.confidence.FEATURES`, or
         :data:`index.reranker.RERANKING_FEATURES`.
+    first_batch : int
+        How many of them there are however many are asked for.
     """
 
     hypotheses: list[Hypothesis]
     features: NDArray[np.float64]
+    first_batch: int
 
 
 def match(
@@ -194,6 +197,7 @@ def match(
                 for one in (more.hypotheses[row] for row in later)
             ],
             np.concatenate([found.features, more.features[later]]),
+            found.first_batch,
         )
     return found
 
@@ -267,7 +271,7 @@ class _Query:
             )
             for row in order
         ]
-        return Match(hypotheses, features[order])
+        return Match(hypotheses, features[order], len(hypotheses))
 
     def _modes_of_both(
         self, usual: Sequence[float], keypoints: Keypoints, n: int, wanted: int

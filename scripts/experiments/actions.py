@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.actions import LEAST_SHARE, ActionModel
-from app.tracking.events import EventDetector
+from app.tracking.events import EventDetector, Trust
 from app.tracking.postures import PostureFilter
 from descriptor.descriptor import DiagonalDescriptor
 from index.artefact import load_index
@@ -306,7 +306,9 @@ def told_postures(tracks: Sequence[Track]) -> dict[str, tuple[int, list[float]]]
     for track in tracks:
         postures = PostureFilter()
         for row, (person, smoothed) in enumerate(zip(track.people, track.smoothed, strict=True)):
-            over_time, _ = postures.update(float(track.timestamps[row]), smoothed.votes, None, 1.0)
+            box = person.observed.box
+            timestamp = float(track.timestamps[row])
+            over_time, _ = postures.update(timestamp, smoothed.votes, None, 1.0, box)
             labels = [p.label if p else "unclear" for p in (person.posture, over_time)]
             truth.append(track.posture[row])
             told.append([-1 if p == "unclear" else POSTURES.index(p) for p in labels])
@@ -344,7 +346,7 @@ def told_falls(tracks: Sequence[Track]) -> Falls:
                 track.timestamps.tolist(), track.smoothed, strict=True
             )
             for event in detector.update(
-                1, timestamp, smoothed.votes, smoothed.pose.confidence
+                1, timestamp, smoothed.votes, Trust(*2 * [smoothed.pose.confidence])
             )
             if event.event == "fell"
         ]  # fmt: skip

@@ -20,6 +20,7 @@ from index.store import PoseIndex
 from scripts.load.client import Call
 from scripts.load.loops import BackgroundLoop, Reply
 from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
+from scripts.load.server import free_ports
 from tests.app.test_camera_sessions import send
 from tests.app.test_server import metric
 from tests.conftest import Photo, Server, build_tiny_index, start_server, wait_until
@@ -239,6 +240,7 @@ def test_without_the_package_the_start_ends_with_a_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("POSE_INDEX", "milvus://vectors/poses")
+    monkeypatch.setenv("PORT", str(free_ports(1)[0]))
     monkeypatch.setattr(remote_index.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SystemExit, match=r"^POSE_INDEX: expected the packages of the extra milvus"):
         main.main()

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.drawing import OUTLINE, SIDES
+from app.drawing import LEGEND
 from app.replies import _flat, _points_3d
 from app.schemas import PoseResponse
-from index.skeleton import COCO17, NATIVE
+from app.vision.people import LANDMARK_NAMES
+from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex
 from tests.conftest import ROOT, Photo, photograph, png
 
@@ -95,22 +96,29 @@ def test_hypotheses_are_ranked_distinct_and_finite(
             assert all(math.isfinite(value) for value in point.values())
 
 
-def test_keypoint_sets_select_the_same_points(client: TestClient, photo: Photo) -> None:
-    native, coco = (ask(client, photo, keypoints=name) for name in ("native", "coco17"))
-    assert native["keypoints"]["names"] == list(NATIVE.names)
-    assert coco["keypoints"]["names"] == list(COCO17.names)
-    for name in set(NATIVE.names) & set(COCO17.names):
-        points = [
-            answer["persons"][0]["hypotheses"][0]["joints_3d"][
-                answer["keypoints"]["names"].index(name)
-            ]
-            for answer in (native, coco)
-        ]
-        assert points[0] == points[1]
+@pytest.mark.parametrize("name", ["native", "coco17", "h36m17"])
+def test_keypoint_sets_select_points_of_the_entry(
+    client: TestClient, photo: Photo, tiny_index: PoseIndex, name: str
+) -> None:
+    """The nearest is the photographed entry as it is, so its own points are known."""
+    answer = ask(client, photo, keypoints=name)
+    chosen = KEYPOINT_SETS[name]
+    assert answer["keypoints"] == {
+        "set": name,
+        "names": list(chosen.names),
+        "bones": [{"parent": parent, "child": child} for parent, child in chosen.bones],
+    }
+    joints = answer["persons"][0]["hypotheses"][0]["joints_3d"]
+    points = tiny_index.entry(photo.entry).points_3d
+    # Human3.6M calls some by other names.
+    rows = {"spine": "chest", "thorax": "neck"} if name == "h36m17" else {}
+    for keypoint, joint in zip(chosen.names, joints, strict=True):
+        row = POINT_NAMES.index(rows.get(keypoint, keypoint))
+        assert [joint["x"], joint["y"], joint["z"]] == pytest.approx(points[row], abs=2e-3)
 
 
 def test_compact_joints_are_the_same_numbers(client: TestClient, photo: Photo) -> None:
-    for keypoints in ("native", "coco17"):
+    for keypoints in ("native", "coco17", "h36m17"):
         full, compact = (
             ask(client, photo, keypoints=keypoints, joints=form)["persons"][0]["hypotheses"]
             for form in ("full", "compact")
@@ -145,7 +153,9 @@ def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) ->
     for label, left in ((1, 200), (2, 20), (3, 110)):
         mask |= photograph(tiny_index, label, left).mask * label
     files = {"frame": png(np.zeros((240, 320, 3), np.uint8)), "mask": png(mask)}
-    persons = client.post("/pose", files=files).json()["persons"]
+    # By the silhouettes alone: what is read in a black frame is no pose.
+    answer = client.post("/pose", files=files, params={"evidence": "silhouette"})
+    persons = answer.json()["persons"]
     for person, (number, left) in zip(persons, ((2, 20), (3, 110), (1, 200)), strict=True):
         best = person["hypotheses"][0]
         joints = np.array([[joint["x"], joint["y"]] for joint in best["joints_2d"]])
@@ -186,6 +196,47 @@ def test_people_are_found_and_their_keypoints_are_told(client: TestClient) -> No
             assert abs(keypoint["x"] - box["x"] - box["width"] / 2) < box["width"]
             assert abs(keypoint["y"] - box["y"] - box["height"] / 2) < 0.6 * box["height"]
         assert sum(keypoint is not None for keypoint in seen) >= 12
+
+
+def test_all_landmarks_are_told_where_they_are_wanted(client: TestClient) -> None:
+    coco, blaze = (
+        post(client, {"frame": WALKERS}, observed=observed)["persons"]
+        for observed in ("coco17", "blazepose33")
+    )
+    for few, all_of_them in zip(coco, blaze, strict=True):
+        seen = all_of_them.pop("observed_keypoints")
+        assert len(seen) == len(LANDMARK_NAMES) == 33
+        for name, landmark in zip(LANDMARK_NAMES, seen, strict=True):
+            assert landmark is None or landmark["name"] == name
+        by_name = dict(zip(LANDMARK_NAMES, seen, strict=True))
+        assert [by_name[name] for name in COCO17.names] == few.pop("observed_keypoints")
+        # Metres about the middle of the hips.
+        assert sum(by_name[f"{side}_hip"]["z"] for side in ("left", "right")) == pytest.approx(
+            0, abs=0.05
+        )
+        assert all(abs(landmark["z"]) < 1.2 for landmark in seen if landmark)
+        assert all_of_them == few, "what is told of the photograph changes no pose"
+
+
+def test_how_far_a_skeleton_was_moved_is_told(client: TestClient, photo: Photo) -> None:
+    """By the silhouette alone, the photographed entry comes as it is."""
+    assert ask(client, photo)["persons"][0]["hypotheses"][0]["adjusted_mm"] == 0
+    names, compared = list(NATIVE.names), 0
+    for person in post(client, {"frame": WALKERS})["persons"]:
+        for hypothesis in person["hypotheses"]:
+            query = f"/index/entries/{hypothesis['entry']}"
+            entry = client.get(query).json()["joints_3d"]
+            own, moved = (
+                np.array([[p[axis] for axis in "xyz"] for p in joints])
+                for joints in (entry, hypothesis["joints_3d"])
+            )
+            pelvis = names.index("pelvis")
+            apart = np.linalg.norm(moved - moved[pelvis] - own + own[pelvis], axis=1).mean()
+            if not (hypothesis["source"]["mirrored"] or abs(hypothesis["camera"]["roll_deg"]) > 1):
+                # The reply has 19 of the 24 points that are averaged.
+                assert hypothesis["adjusted_mm"] == pytest.approx(1000 * apart, rel=0.25, abs=5)
+                compared += 1
+    assert compared >= 3
 
 
 def test_by_the_silhouette_alone_nothing_of_the_photograph_is_told(client: TestClient) -> None:
@@ -269,20 +320,81 @@ def test_an_empty_street_has_no_persons(client: TestClient) -> None:
     assert answer["image"] == {"width": 320, "height": 240}
 
 
-def test_distances_are_the_silhouettes_where_the_photograph_tells_nothing(
+def test_by_the_silhouette_alone_the_facing_is_that_of_the_hypotheses(
     client: TestClient, photo: Photo
 ) -> None:
-    files = {"frame": png(np.full_like(photo.frame, 120)), "mask": photo.mask_png}
-    person = client.post("/pose", files=files).json()["persons"][0]
-    distances = [h["distance"] for h in person["hypotheses"]]
-    assert distances == sorted(distances)
-    assert distances == [h["silhouette_distance"] for h in person["hypotheses"]]
+    person = ask(client, photo)["persons"][0]
     weights = np.array([h["confidence"] for h in person["hypotheses"]])
     front = np.cos(np.deg2rad([h["camera"]["azimuth_deg"] for h in person["hypotheses"]])) > 0
     assert person["facing"]["evidence"] == "none"
     assert person["facing"]["front_probability"] == pytest.approx(
         (weights * front).sum() / weights.sum(), abs=1e-3
     )
+
+
+def walls() -> dict[str, np.ndarray]:
+    """Pictures ``(240, 320, 3)`` of nobody."""
+    columns = np.arange(320)
+    bricks = np.full((240, 320, 3), 150, np.uint8)
+    for row in range(0, 240, 16):
+        bricks[row : row + 2] = 90
+        bricks[row : row + 16, row % 32 // 16 * 20 :: 40] = 90
+    ramp = np.linspace(0, 255, 320).astype(np.uint8)
+    return {
+        "blank": np.full((240, 320, 3), 200, np.uint8),
+        "noise": np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8),
+        "bricks": bricks,
+        "ramp": np.tile(ramp[None, :, None], (240, 1, 3)),
+        "stripes": np.tile((columns // 8 % 2 * 200).astype(np.uint8)[None, :, None], (240, 1, 3)),
+    }
+
+
+@pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60], [200, 100, 40, 40]])
+@pytest.mark.parametrize("wall", walls())
+def test_a_box_about_nobody_is_answered_and_told_unsure(
+    client: TestClient, wall: str, box: list[float]
+) -> None:
+    response = client.post(
+        "/pose", files={"frame": png(walls()[wall])}, data={"boxes": json.dumps([box])}
+    )
+    assert response.status_code == 200
+    (person,) = PoseResponse.model_validate_json(response.content).persons
+    assert person.source == "boxes"
+    if person.silhouette is None:
+        assert person.posture is person.facing is None
+        assert person.hypotheses == []
+        return
+    assert person.posture is not None
+    assert person.posture.label == "unclear"
+    assert person.posture.probability < 0.5
+    assert all(hypothesis.confidence < 0.1 for hypothesis in person.hypotheses)
+
+
+def test_a_mask_on_a_frame_that_shows_nobody_is_told_unsure(
+    client: TestClient, photo: Photo
+) -> None:
+    person = post(client, {"frame": png(walls()["blank"]), "mask": photo.mask_png})["persons"][0]
+    assert person["posture"]["label"] == "unclear"
+    assert all(hypothesis["confidence"] < 0.1 for hypothesis in person["hypotheses"])
+    # On a photograph of somebody the same mask is sure of the same entry.
+    seen = post(client, {"frame": photo.frame_png, "mask": photo.mask_png})["persons"][0]
+    assert seen["posture"]["label"] == "standing"
+    assert seen["hypotheses"][0]["entry"] == photo.entry
+    assert seen["hypotheses"][0]["confidence"] > 0.9
+
+
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
+def test_the_first_of_many_are_those_of_few(client: TestClient, evidence: str) -> None:
+    few, usual, many = (
+        post(client, {"frame": WALKERS}, n=n, evidence=evidence)["persons"] for n in (3, 7, 14)
+    )
+    for three, seven, fourteen in zip(few, usual, many, strict=True):
+        assert [len(one["hypotheses"]) for one in (three, seven, fourteen)] == [3, 7, 14]
+        assert seven["hypotheses"][:3] == three["hypotheses"]
+        assert fourteen["hypotheses"][:7] == seven["hypotheses"]
+        for one in (three, seven, fourteen):
+            del one["hypotheses"]
+        assert three == seven == fourteen
 
 
 def test_the_overlay_draws_on_the_frame(client: TestClient, photo: Photo) -> None:
@@ -304,8 +416,8 @@ def overlay(client: TestClient, frame: np.ndarray, mask: np.ndarray) -> np.ndarr
 def test_the_overlay_tells_its_colours_below_the_frame(client: TestClient, photo: Photo) -> None:
     legend = overlay(client, photo.frame, photo.mask)[240:]
     assert legend.shape[0] >= 20
-    for colour in (*SIDES.values(), OUTLINE):
-        assert (legend == colour).all(axis=2).any() == (colour != SIDES["middle"])
+    for _, colour, _ in LEGEND:
+        assert (legend == colour).all(axis=2).any()
 
 
 def test_the_overlay_numbers_people(client: TestClient, tiny_index: PoseIndex) -> None:

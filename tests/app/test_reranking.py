@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from app.reranking import (
     PER_OPPOSITE_FACING,
     fused_confidences,
-    fused_distances,
     nearest_of_both_facings,
     rank_by_keypoints,
     rank_by_silhouette,
@@ -39,7 +38,7 @@ def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: floa
 
 class TestNearestOfBothFacings:
     @given(distances=ascending_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
-    def test_takes_the_nearest_and_keeps_some_that_face_the_other_way(
+    def test_takes_the_nearest_and_of_every_seven_one_that_faces_the_other_way(
         self, distances: list[float], n: int, seed: int
     ) -> None:
         rng = np.random.default_rng(seed)
@@ -48,48 +47,39 @@ class TestNearestOfBothFacings:
         chosen = nearest_of_both_facings(azimuths, shuffled, n)
         assert len(chosen) == len(set(chosen)) == min(n, len(shuffled))
         assert shuffled[chosen[0]] == shuffled.min()
-        assert (np.diff(shuffled[chosen]) >= 0).all()
         front = np.cos(np.deg2rad(azimuths)) > 0
-        others = set(np.flatnonzero(front != front[chosen[0]]).tolist())
-        kept = others & set(chosen)
-        if n > 1:
-            assert len(kept) >= min(len(others), max(1, n // PER_OPPOSITE_FACING))
-        # Nobody nearer was left out but for these.
-        for i in set(range(len(shuffled))) - set(chosen):
-            assert all(shuffled[i] >= shuffled[j] or j in others for j in chosen)
+        opposite = front != front[chosen[0]]
+        for facing in (opposite, ~opposite):
+            of_it = [i for i in chosen if facing[i]]
+            assert shuffled[of_it].tolist() == sorted(shuffled[facing])[: len(of_it)]
+        for sevenths in range(1, n // PER_OPPOSITE_FACING + 1):
+            first = chosen[: sevenths * PER_OPPOSITE_FACING]
+            assert opposite[first].sum() >= min(sevenths, opposite.sum())
+        for rank, i in enumerate(chosen, start=1):
+            nearer = set(range(len(shuffled))) - set(chosen[:rank])
+            assert rank % PER_OPPOSITE_FACING == 0 or all(
+                shuffled[i] <= shuffled[j] for j in nearer
+            )
 
-
-class TestFusedDistances:
     @given(
-        distance=st.floats(0.01, 5), likely=st.floats(-60, 0), odds=st.floats(-40, 40),
-        lean=st.sampled_from([-30.0, 0.0, 15.0]),
+        distances=ascending_distances, n=st.integers(1, 15), k=st.integers(1, 15),
+        seed=st.integers(0, 999),
     )  # fmt: skip
-    def test_each_evidence_brings_a_hypothesis_nearer_and_makes_it_surer(
-        self, distance: float, likely: float, odds: float, lean: float
+    def test_the_first_are_those_that_are_chosen_where_fewer_are_asked_for(
+        self, distances: list[float], n: int, k: int, seed: int
     ) -> None:
-        hypotheses = {"log_likelihood": likely, "side_odds": odds, "tilt_deg": lean}
-        before = fused_distances([hypothesis_like(distance, **hypotheses)])
-        assert 0 <= fused_confidences(before)[0] <= 1
-        for better in (
-            hypothesis_like(0.9 * distance, **hypotheses),
-            hypothesis_like(distance, **{**hypotheses, "log_likelihood": likely / 2}),
-            hypothesis_like(distance, **{**hypotheses, "side_odds": odds + 5}),
-            hypothesis_like(distance, **{**hypotheses, "tilt_deg": 0.0}),
-        ):
-            after = fused_distances([better])
-            assert after[0] <= before[0]
-            assert fused_confidences(after)[0] >= fused_confidences(before)[0]
+        azimuths = np.random.default_rng(seed).uniform(-180, 180, len(distances))
+        fewer, more = sorted((k, n))
+        chosen = nearest_of_both_facings(azimuths, np.array(distances), more)
+        assert chosen[:fewer] == nearest_of_both_facings(azimuths, np.array(distances), fewer)
 
-    @given(distances=ascending_distances)
-    def test_a_photograph_that_shows_nothing_changes_nothing(self, distances: list[float]) -> None:
-        hypotheses = [hypothesis_like(distance) for distance in distances]
-        assert fused_distances(hypotheses) == pytest.approx(distances)
 
-    @given(distance=st.floats(0.01, 5), lean=st.floats(0, 60))
-    def test_either_tilt_counts_alike(self, distance: float, lean: float) -> None:
-        left, right = (hypothesis_like(distance, tilt_deg=s * lean) for s in (-1, 1))
-        both = fused_distances([left, right])
-        assert both[0] == pytest.approx(both[1])
+class TestConfidences:
+    @given(distances=st.lists(st.floats(0, 1e4), min_size=2, max_size=20).map(sorted))
+    def test_the_nearer_the_surer(self, distances: list[float]) -> None:
+        confidences = fused_confidences(np.array(distances))
+        assert ((confidences >= 0) & (confidences <= 1)).all()
+        assert (np.diff(confidences) <= 0).all()
 
 
 class TestRankBySilhouette:
@@ -104,6 +94,14 @@ class TestRankBySilhouette:
         assert list(ranked.confidences) == [hypothesis.confidence for hypothesis in hypotheses[:n]]
         assert ranked.facing.evidence == "none"
 
+    @given(distances=st.lists(st.floats(0, 5), min_size=1, max_size=30))
+    def test_distances_ascend_where_a_later_batch_is_nearer(self, distances: list[float]) -> None:
+        ranked = rank_by_silhouette([hypothesis_like(one) for one in distances], len(distances))
+        assert list(ranked.distances) == sorted(ranked.distances)
+        assert [hypothesis.distance for hypothesis in ranked.hypotheses] == distances
+        assert all(one >= own for one, own in zip(ranked.distances, distances, strict=True))
+        assert set(ranked.distances) <= set(distances)
+
     def test_the_facing_is_that_of_those_that_are_left(self) -> None:
         front = hypothesis_like(1, confidence=0.6)
         back = hypothesis_like(2, front=False, confidence=0.2)
@@ -112,26 +110,32 @@ class TestRankBySilhouette:
 
 
 class TestRankByKeypoints:
-    def test_keypoints_reorder(self) -> None:
-        likely, unlikely = (
-            hypothesis_like(distance, log_likelihood=likelihood)
-            for distance, likelihood in ((0.8, -8.0), (0.5, -30.0))
+    def test_the_distance_of_both_kinds_of_evidence_decides(self) -> None:
+        near, far = (
+            hypothesis_like(distance, fused_distance=fused)
+            for distance, fused in ((0.8, 0.3), (0.5, 2.0))
         )
-        ranked = rank_by_keypoints([unlikely, likely], 2)
-        assert [hypothesis.log_likelihood for hypothesis in ranked.hypotheses] == [-8.0, -30.0]
-        assert list(ranked.distances) == sorted(ranked.distances)
-        assert list(ranked.confidences) == sorted(ranked.confidences, reverse=True)
+        ranked = rank_by_keypoints([far, near], 2)
+        assert ranked.hypotheses == (near, far)
+        assert ranked.distances == (0.3, 2.0)
+        assert ranked.confidences == tuple(fused_confidences(np.array([0.3, 2.0])))
         assert ranked.facing.evidence == "image"
 
-    @given(odds=st.floats(0.5, 30))
-    def test_sides_tell_the_facing(self, odds: float) -> None:
-        """The same pose, once with its sides exchanged."""
-        front = hypothesis_like(1, log_likelihood=-4, side_odds=odds)
-        back = hypothesis_like(1, front=False, log_likelihood=-4, side_odds=-odds)
+    @given(nearer=st.floats(0.1, 10), farther=st.floats(1.1, 100))
+    def test_the_surer_hypotheses_tell_the_facing(self, nearer: float, farther: float) -> None:
+        front = hypothesis_like(fused_distance=nearer)
+        back = hypothesis_like(front=False, fused_distance=nearer * farther)
         for hypotheses in ([front, back], [back, front]):
             ranked = rank_by_keypoints(hypotheses, 2)
             assert ranked.hypotheses[0] is front
             assert ranked.facing.front_probability > 0.5
+
+    def test_later_hypotheses_change_no_facing(self) -> None:
+        first = [hypothesis_like(fused_distance=one, front=one < 2) for one in (1.0, 2.0)]
+        later = hypothesis_like(front=False, fused_distance=2.0)
+        for rank in (rank_by_keypoints, rank_by_silhouette):
+            assert rank([*first, later], 3, voters=2).facing == rank(first, 2).facing
+            assert rank([*first, later], 3).facing != rank(first, 2).facing
 
     @given(distances=ascending_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
     def test_as_many_as_asked_in_ascending_distance(
@@ -139,14 +143,11 @@ class TestRankByKeypoints:
     ) -> None:
         rng = np.random.default_rng(seed)
         hypotheses = [
-            hypothesis_like(
-                distance, front=bool(rng.integers(2)), log_likelihood=-float(rng.exponential(9)),
-                side_odds=float(rng.normal(0, 9)),
-            )
+            hypothesis_like(fused_distance=distance, front=bool(rng.integers(2)))
             for distance in distances
-        ]  # fmt: skip
+        ]
         ranked = rank_by_keypoints(hypotheses, n)
         assert len(ranked.hypotheses) == len(ranked.distances) == min(n, len(hypotheses))
         assert list(ranked.distances) == sorted(ranked.distances)
-        assert ranked.distances[0] == pytest.approx(fused_distances(hypotheses).min())
+        assert ranked.distances[0] == min(distances)
         assert 0 <= ranked.facing.front_probability <= 1

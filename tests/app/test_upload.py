@@ -18,7 +18,6 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
     few = Estimator(
         estimator.index,
         estimator.detector,
-        estimator.segmenter,
         estimator.finder.reader,
         min_person_px=50,
         max_pixels=10**6,
