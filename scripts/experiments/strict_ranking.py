@@ -17,11 +17,11 @@ from index.build.calibrate import (
 )
 from index.build.motion import Segment
 from index.confidence import RIGHT_BELOW_PX
+from index.landmark_search import rotate_clockwise
 from index.reranker import Reranker, load_reranker
 from index.rotations import (
     RotatedQuery,
     find_rotated_candidates,
-    rotate_clockwise,
     usual_rotations,
 )
 from index.skeleton import JOINTS
