@@ -59,7 +59,7 @@ def rank_by_silhouette(hypotheses: Sequence[Hypothesis], n: int) -> Ranked:
     return Ranked(
         Facing(front_share(_azimuths(hypotheses), confidences), "none"),
         hypotheses,
-        tuple(hypothesis.distance for hypothesis in hypotheses),
+        tuple(np.maximum.accumulate([one.distance for one in hypotheses]).tolist()),
         tuple(confidences.tolist()),
     )
 
