@@ -15,8 +15,8 @@ from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.vision.people import Box, ObservedKeypoints
 from app.vision.rotation import rotate_box, rotate_keypoints, rotate_points, rotate_silhouette
-from index.posture import LOW
 from index.landmark_search import rotate_clockwise
+from index.posture import LOW
 from tests.conftest import ROOT, Photo, png
 
 WALKER = Box(135, 162, 40, 105)

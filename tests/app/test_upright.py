@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from app.upright import UprightPerson
 from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette, silhouette_from_mask
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
-from index.matching import match
 from index.landmark_search import rotate_clockwise, rotate_silhouette, usual_rotations
+from index.matching import match
 from index.skeleton import LIMBS, POINT_NAMES
 from index.store import PoseIndex
 
