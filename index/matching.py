@@ -12,7 +12,7 @@ from index.candidates import Candidates
 from index.features import match_features
 from index.keypoint_fit import fit_to_keypoints
 from index.keypoints import Keypoints
-from index.landmark_search import rotate_clockwise
+from index.landmark_search import Nearest, rotate_clockwise
 from index.modes import Modes, find_modes, mode_weights
 from index.outline import outline_distances
 from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
@@ -180,7 +180,7 @@ def match(
     query = _Query(index, silhouette, keypoints, roll_deg, whole, candidates_per_hypothesis)
     batch = FIRST_HYPOTHESES
     found = query.match(batch)
-    while batch < n:
+    while len(found.hypotheses) < n or batch < n:
         batch *= 2
         more = query.match(batch)
         known = np.array([hypothesis.points_3d for hypothesis in found.hypotheses])
@@ -189,6 +189,8 @@ def match(
             for row, hypothesis in enumerate(more.hypotheses)
             if mean_joint_distance(hypothesis.points_3d[None], known).min() >= DISTINCT_M
         ]
+        if not later and batch >= n:
+            break
         farthest = found.hypotheses[-1].fused_distance
         found = Match(
             found.hypotheses
@@ -278,23 +280,20 @@ class _Query:
     ) -> tuple[list[RotatedQuery], Candidates, Modes]:
         """Modes of the entries near the silhouette and of those near the landmarks."""
         index, growth = self.index, _growth(wanted)
-        by_landmarks, rotations = None, list(usual)
-        if keypoints.limbs_3d is not None:
-            upright = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
-            nearest = index.landmark_search.nearest(
-                upright, likely_rolls(upright), growth * LANDMARK_CANDIDATES
-            )
-            nearest = seen_from(index, nearest, self.roll_deg)
+        nearest, rotations = self._near_landmarks(keypoints, growth), list(usual)
+        if nearest is not None:
             rotations = rotations_of_landmarks(usual, nearest.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
-        if keypoints.limbs_3d is not None:
-            by_landmarks = compare_rotated_entries(index, queries, nearest)
+        known = 0
         while True:
-            parts = [] if by_landmarks is None else [by_landmarks]
-            if self.whole or by_landmarks is None:
+            parts = []
+            if nearest is not None:
+                parts.append(compare_rotated_entries(index, queries, nearest))
+            if self.whole or nearest is None:
                 k = growth * SILHOUETTE_CANDIDATES
                 parts.append(find_rotated_candidates(index, queries, k))
             candidates = Candidates.merged(parts).unique()
+            exhausted, known = len(candidates) <= known, len(candidates)
             if not self.whole:
                 candidates = _placed_on(keypoints, candidates)
             agreement = keypoints.compare(candidates.points_normalised, candidates.points_3d)
@@ -304,10 +303,20 @@ class _Query:
             kept.sort()  # Back in ascending distance.
             candidates, agreement = candidates.take(kept), agreement.take(kept)
             modes = find_modes(candidates, n + SPARE_MODES_WITH_KEYPOINTS, agreement=agreement)
-            exhausted = len(candidates) < growth * KEPT_CANDIDATES
             if len(modes) >= n or exhausted or growth >= MAX_GROWTH:
                 return queries, candidates, modes
             growth *= 2
+            nearest = self._near_landmarks(keypoints, growth)
+
+    def _near_landmarks(self, keypoints: Keypoints, growth: int) -> Nearest | None:
+        """Entries near the landmarks in three dimensions; None where there are none."""
+        if keypoints.limbs_3d is None:
+            return None
+        upright = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
+        nearest = self.index.landmark_search.nearest(
+            upright, likely_rolls(upright), growth * LANDMARK_CANDIDATES
+        )
+        return seen_from(self.index, nearest, self.roll_deg)
 
 
 def _postures(

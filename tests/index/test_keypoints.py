@@ -125,10 +125,8 @@ def test_some_can_be_taken() -> None:
     keypoints = shown(skeleton(0))
     points = np.stack([skeleton(seed) for seed in range(5)])
     rows = np.array([3, 1])
-    some, alone = (
-        keypoints.compare(points, NO_DEPTH).take(rows),
-        keypoints.compare(points[rows], NO_DEPTH),
-    )
+    some = keypoints.compare(points, NO_DEPTH).take(rows)
+    alone = keypoints.compare(points[rows], NO_DEPTH)
     assert_array_equal(some.log_likelihood, alone.log_likelihood)
     assert_array_equal(some.side_odds, alone.side_odds)
     assert_array_equal(some.pulls, alone.pulls)

@@ -12,10 +12,11 @@ from index.build.learn import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
-from index.landmark_search import rotate_clockwise, rotate_silhouette
-from index.matching import Hypothesis, match
+from index.landmark_search import rotate_clockwise
+from index.matching import DISTINCT_M, FIRST_HYPOTHESES, Hypothesis, match
 from index.posture import Posture
-from index.skeleton import JOINTS, POINTS, mirror_3d, mirror_normalised
+from index.rotations import rotate_silhouette
+from index.skeleton import JOINTS, POINTS, mean_joint_distance, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 
 QUERIES = range(0, 576, 61)
@@ -69,6 +70,13 @@ def test_mirrored_silhouette_gives_mirrored_answers(toy_index: PoseIndex, number
     )
 
 
+def assert_later_poses_are_others(found: list[Hypothesis]) -> None:
+    """Those of a batch than those of the batches before, where batches certainly end."""
+    poses = np.array([h.points_3d for h in found])
+    for row in range(2 * FIRST_HYPOTHESES, len(found)):
+        assert mean_joint_distance(poses[row][None], poses[:FIRST_HYPOTHESES]).min() >= DISTINCT_M
+
+
 @pytest.mark.parametrize("n", [1, 2, 7, 20])
 @pytest.mark.parametrize("number", [5, 300])
 class TestHypotheses:
@@ -77,12 +85,17 @@ class TestHypotheses:
 
     def test_ascend_in_distance(self, toy_index: PoseIndex, number: int, n: int) -> None:
         found = best_hypotheses(toy_index, toy_index.silhouette(number), n)
-        distances = [h.distance for h in found]
+        distances = [h.fused_distance for h in found]
         assert distances == sorted(distances)
+        # Those of a later batch are told to be no nearer than those before.
+        assert all(h.fused_distance >= h.distance for h in found)
+        assert all(h.fused_distance == h.distance for h in found[:FIRST_HYPOTHESES])
 
-    def test_are_distinct_entries(self, toy_index: PoseIndex, number: int, n: int) -> None:
+    def test_are_distinct_poses(self, toy_index: PoseIndex, number: int, n: int) -> None:
         found = best_hypotheses(toy_index, toy_index.silhouette(number), n)
-        assert len({(h.entry, h.mirrored) for h in found}) == n
+        first = found[:FIRST_HYPOTHESES]
+        assert len({(h.entry, h.mirrored) for h in first}) == len(first)
+        assert_later_poses_are_others(found)
 
     def test_are_finite_and_in_range(self, toy_index: PoseIndex, number: int, n: int) -> None:
         for hypothesis in best_hypotheses(toy_index, toy_index.silhouette(number), n):
@@ -122,8 +135,8 @@ def test_hypotheses_are_distinct_poses(
 
 def test_asks_for_more_than_there_is(toy_index: PoseIndex) -> None:
     found = best_hypotheses(toy_index, toy_index.silhouette(0), 10_000)
-    assert 0 < len(found) <= len(toy_index)
-    assert len({(h.entry, h.mirrored) for h in found}) == len(found)
+    assert 20 < len(found) <= len(toy_index)
+    assert_later_poses_are_others(found)
 
 
 @pytest.mark.parametrize("drawn", ["full", "dot"])
