@@ -219,7 +219,7 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
     assert same.hypothesis.posture in LOW
 
 
-# In a box, somebody upside down is not read: MoveNet, which says where the head is, does not see it.
+# In a box, somebody upside down is not read: MoveNet, which tells where the head is, sees nobody.
 @pytest.mark.parametrize("quarter_turns", [1, 3])
 def test_boxes_and_masks_of_people_who_lie_are_read(
     estimator: Estimator, street: NDArray[np.uint8], walker: Person, quarter_turns: int
