@@ -84,7 +84,8 @@ def rank_by_keypoints(
     """
     azimuths = _azimuths(hypotheses)
     distances = np.array([hypothesis.fused_distance for hypothesis in hypotheses])
-    confidences = fused_confidences(distances)
+    adjusted_m = np.array([hypothesis.adjusted_m for hypothesis in hypotheses])
+    confidences = fused_confidences(distances, adjusted_m)
     chosen = nearest_of_both_facings(azimuths, distances, n)
     return Ranked(
         Facing(front_share(azimuths[:voters], confidences[:voters]), "image"),
@@ -94,11 +95,23 @@ def rank_by_keypoints(
     )
 
 
-def fused_confidences(distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probabilities ``(N,)`` that hypotheses at fused distances are right; fitted."""
+def fused_confidences(
+    distances: NDArray[np.float64], adjusted_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Probabilities ``(N,)`` that hypotheses are right; fitted.
+
+    Parameters
+    ----------
+    distances : (N,) float64 array
+        By silhouette and landmarks.
+    adjusted_m : (N,) float64 array
+        How far the hypotheses were moved from their entries.
+    """
     constants = fitted("confidence")
     agreement = -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
-    odds = constants["slope"] * agreement + constants["offset"]
+    odds = (
+        constants["slope"] * agreement + constants["adjusted_m"] * adjusted_m + constants["offset"]
+    )
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 

@@ -42,7 +42,12 @@ from index.posture import POSTURES, UPRIGHT, camera_up, classify
 from index.ranking import DISTANCE_WEIGHT
 from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
 from index.store import PoseIndex
-from scripts.experiments.real_data import as_array, read_pennfudan, read_vtest
+from scripts.experiments.real_data import (
+    as_array,
+    read_pennfudan,
+    read_street_people,
+    read_vtest,
+)
 from scripts.experiments.real_detection import fit_hog
 from scripts.experiments.real_vtest import Marks, read_marks
 
@@ -62,6 +67,7 @@ people of photographs all of them count: people who bend or crouch are rare ther
 NOISE_M, ROLL_DEG, PX_PER_M = (0.03, 0.03, 0.08), 6.0, 200.0
 
 _STRENGTH = 0.1
+_LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 
 
 @dataclass
@@ -162,10 +168,13 @@ def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
     return sources
 
 
-def estimate(estimator: Estimator, frame: NDArray[np.uint8]) -> tuple[Person, ...]:
-    """The people of a frame."""
+def estimate(
+    estimator: Estimator, frame: NDArray[np.uint8], box: Box | None = None
+) -> tuple[Person, ...]:
+    """The people of a frame, or the one in a box."""
     content = cv2.imencode(".png", frame)[1].tobytes()
-    return estimator.estimate(Upload(content), HELD_POSTURES, lambda: None).persons
+    upload = Upload(content, boxes=None if box is None else (box,))
+    return estimator.estimate(upload, HELD_POSTURES, lambda: None).persons
 
 
 def posture_samples(
@@ -329,49 +338,61 @@ def fit_posture(
     }
 
 
-def confidence_samples(estimator: Estimator, shared: Path) -> tuple[list[float], list[bool]]:
-    """Log distances of the hypotheses of people in sport, and whether their limbs are right.
+def confidence_samples(
+    estimator: Estimator, shared: Path
+) -> tuple[list[tuple[float, float]], list[bool]]:
+    """Agreement and adjustment of the hypotheses of people in sport and in the street.
 
-    The annotated limb joints that are visible, in pixels of the normalised frame.
+    With whether their limbs are right: those that are annotated as visible, and those that
+    MediaPipe's landmarks name where its mask agrees with the true one.
     """
+    features: list[tuple[float, float]] = []
+    right: list[bool] = []
+
+    def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
+        upright = set_upright(person.observed)
+        if upright is None:
+            return
+        to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))
+        for placed in person.hypotheses:
+            errors = np.linalg.norm(placed.points_2d[_LIMB_ROWS] - joints, axis=1)[seen]
+            agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))
+            features.append((agreement, placed.hypothesis.adjusted_m))
+            right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
+
     document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
-    limbs = [name for name in document["joint_names"] if name in LIMBS]
-    annotated = [document["joint_names"].index(name) for name in limbs]
-    rows = [POINT_NAMES.index(name) for name in limbs]
-    distances, right = [], []
+    annotated = [document["joint_names"].index(name) for name in LIMBS]
     for one in tqdm(document["people"], desc="sports people"):
         frame = np.asarray(cv2.imread(str(shared / "real" / "lsp" / one["image"])), np.uint8)
         joints = np.array(one["joints_2d"])[annotated]
         seen = np.array(one["visible"])[annotated]
-        middle = joints[seen].mean(axis=0)
+        middle = joints.mean(axis=0)
         people = [
             person
             for person in estimate(estimator, frame)
             if _holds(person.observed.whole_box, middle) and person.hypotheses
         ]
-        if not people or not seen.any():
-            continue
-        person = max(people, key=lambda other: other.observed.whole_box.area)
-        upright = set_upright(person.observed)
-        assert upright is not None
-        to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))
-        for placed in person.hypotheses:
-            errors = np.linalg.norm(placed.points_2d[rows] - joints, axis=1)[seen]
-            distances.append(float(np.log(max(placed.distance, 1e-9))))
-            right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
-    return distances, right
+        if people and seen.any():
+            add(max(people, key=lambda other: other.observed.whole_box.area), joints, seen)
+    folder = shared / "real" / "pennfudan"
+    for street in tqdm(read_street_people(folder, read_pennfudan(folder)), desc="street people"):
+        box = street.photograph.boxes[street.label - 1]
+        (person,) = estimate(estimator, street.photograph.frame, box)
+        add(person, street.reference.joints_2d, np.ones(len(LIMBS), bool))
+    return features, right
 
 
 def _holds(box: Box, place: NDArray[np.float64]) -> bool:
     return bool(box.x <= place[0] <= box.right and box.y <= place[1] <= box.bottom)
 
 
-def fit_confidence(distances: list[float], right: list[bool]) -> dict[str, float]:
-    """Slope and offset of the log odds that a hypothesis is right, by its log distance."""
-    agreement = -DISTANCE_WEIGHT * np.array(distances)[:, None]
-    model = LogisticRegression().fit(agreement, right)
+def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> dict[str, float]:
+    """Weights of the log odds that a hypothesis is right."""
+    model = LogisticRegression(C=100.0).fit(np.array(features), right)
+    slope, adjusted_m = model.coef_[0].tolist()
     return {
-        "slope": round(float(model.coef_[0, 0]), 4),
+        "slope": round(slope, 4),
+        "adjusted_m": round(adjusted_m, 4),
         "offset": round(float(model.intercept_[0]), 4),
     }
 
@@ -403,12 +424,13 @@ def main() -> None:
     # Shares depend on the model above.
     _, people = posture_samples(estimator, options.shared)
     write_fitted("posture", COMMAND, "people who fell or walk", fit_posture(people))
-    distances, right = confidence_samples(estimator, options.shared)
+    features, right = confidence_samples(estimator, options.shared)
     write_fitted(
         "confidence",
         COMMAND,
-        f"{len(right)} hypotheses of people in sport, {100 * np.mean(right):.0f} % of them right",
-        fit_confidence(distances, right),
+        f"{len(right)} hypotheses of people in sport and in the street, "
+        f"{100 * np.mean(right):.0f} % of them right",
+        fit_confidence(features, right),
     )
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import LANDMARK_NAMES, Box, Silhouette, silhouette_from_mask
+from app.vision.people import Box, Silhouette, silhouette_from_mask
 from app.vision.person.landmarks import PIXELS, Reading
 from app.vision.person.window import window_to_frame
 from app.vision.segmentation.mask_cleaning import fill_small_holes, keep_components
@@ -27,20 +27,6 @@ _NEAR_EDGE_PX = 5.0
 _LEAST_FILL = 0.12
 # Landmarks seen as surely as this lie in the person's box, with this room about them.
 _SEEN, _ROOM = 0.5, 0.04
-_BONES = [
-    (LANDMARK_NAMES.index(start), LANDMARK_NAMES.index(end))
-    for start, end in (
-        ("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"),
-        ("left_shoulder", "left_hip"), ("right_shoulder", "right_hip"),
-        ("left_shoulder", "right_hip"), ("right_shoulder", "left_hip"),
-        ("nose", "left_shoulder"), ("nose", "right_shoulder"),
-        ("left_shoulder", "left_elbow"), ("left_elbow", "left_wrist"),
-        ("right_shoulder", "right_elbow"), ("right_elbow", "right_wrist"),
-        ("left_hip", "left_knee"), ("left_knee", "left_ankle"), ("left_ankle", "left_foot_index"),
-        ("right_hip", "right_knee"), ("right_knee", "right_ankle"),
-        ("right_ankle", "right_foot_index"),
-    )
-]  # fmt: skip
 
 
 def silhouettes_of(
@@ -50,7 +36,7 @@ def silhouettes_of(
     *,
     exact: bool,
 ) -> list[Silhouette | None]:
-    """Cut out people; a pixel that several claim is that of the nearest skeleton.
+    """Cut out people; a pixel that several claim is the surest one's.
 
     Parameters
     ----------
@@ -132,12 +118,7 @@ def _cut_out(reading: Reading, rivals: Sequence[Reading], region: Box) -> Silhou
     own = _probability(reading, drawn, size)
     mask = own >= _THRESHOLD
     for rival in rivals:
-        theirs = _probability(rival, drawn, size)
-        both = mask & (theirs >= _THRESHOLD)
-        if both.any():
-            rows, columns = np.nonzero(both)
-            places = np.stack([columns, rows], axis=1) @ drawn[:, :2].T + drawn[:, 2]
-            mask[rows, columns] = _distances(reading, places) <= _distances(rival, places)
+        mask &= own >= _probability(rival, drawn, size)
     mask = fill_small_holes(keep_components(mask, 0.1), 0.01)
     covered = cv2.resize(mask.astype(np.float32), (width, height))
     inside = covered >= _HALF_COVERED
@@ -156,18 +137,3 @@ def _probability(
     matrix = np.column_stack([linear, offset])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
-
-
-def _distances(reading: Reading, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances ``(N,)`` of places ``(N, 2)`` in the frame from a person's bones."""
-    nearest = np.full(len(places), np.inf)
-    for start, end in _BONES:
-        first, along = (
-            reading.landmarks.positions[start],
-            reading.landmarks.positions[end] - reading.landmarks.positions[start],
-        )
-        offsets = places - first
-        shares = np.clip(offsets @ along / max(float(along @ along), 1e-9), 0, 1)
-        offsets -= shares[:, None] * along
-        np.minimum(nearest, np.hypot(offsets[:, 0], offsets[:, 1]), out=nearest)
-    return nearest
