@@ -111,12 +111,15 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
     """The likeliest posture of shares ``(10,)``.
 
     The probability that its group is right is calibrated on photographs, where it is known who
-    lies, and who is on their legs; within the group the shares decide.
+    lies, and who is on their legs; within the group the shares decide. Of who is on the ground,
+    photographs do not tell whether they lie or crawl: the probability is that of either.
     """
     best = int(shares.argmax())
     group = next(group for group in GROUPS if POSTURES[best] in group)
     in_group = float(shares[[POSTURES.index(posture) for posture in group]].sum())
-    probability = presence * group_probability(in_group) * float(shares[best]) / in_group
+    probability = presence * group_probability(in_group)
+    if group is not GROUNDED:
+        probability *= float(shares[best]) / in_group
     label = POSTURES[best] if probability >= CLEAR_FROM else "unclear"
     return EstimatedPosture(label, probability, shares)
 

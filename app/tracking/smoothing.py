@@ -44,6 +44,10 @@ confidences of all hypotheses that agree with them are near 1."""
 MOST_COST = 48.0
 """Nothing is impossible: detection and identity may be wrong."""
 
+SURE_PX = 256.0
+"""Height from which landmarks weigh in full, that of the network's window; of smaller people they
+jump, and motion counts more."""
+
 RATE = 10.0
 DIRECTION_WEIGHT = 2.0
 SLOWEST_M_S, SURELY_M_S = 0.5, 1.0
@@ -211,9 +215,10 @@ class PoseSmoother:
         log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3)
         line_s = self._line_s
         if person.facing.evidence == "image":
-            line_s = min(line_s, LANDMARK_LINE_S)
+            sure = min(1.0, box.height / SURE_PX) ** 2
+            line_s = sure * LANDMARK_LINE_S + (1 - sure) * line_s
             distances = np.array([placed.distance for placed in hypotheses])
-            log_evidence = log_evidence - LANDMARK_WEIGHT * np.log(
+            log_evidence = log_evidence - sure * LANDMARK_WEIGHT * np.log(
                 (distances + 1e-9) / (distances.min() + 1e-9)
             )
         else:

@@ -41,13 +41,13 @@ def test_an_allowed_preflight_says_what_there_is(open_to_yard: TestClient) -> No
     response = preflight(open_to_yard, method="POST", headers="x-api-key")
     assert response.status_code == 200
     assert response.headers["access-control-allow-origin"] == ORIGIN
-    assert response.headers["access-control-allow-methods"] == "DELETE, GET, HEAD, POST"
+    assert response.headers["access-control-allow-methods"] == "DELETE, GET, HEAD, POST, PUT"
 
 
 @pytest.mark.parametrize(
     "asked",
     [
-        {"method": "PUT"},
+        {"method": "PATCH"},
         {"method": "POST", "origin": "https://other.example"},
         {"method": "POST", "headers": "x-other"},
     ],

@@ -73,8 +73,7 @@ def test_the_photograph_is_evidence(walker: Person) -> None:
     assert walker.observed.landmarks is not None
     assert walker.observed.presence is not None and walker.observed.presence > 0.9
     assert all(placed.distance != placed.hypothesis.distance for placed in walker.hypotheses)
-    confidences = [placed.confidence for placed in walker.hypotheses]
-    assert confidences == sorted(confidences, reverse=True)
+    assert all(0 <= placed.confidence <= 1 for placed in walker.hypotheses)
     distances = [placed.distance for placed in walker.hypotheses]
     assert distances == sorted(distances)
 

@@ -32,6 +32,7 @@ def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: floa
     return Hypothesis(
         entry=0, mirrored=False, distance=distance, reprojection_error_px=1.0,
         confidence=others.pop("confidence", 0.5), points_3d=points_3d,
+        fused_distance=others.pop("fused_distance", distance),
         points_normalised=np.zeros((POINTS, 2)), **others,
     )  # fmt: skip
 
@@ -77,7 +78,7 @@ class TestNearestOfBothFacings:
 class TestConfidences:
     @given(distances=st.lists(st.floats(0, 1e4), min_size=2, max_size=20).map(sorted))
     def test_the_nearer_the_surer(self, distances: list[float]) -> None:
-        confidences = fused_confidences(np.array(distances))
+        confidences = fused_confidences(np.array(distances), np.zeros(len(distances)))
         assert ((confidences >= 0) & (confidences <= 1)).all()
         assert (np.diff(confidences) <= 0).all()
 
@@ -118,7 +119,7 @@ class TestRankByKeypoints:
         ranked = rank_by_keypoints([far, near], 2)
         assert ranked.hypotheses == (near, far)
         assert ranked.distances == (0.3, 2.0)
-        assert ranked.confidences == tuple(fused_confidences(np.array([0.3, 2.0])))
+        assert ranked.confidences == tuple(fused_confidences(np.array([0.3, 2.0]), np.zeros(2)))
         assert ranked.facing.evidence == "image"
 
     @given(nearer=st.floats(0.1, 10), farther=st.floats(1.1, 100))

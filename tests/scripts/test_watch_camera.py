@@ -167,5 +167,5 @@ def test_a_real_service_follows_a_file(
     write_video(tmp_path / "walkers.avi", [frame] * 12)
     source = str(tmp_path / "walkers.avi")
     assert run(monkeypatch, source, "walkers", "--url", server.url) == 0
-    assert "entered begin" in capsys.readouterr().out
+    assert "entered instant" in capsys.readouterr().out
     assert httpx.get(f"{server.url}/cameras/walkers").status_code == 404

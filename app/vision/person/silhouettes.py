@@ -62,7 +62,7 @@ def silhouettes_of(
     found: list[Silhouette | None] = []
     for own, region in enumerate(regions):
         rivals = [
-            readings[other]
+            (readings[other], other < own)
             for other, theirs in enumerate(regions)
             if region and theirs and other != own and region.intersection(theirs) > 0
         ]
@@ -102,7 +102,9 @@ def _region(box: Box, width: int, height: int) -> Box | None:
     return Box(x0, y0, x1 - x0, y1 - y0)
 
 
-def _cut_out(reading: Reading, rivals: Sequence[Reading], region: Box) -> Silhouette | None:
+def _cut_out(
+    reading: Reading, rivals: Sequence[tuple[Reading, bool]], region: Box
+) -> Silhouette | None:
     """One person's silhouette in a region; None if it is next to empty."""
     left, top, right, bottom = region.pixels()
     width, height = right - left, bottom - top
@@ -117,8 +119,9 @@ def _cut_out(reading: Reading, rivals: Sequence[Reading], region: Box) -> Silhou
     )
     own = _probability(reading, drawn, size)
     mask = own >= _THRESHOLD
-    for rival in rivals:
-        mask &= own >= _probability(rival, drawn, size)
+    for rival, comes_first in rivals:
+        theirs = _probability(rival, drawn, size)
+        mask &= own > theirs if comes_first else own >= theirs
     mask = fill_small_holes(keep_components(mask, 0.1), 0.01)
     covered = cv2.resize(mask.astype(np.float32), (width, height))
     inside = covered >= _HALF_COVERED
