@@ -24,6 +24,9 @@ from index.store import Entry, Label, PoseIndex
 METRE_DIGITS, PIXEL_DIGITS = 4, 2
 """Joints are rounded to tenths of millimetres and hundredths of pixels."""
 
+SIGNIFICANT_DIGITS = 4
+"""Of distances in which a network's single precision has a part."""
+
 DISTANCE_DIGITS = 4
 """Distances are rounded to far more than double precision loses on the way to them, so that the
 same request has the same answer on every processor."""
@@ -52,6 +55,11 @@ class ReplyForm:
     silhouettes: schemas.SilhouetteForm = "none"
     joints: schemas.JointForm = "full"
     observed: schemas.ObservedSetName = "coco17"
+
+
+def significant(value: float) -> float:
+    """Round to :data:`SIGNIFICANT_DIGITS`."""
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
 def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
@@ -197,7 +205,7 @@ def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas
     return schemas.Hypothesis.model_construct(
         rank=rank,
         entry=hypothesis.entry,
-        distance=round(placed.distance, DISTANCE_DIGITS),
+        distance=significant(placed.distance),
         silhouette_distance=round(hypothesis.distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
         confidence=round(placed.confidence, 4),

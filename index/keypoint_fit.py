@@ -56,8 +56,9 @@ def fit_to_keypoints(
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
     for spread_px, share, iterations in STEPS:
         blurred = replace(keypoints, spread_px=spread_px)
+        exchanged = blurred.compare(placed, fitted).side_odds < 0
         for _ in range(iterations):
-            moves = share * _pulls(blurred, placed, fitted)
+            moves = share * _pulls(blurred, placed, exchanged)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
             moved = with_bones_of(points_3d, moved)
@@ -81,16 +82,16 @@ def _deepened(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> NDArray[n
 
 
 def _pulls(
-    keypoints: Keypoints, points_normalised: NDArray[np.float64], points_3d: NDArray[np.float64]
+    keypoints: Keypoints, points_normalised: NDArray[np.float64], exchanged: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Offsets ``(M, 24, 2)`` to the keypoints, for the likelier assignment of left and right.
+    """Offsets ``(M, 24, 2)`` to the keypoints; left and right exchanged where that is likelier.
 
     Where landmarks come with their depth, the first skeleton follows them however far they are.
     """
-    agreement = keypoints.compare(points_normalised, points_3d)
+    assigned = points_normalised.copy()
+    assigned[exchanged] = exchange_sides(assigned[exchanged])
     pulls = np.zeros_like(points_normalised)
-    pulls[:, list(keypoints.rows)] = agreement.pulls
-    exchanged = agreement.side_odds < 0
+    pulls[:, list(keypoints.rows)] = keypoints.compare_sides(assigned)[1]
     pulls[exchanged] = exchange_sides(pulls[exchanged])
     if keypoints.limbs_3d is not None:
         rows = list(keypoints.rows)

@@ -134,8 +134,8 @@ class Keypoints:
             Metres, axes of the normalised frame.
         """
         points = np.asarray(points_normalised, np.float64)
-        own, own_pulls = self._compare_sides(points)
-        exchanged, exchanged_pulls = self._compare_sides(exchange_sides(points))
+        own, own_pulls = self.compare_sides(points)
+        exchanged, exchanged_pulls = self.compare_sides(exchange_sides(points))
         if self.limbs_3d is not None:
             own += self._compare_limbs(points_3d)
             exchanged += self._compare_limbs(exchange_sides(np.asarray(points_3d, np.float64)))
@@ -156,10 +156,10 @@ class Keypoints:
         size = np.clip(size, *_SIZES)[:, None, None]
         return np.asarray(size * self.limbs_3d - limbs)
 
-    def _compare_sides(
+    def compare_sides(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log likelihoods ``(K,)`` and pulls ``(K, P, 2)``, without exchanging sides."""
+        """Log likelihoods ``(K,)`` in the picture and pulls ``(K, P, 2)``, sides as they are."""
         offsets = self.positions - points[:, list(self.rows)]
         squares = (offsets**2).sum(axis=-1)
         mass = self.scores * np.exp(-squares / (2 * self.spread_px**2))

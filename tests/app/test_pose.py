@@ -250,7 +250,10 @@ def test_by_the_silhouette_alone_nothing_of_the_photograph_is_told(client: TestC
         assert person["observed_keypoints"] is None
         assert person["facing"]["evidence"] == "none"
         for hypothesis in person["hypotheses"]:
-            assert hypothesis["distance"] == hypothesis["silhouette_distance"]
+            # This index has no network that would re-rank.
+            assert hypothesis["distance"] == pytest.approx(
+                hypothesis["silhouette_distance"], rel=1e-3
+            )
 
 
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])

@@ -57,7 +57,7 @@ def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
     points, keypoints = skeleton(seed), shown(skeleton(seed))
     both = np.stack([points, points])
     both[:, ROWS[seed % len(ROWS)], 1] += (near, near + farther)
-    own, _ = keypoints._compare_sides(both)
+    own, _ = keypoints.compare_sides(both)
     assert own[1] < own[0]
 
 
@@ -117,7 +117,7 @@ def test_what_is_less_sure_tells_less(seed: int) -> None:
     both = np.stack([points, points + 9])
     sure = shown(points)
     unsure = replace(sure, scores=sure.scores / 4)
-    spans = [np.ptp(one._compare_sides(both)[0]) for one in (sure, unsure)]
+    spans = [np.ptp(one.compare_sides(both)[0]) for one in (sure, unsure)]
     assert spans[1] < spans[0]
 
 
