@@ -32,11 +32,11 @@ from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.upright import UprightPerson
 from app.vision.people import Box
-from app.vision.rotation import rotate_box
 from index.rotations import RotatedQuery
 from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
 from scripts.experiments.real_data import encode_png, read_pennfudan, read_pose2sim, read_vtest
+from scripts.experiments.rotation import rotate_box
 from scripts.results import ROOT
 
 CELL_PX = 320

@@ -19,11 +19,11 @@ from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.vision.boxes import iou_matrix
 from app.vision.people import Box
-from app.vision.rotation import rotate_box
 from index.skeleton import wrap_degrees
 from scripts.experiments.real_data import Photograph, as_array, encode_png
 from scripts.experiments.real_silhouettes import overlap
 from scripts.experiments.real_vtest import FOUND_FROM
+from scripts.experiments.rotation import rotate_box
 
 HYPOTHESES = 7
 UPRIGHT = ("standing", "walking")

@@ -16,9 +16,9 @@ from app.stopwatch import Stopwatch
 from app.upload import Upload
 from app.vision.people import Box, Landmarks, silhouette_from_mask
 from app.vision.person.reader import PersonReader
-from app.vision.rotation import rotate_box, rotate_points
 from index.landmark_search import rotate_clockwise
 from index.posture import LOW
+from scripts.experiments.rotation import rotate_box, rotate_points
 from tests.conftest import ROOT, Photo, png
 
 WALKER = Box(135, 162, 40, 105)

@@ -24,7 +24,7 @@ from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.keypoints.movenet import MoveNet
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import LandmarkNetwork
-from app.vision.rotation import rotate_box
+from scripts.experiments.rotation import rotate_box
 
 Networks = tuple[MoveNet, PoseDetection, LandmarkNetwork]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from app.vision.detection.pose_detection import CELLS, PIXELS, PoseDetection, decode
 from app.vision.people import Box
-from app.vision.rotation import rotate_points
 from app.vision.runtime.tflite import NetworkError
 from app.vision.weights import network_path
+from scripts.experiments.rotation import rotate_points
 
 
 def anchors() -> list[tuple[float, float]]:

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.vision.people import COCO_NAMES, Box, ObservedKeypoints, Silhouette
-from app.vision.rotation import rotate_box, rotate_keypoints, rotate_shape
 from app.vision.segmentation.truncation import (
     end_beyond_border,
     hidden_by_others,
     touches_border,
     with_truncation,
 )
+from scripts.experiments.rotation import rotate_box, rotate_keypoints, rotate_shape
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from app.vision.people import Box, ObservedKeypoints, Silhouette
-from app.vision.rotation import (
+from scripts.experiments.rotation import (
     rotate_box,
     rotate_keypoints,
     rotate_points,
