@@ -57,7 +57,7 @@ DISTINCT_M = 0.055
 """Mean joint distance from which a hypothesis of a later batch is another than those before."""
 
 
-_STANDS_DEG = 25.0
+_STANDS_DEG = 12.0
 _LEAST_PX_PER_METRE = 5.0
 
 

@@ -252,8 +252,7 @@ class TestMatched:
             in_frame = one.points_in_frame(best.points_normalised)
             assert np.linalg.norm(in_frame - wanted, axis=1).mean() < 5
             assert np.linalg.norm(best.points_3d - body, axis=1).mean() < 0.25
-            # Leans below 25 degrees are left to the fit.
-            assert abs(wrapped(best.tilt_deg - angle)) < 25
+            assert abs(wrapped(best.tilt_deg - angle)) < 15
 
 
 def test_limbs_nose_and_toes_are_compared_and_what_is_not_seen_is_not() -> None:

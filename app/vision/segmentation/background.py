@@ -98,7 +98,7 @@ class BackgroundSegmenter:
         return sorted(found, key=lambda one: -one.score)
 
     def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
-        """Cut out the person in each box; see :class:`app.vision.segmentation.segment.Segmenter`.
+        """Cut out the person in each box; None where nobody is.
 
         Where boxes overlap, a changed pixel goes to the box whose middle is nearer, in widths.
         """
