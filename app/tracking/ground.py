@@ -88,7 +88,8 @@ class GroundMotion:
             return STILL
         times, x, y, scales = np.array(self._recent).T
         times = times - times.mean()
-        metres_per_px = 1 / (np.median(scales) * (times @ times))
+        # A frame that is sent again comes at the same time.
+        metres_per_px = 1 / (np.median(scales) * max(float(times @ times), 1e-6))
         rise = np.sin(np.deg2rad(self.elevation_deg))
         least = np.sin(np.deg2rad(LEAST_ELEVATION_DEG))
         rise = np.copysign(max(abs(rise), least), rise)

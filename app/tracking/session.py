@@ -25,6 +25,9 @@ from app.upload import Upload
 from app.vision.people import Box
 from index.matching import FIRST_HYPOTHESES
 
+LEAST_STEP_S = 1e-3
+"""Frames less than this apart have no order that a camera could have seen."""
+
 LONGEST_GAP_S = 10.0
 """After a longer gap the session begins anew: the scene may be another."""
 
@@ -126,8 +129,6 @@ class CameraSession:
         check()
         frame = decoded.frame
         self._begin_anew_where_needed(frame.shape, timestamp)
-        self._timestamp, self._arrived = timestamp, arrived
-        self._frames += 1
         reads = evidence == "photograph" and upload.frame is not None
         found: list[tuple[ObservedPerson, Track | None]]
         if reads and upload.mask is None and upload.boxes is None and upload.background is None:
@@ -138,6 +139,9 @@ class CameraSession:
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
         tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
+        # A frame that failed half-way may be sent again.
+        self._timestamp, self._arrived = timestamp, arrived
+        self._frames += 1
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
         return TrackedFrame(
@@ -155,8 +159,8 @@ class CameraSession:
         if timestamp is None:
             if self._frames == 0:
                 return 0.0
-            return self._timestamp + max(1e-3, arrived - self._arrived)
-        if not timestamp > self._timestamp:
+            return self._timestamp + max(LEAST_STEP_S, arrived - self._arrived)
+        if not timestamp >= self._timestamp + LEAST_STEP_S:
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
                 f"frame, got {timestamp:g} s"
@@ -172,7 +176,7 @@ class CameraSession:
         if before != self._size:
             (height, width), (rows, columns) = before, self._size
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
-        elif gap > LONGEST_GAP_S:
+        elif self._frames and gap > LONGEST_GAP_S:
             reason = f"no frame came for {gap:.1f} s, more than {LONGEST_GAP_S:g} s"
         else:
             return

@@ -32,6 +32,7 @@ CONFIRMING_SIGHTINGS = 3
 _PLACE_GAIN, _VELOCITY_GAIN, _SIZE_GAIN = 0.7, 0.3, 0.3
 # Seconds in which the velocity of somebody unseen falls to 1/e.
 _DRIFT_S = 1.0
+_LEAST_S = 1e-3
 _CLOTHES_GAIN = 0.1
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
 
@@ -72,7 +73,8 @@ class MotionFilter:
         whole : bool
             Whether all of the person was seen; else the size does not shrink.
         """
-        elapsed = timestamp - self.timestamp
+        # A frame that is sent again comes at the same time.
+        elapsed = max(timestamp - self.timestamp, _LEAST_S)
         expected = self._expected_place(elapsed)
         growth = np.array([box.width, box.height]) - self._size
         error = box.foot - expected

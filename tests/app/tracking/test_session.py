@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import cv2
 import numpy as np
 import pytest
@@ -282,6 +284,38 @@ def test_a_cancelled_frame_loses_no_events(loaded: Estimator) -> None:
     result = send(session, 0.1, (0, 50))
     assert ids(result) == [1]
     assert [event.event for event in result.events] == ["entered"]
+
+
+@pytest.mark.parametrize("steps", range(1, 8))
+def test_a_frame_that_failed_half_way_may_be_sent_again(loaded: Estimator, steps: int) -> None:
+    session = CameraSession(loaded)
+    for time in (0.0, 0.1, 0.2):
+        send(session, time, (0, 50))
+    left = steps
+
+    def check() -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise DeadlineError("too late")
+
+    with contextlib.suppress(DeadlineError):
+        session.process(Upload(draw((0, 52))), 0.3, 3, check)
+    again = 0.3 if left <= 0 else 0.4
+    result = send(session, again, (0, 52))
+    assert ids(result) == [1]
+    assert result.persons[0].pose is not None
+    assert np.isfinite(result.persons[0].pose.points_3d).all()
+    assert ids(send(session, again + 0.1, (0, 54))) == [1]
+
+
+def test_frames_a_hair_apart_are_late(session: CameraSession) -> None:
+    send(session, 0.0, (0, 50))
+    for time in (1e-310, 1e-9, 9e-4):
+        with pytest.raises(LateFrameError):
+            send(session, time, (0, 50))
+    assert ids(send(session, 1e-3, (0, 50))) == [1]
+    assert ids(send(session, 0.1, (0, 50))) == [1]
 
 
 def test_a_broken_frame_changes_nothing(session: CameraSession) -> None:
