@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.estimates import PlacedHypothesis
 from app.facing import Facing, azimuth_deg, faces_camera, front_share
+from app.vision.odds import sigmoid
 from app.vision.weights import fitted
 from index.matching import Hypothesis
 from index.ranking import DISTANCE_WEIGHT
@@ -112,7 +113,7 @@ def fused_confidences(
     odds = (
         constants["slope"] * agreement + constants["adjusted_m"] * adjusted_m + constants["offset"]
     )
-    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
+    return sigmoid(odds)
 
 
 def nearest_of_both_facings(

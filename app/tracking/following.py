@@ -76,7 +76,7 @@ class PeopleFollower:
             The track in whose window the person was read, None where the search found them.
         """
         followed = [
-            (track, _expected(track, timestamp))
+            (track, track.motion.expect(timestamp))
             for track in tracks
             if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
         ]
@@ -149,10 +149,6 @@ def _distinct(
     )
     kept = sorted(order[i] for i in distinct_bodies([found[i] for i in order]))
     return [found[i] for i in kept], [rows[i] for i in kept]
-
-
-def _expected(track: Track, timestamp: float) -> Box:
-    return track.motion.expect(timestamp)
 
 
 def _assign(

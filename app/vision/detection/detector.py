@@ -14,6 +14,7 @@ from app.vision.detection.hog import person_margin, person_windows
 from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.detection.tiles import LONGEST_PX, SMALLEST_SHARE, Tile, tiles_of
 from app.vision.keypoints.movenet import MoveNet
+from app.vision.odds import sigmoid
 from app.vision.people import Box, Detection, PersonWindow
 from app.vision.person.landmarks import LandmarkNetwork
 from app.vision.person.window import window_about
@@ -254,11 +255,6 @@ def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log odds of scores from 0 to 1, finite."""
     clipped = np.clip(scores, 1e-4, 1 - 1e-4)
     return np.asarray(np.log(clipped / (1 - clipped)))
-
-
-def sigmoid(odds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probabilities of log odds."""
-    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 
 def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:

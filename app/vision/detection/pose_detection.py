@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.boxes import suppress
+from app.vision.odds import sigmoid
 from app.vision.people import PersonWindow
 from app.vision.person.window import window_of_circle
 from app.vision.resampling import resize
@@ -92,7 +93,7 @@ class PoseDetection:
         shown = cv2.cvtColor(resize(frame, columns, rows), cv2.COLOR_BGR2RGB)
         picture[top : top + rows, left : left + columns] = shown / np.float32(127.5) - 1
         values, log_odds = self._network.run(picture)
-        scores = 1 / (1 + np.exp(-np.clip(log_odds[:, 0].astype(np.float64), -30, 30)))
+        scores = sigmoid(log_odds[:, 0].astype(np.float64))
         used = np.flatnonzero(scores >= least_score)
         boxes, points = decode(values, used)
         kept = suppress(boxes, scores[used], _OVERLAP)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, PersonWindow
 from app.vision.person.window import (
     cut_window,
@@ -97,7 +98,7 @@ class LandmarkNetwork:
         to_frame = window_to_frame(window, PIXELS)
         # The network counts from the corner of the first pixel.
         places = (points[:, :2] - 0.5) @ to_frame[:, :2].T + to_frame[:, 2]
-        visibility = 1 / (1 + np.exp(-np.clip(points[:_LANDMARKS, 3], -30, 30)))
+        visibility = sigmoid(points[:_LANDMARKS, 3])
         metres = world.reshape(_POINTS, 3)[:_LANDMARKS].astype(np.float64)
         turn = to_frame[:, :2] / (window.side / PIXELS)
         metres = np.hstack([metres[:, :2] @ turn.T, metres[:, 2:]])
@@ -105,6 +106,6 @@ class LandmarkNetwork:
             window,
             Landmarks(places[:_LANDMARKS], visibility, metres),
             float(presence[0]),
-            np.asarray(1 / (1 + np.exp(-np.clip(log_odds[..., 0], -30, 30)))),
+            sigmoid(log_odds[..., 0]),
             window_of_circle(places[_CENTRE], places[_CIRCLE]),
         )
