@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from app.estimates import Evidence
-from app.estimator import Estimator
+from app.estimation.estimates import Evidence
+from app.estimation.estimator import Estimator
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.stopwatch import Stopwatch
-from app.upload import Upload
 from app.vision.people import Box
 from index.store import DEFAULT_PATH
 from scripts.experiments.real_data import Photograph, encode_png, read_pennfudan, tight_box

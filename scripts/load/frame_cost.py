@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.process import trim_heap
 from app.tracking.following import SEARCH_EVERY_S
+from app.work.process import trim_heap
 from index.artefact import load_index
 from scripts.cameras import VIDEO, read_frames
 from scripts.experiments.report import table
