@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from app.cameras import HEADER
+from app.http.cameras import HEADER
 from scripts.load.client import Call, Client
 from scripts.load.loops import OpenLoop, Tally
 from scripts.load.server import ServerProcess

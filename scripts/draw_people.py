@@ -24,13 +24,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from app.drawing import draw_skeleton
-from app.estimates import ObservedPerson, Person, Scene
-from app.estimator import Estimator
+from app.api.overlay import draw_skeleton
+from app.estimation.estimates import ObservedPerson, Person, Scene
+from app.estimation.estimator import Estimator
+from app.estimation.normalised_person import NormalisedPerson
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.stopwatch import Stopwatch
-from app.upload import Upload
-from app.upright import UprightPerson
 from app.vision.people import Box
 from index.rotations import RotatedQuery
 from index.skeleton import NATIVE
@@ -120,11 +120,11 @@ def _nearest(
     """Silhouette of the first hypothesis's entry, rotated as it is, placed on the person's."""
     hypothesis, silhouette = person.hypotheses[0].hypothesis, person.observed.silhouette
     assert silhouette is not None
-    upright = UprightPerson.of(silhouette, None)
+    normalised = NormalisedPerson.of(silhouette, None)
     entry = estimator.index.silhouette(hypothesis.entry)
     entry = np.ascontiguousarray(entry[:, ::-1]) if hypothesis.mirrored else entry
-    query = RotatedQuery.of(upright.normalised, hypothesis.rotation_deg + upright.roll_deg)
-    matrix = upright.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+    query = RotatedQuery.of(normalised.silhouette, hypothesis.rotation_deg + normalised.roll_deg)
+    matrix = normalised.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
     rows, columns = frame_shape[:2]
     return np.asarray(cv2.warpAffine(entry.astype(np.float32), matrix, (columns, rows)) >= 0.5)
 

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimates import Person
-from app.estimator import Estimator
-from app.hypotheses import set_upright
-from app.posture import GROUNDED, GROUPS, body_features, log_odds
+from app.estimation.estimates import Person
+from app.estimation.estimator import Estimator
+from app.estimation.hypotheses import normalise_person
+from app.estimation.posture import GROUNDED, GROUPS, body_features, log_odds
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.upload import Upload
 from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detection.detector import NetworkDetector, logit
 from app.vision.people import LANDMARK_NAMES, Box, Landmarks
@@ -350,7 +350,7 @@ def confidence_samples(
     right: list[bool] = []
 
     def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        upright = set_upright(person.observed)
+        upright = normalise_person(person.observed)
         if upright is None:
             return
         to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))

@@ -21,17 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.drawing import PEOPLE, draw_skeleton, write_text
-from app.estimator import Estimator
-from app.replies import ReplyForm
+from app.api.overlay import PEOPLE, draw_skeleton, write_text
+from app.api.replies import ReplyForm
+from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
+from app.api.tracking_schemas import SequenceEndReason
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.sequence import SequenceSummary
 from app.tracking.session import CameraSession
-from app.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
-from app.tracking_schemas import SequenceEndReason
-from app.upload import Upload
-from app.video_reader import VideoError, VideoReader, open_video
+from app.work.video_reader import VideoError, VideoReader, open_video
 from index.skeleton import NATIVE
 from index.store import DEFAULT_PATH
 

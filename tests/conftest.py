@@ -19,7 +19,7 @@ from hypothesis import HealthCheck
 from hypothesis import settings as property_settings
 from numpy.typing import NDArray
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor

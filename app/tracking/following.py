@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson
-from app.finder import Check, PeopleFinder, distinct_bodies, observed
-from app.stopwatch import Stopwatch
+from app.estimation.estimates import ObservedPerson
+from app.estimation.finder import Check, PeopleFinder, distinct_bodies, observed
+from app.estimation.stopwatch import Stopwatch
 from app.tracking.track import Track
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import Reading

@@ -11,17 +11,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Evidence, ObservedPerson, Scene
-from app.estimator import Estimator
-from app.finder import Check
-from app.reranking import keep_nearest
-from app.stopwatch import Stopwatch
+from app.estimation.estimates import Evidence, ObservedPerson, Scene
+from app.estimation.estimator import Estimator
+from app.estimation.finder import Check
+from app.estimation.reranking import keep_nearest
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.tracking.association import associate
 from app.tracking.following import PeopleFollower
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track, clothes_histogram
 from app.tracking.zones import Zone
-from app.upload import Upload
 from app.vision.people import Box
 from index.matching import FIRST_HYPOTHESES
 
@@ -111,7 +111,7 @@ class CameraSession:
             Called between steps; raises where the work is no longer wanted. The next frame then
             tells what began or ended at this one.
         evidence : str
-            As in :meth:`app.estimator.Estimator.estimate`.
+            As in :meth:`app.estimation.estimator.Estimator.estimate`.
 
         Raises
         ------

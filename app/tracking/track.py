@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson, Person
-from app.facing import Facing
-from app.posture import EstimatedPosture
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.facing import Facing
+from app.estimation.posture import EstimatedPosture
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector, Trust
 from app.tracking.postures import PostureFilter

@@ -21,7 +21,7 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.settings import Settings
 from app.vision.detection.detector import MIN_SCORE, Detector, NetworkDetector
 from app.vision.people import silhouette_from_mask

@@ -14,7 +14,7 @@ from scripts.experiments.real_poses import LIMBS_RIGHT_BELOW_PX, Trial
 
 
 def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Slope and bias that make probabilities of the agreement, as :mod:`app.reranking` takes them.
+    """Fit slope and bias that :mod:`app.estimation.reranking` makes a confidence with.
 
     Parameters
     ----------

@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Person
-from app.estimator import Estimator
-from app.hypotheses import fit_poses
-from app.upright import UprightPerson
+from app.estimation.estimates import Person
+from app.estimation.estimator import Estimator
+from app.estimation.hypotheses import fit_poses
+from app.estimation.normalised_person import NormalisedPerson
 from app.vision.people import Box, Silhouette
 from scripts.experiments.real_poses import with_landmarks
 
 
-class _NotWhole(UprightPerson):
+class _NotWhole(NormalisedPerson):
     """Somebody whose silhouette is not searched for."""
 
     @property

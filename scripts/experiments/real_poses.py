@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import Evidence, ObservedPerson, Person, Scene
-from app.estimator import Estimator
-from app.finder import observed
-from app.stopwatch import Stopwatch
+from app.estimation.estimates import Evidence, ObservedPerson, Person, Scene
+from app.estimation.estimator import Estimator
+from app.estimation.finder import observed
+from app.estimation.stopwatch import Stopwatch
 from app.vision.people import LANDMARK_NAMES, Box, Silhouette
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimator import Estimator
-from app.stopwatch import Stopwatch
-from app.upload import Upload
+from app.estimation.estimator import Estimator
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.vision.people import Box, Detection, Silhouette
 from app.vision.person.silhouettes import silhouettes_of
 from scripts.experiments.real_data import Photograph, encode_png

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.posture import vote_posture
+from app.estimation.posture import vote_posture
 from index.artefact import load_index, save_index
 from index.build.avatars import HELD_OUT_AVATARS, make_avatars
 from index.build.builder import (

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from app.drawing import draw_skeleton
+from app.api.overlay import draw_skeleton
 from index.build.calibrate import HYPOTHESES, Queries, Trial
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import match

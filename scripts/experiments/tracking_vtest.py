@@ -16,15 +16,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Person
-from app.estimator import Estimator
-from app.executor import Executor
-from app.facing import azimuth_deg
-from app.process import configure_process
+from app.estimation.estimates import Person
+from app.estimation.estimator import Estimator
+from app.estimation.facing import azimuth_deg
+from app.estimation.upload import Upload
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
-from app.upload import Upload
+from app.work.executor import Executor
+from app.work.process import configure_process
 from index.posture import UPRIGHT
 from index.skeleton import mean_joint_distance, wrap_degrees
 

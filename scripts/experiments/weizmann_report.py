@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload
 from app.settings import Settings
 from app.tracking.session import CameraSession
-from app.upload import Upload
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from scripts.experiments.report import percent, table, write
 from scripts.experiments.weizmann import (

@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from app import __main__ as main
-from app import remote_index
+from app.serving import remote_index
 from index.artefact import load_index, save_index
 from index.store import PoseIndex
 from scripts.load.client import Call

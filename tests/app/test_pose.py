@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.drawing import LEGEND
-from app.replies import _flat, _points_3d
-from app.schemas import PoseResponse
+from app.api.overlay import LEGEND
+from app.api.replies import _flat, _points_3d
+from app.api.schemas import PoseResponse
 from app.vision.people import LANDMARK_NAMES
 from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.tracking_schemas import SequenceEnd, SequenceFrame
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame
 from scripts import track_video
 from tests.conftest import ROOT
 from tests.videos import numbered_frames, write_video

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import bounding_box
 from index.store import PoseIndex

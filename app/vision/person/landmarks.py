@@ -24,7 +24,7 @@ from app.vision.person.window import (
     window_of_circle,
     window_to_frame,
 )
-from app.vision.runtime.tflite import TfliteNetwork
+from app.vision.tflite import TfliteNetwork
 
 PIXELS = 256
 """Side of the network's input and mask."""
@@ -73,7 +73,7 @@ class LandmarkNetwork:
     path : Path
         ``pose_landmarks.tflite``.
     threads, copies : int
-        As in :class:`app.vision.runtime.tflite.TfliteNetwork`.
+        As in :class:`app.vision.tflite.TfliteNetwork`.
 
     Raises
     ------

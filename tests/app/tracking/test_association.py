@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson
+from app.estimation.estimates import ObservedPerson
 from app.tracking.association import associate
 from app.tracking.track import MotionFilter, Sighting, Track, clothes_distance, clothes_histogram
 from app.vision.people import Box, Silhouette

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from app.finder import SAME_BODY, distinct_bodies
+from app.estimation.finder import SAME_BODY, distinct_bodies
 from app.vision.people import COCO_NAMES, COCO_ROWS, Box, ObservedKeypoints, PersonWindow
 from app.vision.person.landmarks import Reading
 from app.vision.person.reader import (
