@@ -1,6 +1,6 @@
 """The experiments: what the service is measured by.
 
-    python -m scripts.evaluate paper        the noise experiment of Atrevi et al. (2016)
+    python -m scripts.evaluate paper        the experiments of Atrevi et al. (2016)
     python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts.evaluate real         photographs and videos of ../shared/real
     python -m scripts.evaluate people       people who fall, sit, lie, lean or do sport

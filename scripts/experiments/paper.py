@@ -1,9 +1,4 @@
-"""The noise experiment of Atrevi et al. (VISAPP 2016) on data simulated by the paper's recipe.
-
-Silhouettes are answered in two ways: by the nearest entries, as in the paper, and as the service
-does (:mod:`index.matching`): the nearest entries and their mirror images are gathered into
-distinct poses, each interpolated to the query.
-"""
+"""The experiments of Atrevi et al. (VISAPP 2016) on data simulated by the paper's recipe."""
 
 from __future__ import annotations
 
@@ -21,14 +16,21 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
-from index.build.builder import assemble
-from index.build.learn import Recipe, learn_descriptor, view_joints
-from index.candidates import Candidates, find_candidates
-from index.confidence import Calibration
-from index.matching import SPARE_MODES
-from index.modes import Modes, find_modes
+from index.build.learn import view_joints
 from index.skeleton import JOINTS
-from scripts.experiments.contour import contour_faults, disturb_all
+from scripts.experiments import paper_motion
+from scripts.experiments.contour import disturb_all
+from scripts.experiments.paper_answers import (
+    BANDWIDTH_M,
+    CANDIDATES,
+    OURS,
+    PAPER,
+    PAPER_MODES,
+    PLAIN,
+    SEED,
+    first_poses,
+    learn,
+)
 from scripts.experiments.protocol import (
     FRAMES,
     STEP,
@@ -43,28 +45,11 @@ from scripts.experiments.protocol import (
 from scripts.experiments.report import compare, percent, table, write
 
 COMMAND = "python -m scripts.evaluate paper"
-SEED = 2016
 STDS_PX = (0.0, 1.0, 2.0, 3.0)
 COUNTS = (1, 3, 5, 7)
 HYPOTHESES = max(COUNTS)
 PUBLISHED = {1: (98.81, 96.43, 74.60, 44.84), 7: (100.0, 100.0, 96.43, 73.41)}
 """The paper's recognition rates at each of :data:`STDS_PX`, by N."""
-
-CANDIDATES, BANDWIDTH_M = 50, 0.05
-"""Nearest entries that are looked at, and joint distance at which they still make one pose.
-
-Chosen, with what the descriptor learns to overlook, on known silhouettes alone: of sixteen
-settings tried at revision fde0768 the best.
-"""
-
-PAPER, PAPER_MODES, PLAIN, OURS = (
-    "paper's descriptor",
-    "paper's, our matching",
-    "ours, nearest",
-    "ours",
-)
-"""Columns: diagonal moments and discriminant ones, each with the nearest and with the service's
-matching."""
 
 COLOURS = {"published": "0.45", PAPER: "C1", PAPER_MODES: "C5", PLAIN: "C2", OURS: "C0"}
 
@@ -77,17 +62,24 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the experiment and write ``paper-noise.{md,json,png}``."""
-    data = paper_data(options.shared / "mocap", progress=True)
+    """Run both experiments and write ``paper-noise.*`` and ``paper-motion.*``."""
+    motion = options.shared / "mocap"
+    data = paper_data(motion, progress=True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    noise(data, options.out)
+    paper_motion.run(data, motion, options.out, COMMAND)
+
+
+def noise(data: PaperData, out: Path) -> None:
+    """Fill the table of noise, and write it."""
     errors = measure(data)
     rates = {
         column: {n: [recognised(e, n) for e in rows] for n in COUNTS}
         for column, rows in errors.items()
     }
     means = {column: [float(e[:, 0].mean()) for e in rows] for column, rows in errors.items()}
-    options.out.mkdir(parents=True, exist_ok=True)
-    plot(rates, options.out / "paper-noise.png")
-    write(options.out, "paper-noise", COMMAND, [
+    plot(rates, out / "paper-noise.png")
+    write(out, "paper-noise", COMMAND, [
         "Noise on the outline",
         "Share of the unseen silhouettes, in percent, of which one of the first N answers has a "
         "mean joint reprojection error below 5 px in the 128x48 frame, over the standard "
@@ -133,14 +125,14 @@ def run(options: argparse.Namespace) -> None:
 
 def measure(data: PaperData) -> dict[str, list[NDArray[np.floating]]]:
     """Joint errors ``(Q, 7)`` in px by column and noise."""
-    learned = learn_descriptor(data.known, SEED, Recipe(), faults=contour_faults)
     ways: tuple[tuple[Descriptor, str, str], ...] = (
         (DiagonalDescriptor(), PAPER, PAPER_MODES),
-        (learned, PLAIN, OURS),
+        (learn(data.known), PLAIN, OURS),
     )
     errors: dict[str, list[NDArray[np.floating]]] = {
         column: [] for column in (PAPER, PAPER_MODES, PLAIN, OURS)
     }
+    truth = view_joints(data.unseen)[1][:, None]
     with tqdm(total=len(STDS_PX) * len(ways), desc="noise", unit="column") as bar:
         for std in STDS_PX:
             asked = disturb_all(data.unseen.silhouettes(slice(None)), std, SEED)
@@ -149,29 +141,10 @@ def measure(data: PaperData) -> dict[str, list[NDArray[np.floating]]]:
                     data.known.describe(descriptor), descriptor.describe(asked), HYPOTHESES
                 )
                 errors[plain].append(joint_errors(data.known, data.unseen, numbers))
-                errors[gathered].append(mode_errors(data, descriptor, asked))
+                poses = first_poses(data.known, descriptor, asked, HYPOTHESES)[:, :, :JOINTS]
+                errors[gathered].append(np.linalg.norm(poses - truth, axis=-1).mean(axis=-1))
                 bar.update()
     return errors
-
-
-def mode_errors(
-    data: PaperData, descriptor: Descriptor, asked: NDArray[np.uint8]
-) -> NDArray[np.float64]:
-    """Joint errors ``(Q, 7)`` in px of distinct poses; infinite where there are fewer."""
-    index = assemble(data.known, descriptor, Calibration.none(), {}, "paper")
-    truth = view_joints(data.unseen)[1]
-    errors = np.full((len(asked), HYPOTHESES), np.inf)
-    for row, silhouette in enumerate(asked):
-        modes = ranked_modes(find_candidates(index, silhouette, CANDIDATES))
-        apart = modes.points_normalised[:, :JOINTS] - truth[row]
-        errors[row, : len(modes)] = np.linalg.norm(apart, axis=-1).mean(axis=-1)
-    return errors
-
-
-def ranked_modes(candidates: Candidates) -> Modes:
-    """Distinct poses, best first, as :func:`index.matching.match` ranks them."""
-    found = find_modes(candidates, HYPOTHESES + SPARE_MODES, bandwidth_m=BANDWIDTH_M)
-    return found.nearest(HYPOTHESES)
 
 
 def noise_table(rates: Rates) -> str:

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip("pybvh", reason="needs the test extra: pybvh")
-pytest.importorskip("matplotlib", reason="needs the extra evaluate: matplotlib")
 
 from index.candidates import Candidates
 from index.skeleton import POINTS
-from scripts.experiments.paper import ranked_modes
+from scripts.experiments.paper_answers import ranked_modes
 
 CLUSTERS, EACH = 4, 5
 
@@ -35,7 +34,7 @@ def candidates() -> Candidates:
 
 
 def test_every_pose_is_answered_once_the_nearest_first(candidates: Candidates) -> None:
-    modes = ranked_modes(candidates)
+    modes = ranked_modes(candidates, 7)
     answered = candidates.numbers[modes.centres].tolist()
     assert answered[0] == CLUSTERS - 1
     assert sorted(answered) == list(range(CLUSTERS))
