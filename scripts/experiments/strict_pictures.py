@@ -1,8 +1,7 @@
-"""Pictures of the strict experiment: calibration, growth, and hard queries with their answers."""
+"""Pictures of the strict experiment: calibration, and hard queries with their answers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -46,23 +45,6 @@ def plot_reliability(trial: Trial, file: Path) -> None:
     top.set(ylabel="share that is right", ylim=(0, 1), aspect="equal")
     bottom.hist(confidence, bins=10, range=(0, 1), color="0.6")
     bottom.set(xlabel="confidence", ylabel="hypotheses", xlim=(0, 1))
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
-
-
-def plot_growth(sizes: Sequence[dict[str, float]], file: Path) -> None:
-    """Recognition and 3D error over the number of entries."""
-    entries = [s["entries"] for s in sizes]
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
-    left.semilogx(entries, [s["right_1"] for s in sizes], marker="o", label="at rank 1")
-    left.semilogx(entries, [s["right_7"] for s in sizes], marker="o", label="within 7")
-    left.set(xlabel="entries", ylabel="right (%)", ylim=(0, 100))
-    right.semilogx(entries, [s["first_mm"] for s in sizes], marker="o", label="first")
-    right.semilogx(entries, [s["best_mm"] for s in sizes], marker="o", label="best of 7")
-    right.set(xlabel="entries", ylabel="3D error (mm)", ylim=(0, None))
-    for axes in (left, right):
-        axes.legend()
-        axes.grid(alpha=0.3)
     figure.savefig(file, dpi=120)
     plt.close(figure)
 

@@ -9,7 +9,7 @@ pytest.importorskip("pybvh", reason="needs the test extra: pybvh")
 
 from index.candidates import Candidates
 from index.skeleton import POINTS
-from scripts.experiments.answers import Matching, ranked_modes
+from scripts.experiments.paper_answers import ranked_modes
 
 CLUSTERS, EACH = 4, 5
 
@@ -34,14 +34,10 @@ def candidates() -> Candidates:
 
 
 def test_every_pose_is_answered_once_the_nearest_first(candidates: Candidates) -> None:
-    modes = ranked_modes(candidates, Matching(len(candidates), 0.05), 7)
+    modes = ranked_modes(candidates, 7)
     answered = candidates.numbers[modes.centres].tolist()
     assert answered[0] == CLUSTERS - 1
     assert sorted(answered) == list(range(CLUSTERS))
     assert np.diff(modes.distances).min() >= 0
     # Interpolated between the entries of the pose.
     assert modes.points_normalised[0, 5, 0] == pytest.approx(10 * (CLUSTERS - 1), abs=0.3)
-
-
-def test_poses_beyond_the_candidates_are_not_answered(candidates: Candidates) -> None:
-    assert len(ranked_modes(candidates, Matching(EACH, 0.05), 7)) == 1

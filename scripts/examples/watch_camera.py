@@ -1,6 +1,6 @@
 """Have a service follow the people before a camera: an example of a client.
 
-    python -m scripts.watch_camera SOURCE CAMERA_ID [--url URL] [--fps 10] [--api-key KEY]
+    python -m scripts.examples.watch_camera SOURCE CAMERA_ID [--url URL] [--fps 10] [--api-key KEY]
 
 SOURCE is a video file, the number of a device (0) or the URL of a stream (rtsp://...). Frames are
 posted as the service answers them; of those that come meanwhile, the newest counts. Events are
