@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from index.keypoints import SPREAD_M, Keypoints
 from index.modes import with_bones_of
-from index.skeleton import JOINTS, LIMBS, POINT_NAMES, POINTS, exchange_sides
+from index.skeleton import JOINTS, LIMBS, OTHER_SIDE, POINT_NAMES
 
 STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 10))
 """Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
@@ -28,7 +28,6 @@ DEPTH_SHARE = 0.6
 """Share of the way to the landmarks' depths that the fit goes in all."""
 
 _LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
-_OTHER_SIDE = exchange_sides(np.arange(POINTS, dtype=np.float64)[:, None])[:, 0].astype(np.int64)
 _HIPS = [POINT_NAMES.index("left_hip"), POINT_NAMES.index("right_hip")]
 
 
@@ -89,7 +88,7 @@ def _pulls(
 
     Where landmarks come with their depth, the first skeleton follows them however far they are.
     """
-    rows = np.where(exchanged[:, None], _OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
+    rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
     follows = keypoints.limbs_3d is not None
     if follows:
         rows[0] = keypoints.rows

@@ -189,7 +189,7 @@ def match(
             for row, hypothesis in enumerate(more.hypotheses)
             if mean_joint_distance(hypothesis.points_3d[None], known).min() >= DISTINCT_M
         ]
-        if not later and batch >= n:
+        if not later and batch >= MAX_GROWTH * n:
             break
         farthest = found.hypotheses[-1].fused_distance
         found = Match(

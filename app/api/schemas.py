@@ -9,7 +9,7 @@ from typing_extensions import TypedDict
 
 from index.posture import Posture as PostureLabel
 
-KeypointSetName = Literal["native", "coco17", "h36m17"]
+KeypointSetName = Literal["native", "cmu19", "coco17", "h36m17"]
 ObservedSetName = Literal["coco17", "blazepose33"]
 PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
 Evidence = Literal["photograph", "silhouette"]
@@ -418,7 +418,7 @@ class DescriptorSummary(Model):
 class ServiceVersion(Model):
     """Which build of the service runs."""
 
-    version: str = Field(description="Version of the service.", examples=["0.1.0"])
+    version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
     detector: Literal["network", "hog"] = Field(
         description="What finds people: MoveNet with HOG beside it, or HOG alone.",
