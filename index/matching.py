@@ -39,7 +39,7 @@ SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 50
 KEPT_CANDIDATES = 200
 """With keypoints: best candidates of both kinds, of which the modes are made."""
 
-SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 9
+SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 4
 """Modes computed beyond those asked for: a sparse mode may fit best."""
 
 MAX_LEAN_DEG = 30.0

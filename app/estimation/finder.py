@@ -15,7 +15,7 @@ from app.vision.decoding.decode import LabelImage
 from app.vision.detection.detector import Detector, smallest_person_px
 from app.vision.people import Box, Detection, Silhouette
 from app.vision.person.landmarks import Reading
-from app.vision.person.reader import PersonReader
+from app.vision.person.reader import PersonReader, doubt_at_border
 from app.vision.person.silhouettes import silhouettes_of
 from app.vision.segmentation.background import BackgroundSegmenter
 from app.vision.segmentation.labels import silhouettes_from_labels
@@ -168,7 +168,7 @@ def observed(
     """What is seen of a person; landmarks show truncation that the silhouette may not show."""
     if reading is None:
         return ObservedPerson(box, source, score, silhouette)
-    landmarks = reading.landmarks
+    landmarks = doubt_at_border(reading, frame.shape)
     if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
         silhouette = replace(silhouette, truncated=True)
     return ObservedPerson(

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from app.estimation import finder
 from app.estimation.estimates import ObservedPerson, Person, Scene
-from app.estimation.estimator import Estimator, network_threads
+from app.estimation.estimator import Estimator
+from app.estimation.networks import network_threads
 from app.estimation.stopwatch import Stopwatch
 from app.estimation.upload import Upload
 from app.settings import Settings

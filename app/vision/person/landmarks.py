@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES, Landmarks, PersonWindow
+from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints, PersonWindow
 from app.vision.person.window import (
     cut_window,
     window_drift,
@@ -51,6 +51,8 @@ class Reading:
         That each pixel of the window shows the person.
     next_window : PersonWindow
         Where the network would look next.
+    keypoints : ObservedKeypoints or None
+        What MoveNet reads of the same person, in pixels of the frame.
     """
 
     window: PersonWindow
@@ -58,6 +60,7 @@ class Reading:
     presence: float
     probability: NDArray[np.float32]
     next_window: PersonWindow
+    keypoints: ObservedKeypoints | None = None
 
     @property
     def drift(self) -> float:
