@@ -104,11 +104,6 @@ def read_films(file: Path) -> list[Film]:
     return films
 
 
-def read_recordings(file: Path) -> list[Recording]:
-    """Read ``classification_masks.mat`` as normalised silhouettes; raises as :func:`read_films`."""
-    return [film.normalised() for film in read_films(file)]
-
-
 def _film(field: str, masks: Mask, expected: str) -> Film:
     """One field, such as ``lena_walk1``: masks ``(H, W, F)``."""
     person, _, take = field.partition("_")

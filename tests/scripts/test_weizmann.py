@@ -17,13 +17,17 @@ from scripts.experiments.weizmann import (
     Pixels,
     Recording,
     leave_one_person_out,
-    read_recordings,
+    read_films,
     stretches,
 )
 from scripts.experiments.weizmann_report import in_frames, watch
 
 FRAMES = 6
 HEIGHT, WIDTH = 72, 90
+
+
+def read_recordings(file: Path) -> list[Recording]:
+    return [film.normalised() for film in read_films(file)]
 
 
 def body(action: str, width: int, step: int) -> NDArray[np.uint8]:
