@@ -53,8 +53,8 @@ HypothesisCount = Annotated[
 KeypointSetQuery = Annotated[
     KeypointSetName,
     Query(
-        description="`native` or `cmu19`: the 19 joints of the index; `coco17`: the 17 COCO keypoints; "
-        "`h36m17`: the 17 of Human3.6M.",
+        description="`native` or `cmu19`: the 19 joints of the index; `coco17`: the 17 COCO "
+        "keypoints; `h36m17`: the 17 of Human3.6M.",
         examples=["native"],
     ),
 ]
