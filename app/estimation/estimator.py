@@ -20,7 +20,7 @@ from app.vision.people import Box
 from app.vision.person.reader import PersonReader
 from app.work.executor import Map, map_serially
 from index.artefact import load_index
-from index.matching import CANDIDATES_PER_HYPOTHESIS, match
+from index.matching import match
 from index.store import PoseIndex
 
 
@@ -156,21 +156,13 @@ class Estimator:
         return self._decoder.decode(upload)
 
     def with_hypotheses(
-        self,
-        scene: Scene,
-        n: int,
-        check: Check,
-        stopwatch: Stopwatch,
-        candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
+        self, scene: Scene, n: int, check: Check, stopwatch: Stopwatch
     ) -> tuple[Person, ...]:
-        """Find the poses that fit people's silhouettes and keypoints.
-
-        ``candidates_per_hypothesis`` is that of :func:`index.matching.match`.
-        """
+        """Find the poses that fit people's silhouettes and keypoints."""
 
         def fit(person: ObservedPerson, normalised: NormalisedPerson | None) -> Person:
             check()
-            return fit_poses(self.index, person, normalised, n, candidates_per_hypothesis)
+            return fit_poses(self.index, person, normalised, n)
 
         with stopwatch.stage("describe"):
             normalised = [normalise_person(person) for person in scene.people]

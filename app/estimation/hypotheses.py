@@ -11,7 +11,6 @@ from app.estimation.normalised_person import NormalisedPerson
 from app.estimation.posture import estimate_posture, vote_posture
 from app.estimation.reranking import rank_by_keypoints, rank_by_silhouette
 from index.matching import (
-    CANDIDATES_PER_HYPOTHESIS,
     FIRST_HYPOTHESES,
     Hypothesis,
     match,
@@ -34,7 +33,6 @@ def fit_poses(
     observed: ObservedPerson,
     normalised: NormalisedPerson | None,
     n: int,
-    candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
 ) -> Person:
     """Find the ``n`` nearest distinct poses of a person.
 
@@ -45,8 +43,6 @@ def fit_poses(
     normalised : NormalisedPerson or None
         The same person; None where there is no silhouette.
     n : int
-    candidates_per_hypothesis : int
-        See :func:`index.matching.match`.
     """
     if normalised is None:
         return Person(observed, None, None, ())
@@ -58,7 +54,6 @@ def fit_poses(
         keypoints,
         roll_deg=normalised.roll_deg,
         whole=normalised.whole,
-        candidates_per_hypothesis=candidates_per_hypothesis,
     )
     matched = found.hypotheses
     # Posture and facing do not depend on how many are asked for.
