@@ -76,7 +76,7 @@ class PeopleFollower:
             The track in whose window the person was read, None where the search found them.
         """
         followed = [
-            (track, track.motion.expect(timestamp))
+            (track, track.motion.predict(timestamp))
             for track in tracks
             if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
         ]
