@@ -13,10 +13,10 @@ import sys
 
 import uvicorn
 
-from app.logs import log_config
-from app.remote_index import MissingPackageError, check_milvus_package
+from app.serving.logs import log_config
+from app.serving.remote_index import MissingPackageError, check_milvus_package
 from app.settings import Settings, SettingsError, read_settings
-from app.vision.runtime.tflite import NetworkError
+from app.vision.tflite import NetworkError
 from app.vision.weights import check_networks
 from index.milvus_address import MilvusAddress
 
@@ -49,7 +49,7 @@ def serve(settings: Settings) -> None:
         host=settings.host,
         port=settings.port,
         workers=settings.workers,
-        http="app.protocol:HttpProtocol",
+        http="app.http.protocol:HttpProtocol",
         ws="none",
         timeout_graceful_shutdown=GRACE_S,
         timeout_keep_alive=KEEP_ALIVE_S,

@@ -12,30 +12,30 @@ from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 from starlette.types import Scope
 
-from app.access_log import AccessLogMiddleware
-from app.admission import AdmissionMiddleware, UploadLimits
-from app.breaker import CircuitBreaker
-from app.callers import sender_of
-from app.cameras import HEADER as CAMERA_HEADER
-from app.cameras import camera_stream
-from app.errors import register_error_handlers
-from app.estimator import Estimator
-from app.executor import Executor
-from app.head import HeadMiddleware
-from app.loading import become_ready, keep_index_loaded
-from app.metrics import Metrics
-from app.openapi import SERVERS, TAGS, add_openapi
-from app.process import configure_process
-from app.route_table import RouteTable
+from app.estimation.estimator import Estimator
+from app.http.access_log import AccessLogMiddleware
+from app.http.admission import AdmissionMiddleware, UploadLimits
+from app.http.callers import sender_of
+from app.http.cameras import HEADER as CAMERA_HEADER
+from app.http.cameras import camera_stream
+from app.http.error_handlers import register_error_handlers
+from app.http.head import HeadMiddleware
+from app.http.metrics import Metrics
+from app.http.openapi import SERVERS, TAGS, add_openapi
+from app.http.route_table import RouteTable
 from app.routes import cameras, deepstack, health, index, pose, sequence
 from app.routes.cameras import SESSION_HEADER
 from app.routes.docs import add_docs
 from app.routes.page import add_page
-from app.runtime import Runtime
+from app.serving.breaker import CircuitBreaker
+from app.serving.loading import become_ready, keep_index_loaded
+from app.serving.runtime import Runtime
+from app.serving.version import VERSION
 from app.settings import Settings, read_settings
 from app.tracking.session import CameraSession
 from app.tracking.sessions import CameraSessions
-from app.version import VERSION
+from app.work.executor import Executor
+from app.work.process import configure_process
 
 # Below that, less than a packet is saved.
 GZIP_FROM_BYTES = 1400
@@ -116,7 +116,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # Redirects of our own are relative, see app/errors.py.
+        redirect_slashes=False,  # Ours are relative: app/http/error_handlers.py.
     )
     app.state.runtime = runtime
     routers = [module.router for module in (pose, cameras, sequence, index, deepstack, health)]

@@ -12,9 +12,9 @@ from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_va
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from app.cores import available_cores
 from app.messages import expected_and_got, shortened, suggestion
 from app.vision.detection.detector import DetectorName
+from app.work.cores import available_cores
 from index.milvus_address import SCHEME, MilvusAddress
 from index.store import DEFAULT_PATH
 

@@ -13,10 +13,8 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.approximate import ApproximateNeighbours
 from index.folders import replace_folder, staging
 from index.neighbours import Neighbours
-from index.reranker import FILES as RERANKING_FILES
 from index.reranker import Reranker, load_reranker, reranker_files
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
@@ -25,10 +23,8 @@ from index.verified_files import ArtefactError, npy_bytes, read_array, read_byte
 
 FORMAT_VERSION = 4
 
-_SILHOUETTES, _NEIGHBOURS = "silhouettes.npy", "neighbours.faiss"
-
-_INCOMPRESSIBLE = (_SILHOUETTES, _NEIGHBOURS)
-"""Stored as they are; every other file is compressed."""
+_SILHOUETTES = "silhouettes.npy"
+"""Compressed in itself and stored as it is; every other file is compressed."""
 
 _LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
 """Without the context of the byte before and of the place: decompresses a third faster, for 1 %
@@ -38,7 +34,7 @@ more bytes."""
 def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
-    An approximate search is written with it; another engine is chosen by whoever loads the index.
+    How its vectors are searched is chosen by whoever loads the index.
     A network that re-ranks is written beside it and is no part of the version.
     """
     files = _files(index)
@@ -59,42 +55,13 @@ def save_index(index: PoseIndex, path: Path) -> str:
     }
     stored = {
         _stored_name(name): content
-        if name in _INCOMPRESSIBLE
+        if name == _SILHOUETTES
         else lzma.compress(content, filters=_LZMA)
         for name, content in files.items()
     }
     if index.reranker is not None:
         stored |= reranker_files(index.reranker)
-    return _write(path, *_with_search(manifest, stored, index.neighbours))
-
-
-def copy_index(source: Path, path: Path, neighbours: Neighbours) -> str:
-    """Write a copy of an artefact with another search of its vectors; see :func:`save_index`.
-
-    All other files are copied as they are, and a network that re-ranks with them.
-    """
-    manifest = _read_manifest(Path(source))
-    for key in ("version", "search"):
-        manifest.pop(key, None)
-    manifest["files"].pop(_NEIGHBOURS, None)
-    names = [_stored_name(name) for name in manifest["files"]]
-    beside = [name for name in RERANKING_FILES if (Path(source) / name).exists()]
-    stored = {name: (Path(source) / name).read_bytes() for name in (*names, *beside)}
-    return _write(path, *_with_search(manifest, stored, neighbours))
-
-
-def _with_search(
-    manifest: dict[str, Any], stored: dict[str, bytes], neighbours: Neighbours
-) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Add the search to a manifest and to stored files, unless the search is built at load."""
-    if not isinstance(neighbours, ApproximateNeighbours):
-        return manifest, stored
-    content = neighbours.to_bytes()
-    files = {**manifest["files"], _NEIGHBOURS: hashlib.sha256(content).hexdigest()}
-    return (
-        {**manifest, "files": files, "search": neighbours.parameters()},
-        {**stored, _stored_name(_NEIGHBOURS): content},
-    )
+    return _write(path, manifest, stored)
 
 
 def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> str:
@@ -119,7 +86,7 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
     path : Path
         Folder of the artefact.
     searched_by : Neighbours, optional
-        Searches its vectors; by default as the manifest says, in this process.
+        Searches its vectors; by default exactly, in this process.
 
     Raises
     ------
@@ -129,10 +96,8 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
     path = Path(path)
     manifest = _read_manifest(path)
     try:
-        sha256 = dict(manifest["files"])
-        if searched_by is not None:
-            sha256.pop(_NEIGHBOURS, None)
-        return _restore(manifest, _read_files(path, sha256), searched_by, load_reranker(path))
+        files = _read_files(path, manifest["files"])
+        return _restore(manifest, files, searched_by, load_reranker(path))
     except ArtefactError:
         raise
     except KeyError as error:
@@ -216,9 +181,6 @@ def _restore(
     if type(flat) is not faiss.IndexFlatL2:
         raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
     vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).reshape(flat.ntotal, flat.d)
-    search = manifest.get("search", {"kind": "flat"})
-    if searched_by is None and search != {"kind": "flat"}:
-        searched_by = ApproximateNeighbours.restore(search, files[_NEIGHBOURS], vectors)
     return PoseIndex(
         name=manifest["name"],
         descriptor=restore(manifest["descriptor"], learned),
@@ -266,7 +228,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 def _stored_name(name: str) -> str:
     """Name on disk of a file of the manifest."""
-    return name if name in _INCOMPRESSIBLE else f"{name}.xz"
+    return name if name == _SILHOUETTES else f"{name}.xz"
 
 
 def _version(manifest: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from index.keypoints import SPREAD_M, Keypoints
 from index.modes import with_bones_of
-from index.skeleton import JOINTS, LIMBS, POINT_NAMES, exchange_sides
+from index.skeleton import JOINTS, LIMBS, OTHER_SIDE, POINT_NAMES
 
 STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 10))
 """Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
@@ -88,15 +88,17 @@ def _pulls(
 
     Where landmarks come with their depth, the first skeleton follows them however far they are.
     """
-    assigned = points_normalised.copy()
-    assigned[exchanged] = exchange_sides(assigned[exchanged])
+    rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
+    follows = keypoints.limbs_3d is not None
+    if follows:
+        rows[0] = keypoints.rows
+    skeletons = np.arange(len(points_normalised))[:, None]
+    offsets = keypoints.positions - points_normalised[skeletons, rows]
+    trust = keypoints.trust(offsets)
+    if follows:
+        trust[0] = keypoints.scores
     pulls = np.zeros_like(points_normalised)
-    pulls[:, list(keypoints.rows)] = keypoints.compare_sides(assigned)[1]
-    pulls[exchanged] = exchange_sides(pulls[exchanged])
-    if keypoints.limbs_3d is not None:
-        rows = list(keypoints.rows)
-        offsets = keypoints.positions - points_normalised[0, rows]
-        pulls[0, rows] = keypoints.scores[:, None] * offsets
+    pulls[skeletons, rows] = trust[..., None] * offsets
     return pulls
 
 

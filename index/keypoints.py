@@ -161,12 +161,21 @@ class Keypoints:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Log likelihoods ``(K,)`` in the picture and pulls ``(K, P, 2)``, sides as they are."""
         offsets = self.positions - points[:, list(self.rows)]
-        squares = (offsets**2).sum(axis=-1)
-        mass = self.scores * np.exp(-squares / (2 * self.spread_px**2))
-        # Modes are interpolated in single precision, which is slow on denormal numbers.
-        mass[mass < _MIN_MASS] = 0
+        mass = self._mass(offsets)
         trust = mass / (mass + DOUBT)
         return np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1), trust[..., None] * offsets
+
+    def trust(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far keypoints are believed ``(K, P)`` at offsets ``(K, P, 2)``, 0 to 1."""
+        mass = self._mass(offsets)
+        return np.asarray(mass / (mass + DOUBT))
+
+    def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+        squares = (offsets**2).sum(axis=-1)
+        mass = self.scores * np.exp(-squares / (2 * self.spread_px**2))
+        # Arithmetic on denormal numbers is slow.
+        mass[mass < _MIN_MASS] = 0
+        return np.asarray(mass)
 
     def _compare_limbs(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
         """Log likelihoods ``(K,)`` of the limbs in three dimensions."""

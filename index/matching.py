@@ -39,7 +39,7 @@ SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 50
 KEPT_CANDIDATES = 200
 """With keypoints: best candidates of both kinds, of which the modes are made."""
 
-SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 9
+SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 4
 """Modes computed beyond those asked for: a sparse mode may fit best."""
 
 MAX_LEAN_DEG = 30.0
@@ -50,6 +50,8 @@ FIRST_HYPOTHESES = 7
 that the first k of n are those that are found where k are asked for."""
 
 CANDIDATES_PER_HYPOTHESIS = 20
+"""Candidates of one kind for each hypothesis asked for, at least."""
+
 MAX_GROWTH = 16
 """Factor by which the number of candidates may grow where they hold too few distinct poses."""
 
@@ -147,7 +149,6 @@ def match(
     *,
     roll_deg: float = 0.0,
     whole: bool = True,
-    candidates_per_hypothesis: int = CANDIDATES_PER_HYPOTHESIS,
 ) -> Match:
     """Find distinct poses that fit a silhouette, and landmarks if there are any.
 
@@ -169,15 +170,13 @@ def match(
     whole : bool
         Whether the silhouette shows all of the body. Where it does not and landmarks are given,
         they alone choose the candidates, and place them.
-    candidates_per_hypothesis : int
-        Fewer take less time where many hypotheses are wanted: each stands for fewer entries.
 
     Returns
     -------
     Match
         The first ``k`` hypotheses do not depend on ``n``.
     """
-    query = _Query(index, silhouette, keypoints, roll_deg, whole, candidates_per_hypothesis)
+    query = _Query(index, silhouette, keypoints, roll_deg, whole)
     batch = FIRST_HYPOTHESES
     found = query.match(batch)
     while len(found.hypotheses) < n or batch < n:
@@ -189,7 +188,7 @@ def match(
             for row, hypothesis in enumerate(more.hypotheses)
             if mean_joint_distance(hypothesis.points_3d[None], known).min() >= DISTINCT_M
         ]
-        if not later and batch >= n:
+        if not later and batch >= MAX_GROWTH * n:
             break
         farthest = found.hypotheses[-1].fused_distance
         found = Match(
@@ -213,12 +212,11 @@ class _Query:
     keypoints: Keypoints | None
     roll_deg: float
     whole: bool
-    candidates_per_hypothesis: int
 
     def match(self, n: int) -> Match:
         """The hypotheses of one batch."""
         index, keypoints, roll_deg = self.index, self.keypoints, self.roll_deg
-        wanted = self.candidates_per_hypothesis * n
+        wanted = CANDIDATES_PER_HYPOTHESIS * n
         rotations = usual_rotations(self.silhouette, roll_deg)
         ranking = None
         if keypoints is None:

@@ -266,12 +266,18 @@ def with_bones_of(
     (..., 24, 3) float64 array
         Pelvis at the origin; the face moves with the head.
     """
-    lengths = np.linalg.norm(skeleton[..., _CHILDREN, :] - skeleton[..., _PARENTS, :], axis=-1)
-    bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
-    bones = bones * (lengths / np.maximum(np.linalg.norm(bones, axis=-1), 1e-6))[..., None]
+    lengths, _ = _bones(skeleton)
+    current, bones = _bones(points)
+    bones = bones * (lengths / np.maximum(current, 1e-6))[..., None]
     joints = _PATHS @ bones
     face = points[..., JOINTS:, :] - points[..., _HEAD : _HEAD + 1, :]
     return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
+
+
+def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lengths ``(..., 18)`` of the bones, and the bones ``(..., 18, 3)`` from parent to child."""
+    bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
+    return np.sqrt((bones**2).sum(axis=-1)), bones
 
 
 def _paths_from_pelvis() -> NDArray[np.float64]:

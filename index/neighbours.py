@@ -93,7 +93,8 @@ class ExactNeighbours:
             self._faiss = faiss.IndexScalarQuantizer(dimension, BYTES, faiss.METRIC_L2)
         else:
             self._faiss = faiss.IndexFlatL2(dimension)
-        add_scaled(self._faiss, vectors, self._factor)
+        for block in _blocks(vectors):
+            self._faiss.add(block * self._factor)
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)
@@ -101,8 +102,16 @@ class ExactNeighbours:
     def search(
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`."""
-        squared, numbers = self._faiss.search(scaled_queries(queries, self._factor), k)
+        """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`.
+
+        Among vectors that are bytes, queries are rounded to steps as well: some versions of FAISS
+        drop what follows the point, and take a number beyond a byte's range for one from its other
+        end.
+        """
+        scaled = np.ascontiguousarray(queries * self._factor, np.float32)
+        if self._factor == STEPS:
+            scaled = np.rint(scaled).clip(-_LARGEST_STEP, _LARGEST_STEP)
+        squared, numbers = self._faiss.search(scaled, k)
         return squared / self._factor**2, numbers
 
 
@@ -116,22 +125,6 @@ def scale_factor(vectors: NDArray[np.floating]) -> np.float32:
         if np.abs(steps).max() > _LARGEST_STEP or not np.array_equal(steps, np.rint(steps)):
             return np.float32(1)
     return STEPS
-
-
-def scaled_queries(queries: NDArray[np.float32], factor: np.float32) -> NDArray[np.float32]:
-    """Queries ``(Q, D)`` as FAISS is given them, for vectors multiplied by ``factor``.
-
-    Among vectors that are bytes, queries are rounded to steps as well: some versions of FAISS drop
-    what follows the point, and take a number beyond a byte's range for one from its other end.
-    """
-    scaled = np.ascontiguousarray(queries * factor, np.float32)
-    return np.rint(scaled).clip(-_LARGEST_STEP, _LARGEST_STEP) if factor == STEPS else scaled
-
-
-def add_scaled(index: Any, vectors: NDArray[np.floating], factor: np.float32) -> None:
-    """Add vectors ``(E, D)``, multiplied by ``factor``, to a FAISS index, block by block."""
-    for block in _blocks(vectors):
-        index.add(block * factor)
 
 
 def _blocks(vectors: NDArray[np.floating]) -> Iterator[NDArray[np.float32]]:

@@ -150,7 +150,7 @@ H36M17 = _keypoint_set(
     {"spine": "chest", "thorax": "neck"},
 )  # fmt: skip
 
-_OTHER_SIDE = np.array(
+OTHER_SIDE = np.array(
     [
         POINT_NAMES.index(
             name.replace("left_", "right_")
@@ -160,11 +160,12 @@ _OTHER_SIDE = np.array(
         for name in POINT_NAMES
     ]
 )
+"""Row of the same point on the other side of the body, for each of ``POINT_NAMES``."""
 
 
 def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Exchange the names left and right of skeletons ``(..., 24, D)``; no point moves."""
-    return points.take(_OTHER_SIDE, axis=-2)
+    return points.take(OTHER_SIDE, axis=-2)
 
 
 def mirror_3d(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,6 +183,8 @@ def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17, H36M17)}
+KEYPOINT_SETS["cmu19"] = NATIVE
+"""By name; ``cmu19`` is another one for ``native``, after the motion capture of its joints."""
 
 
 def mean_joint_distance(

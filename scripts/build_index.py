@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 from index.artefact import save_index
@@ -16,7 +15,6 @@ from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
 from index.store import DEFAULT_PATH
-from scripts.change_search import SEARCHES, build_search
 
 
 def main() -> int:
@@ -46,7 +44,6 @@ def main() -> int:
         help="keeps what is drawn, so that a build can be resumed, and is shared by a cluster; "
         "by default a temporary folder beside --out",
     )
-    add("--search", choices=SEARCHES, default="flat", help="flat is exact")
     arguments = parser.parse_args()
     name = arguments.name or arguments.out.resolve().name
     attribution = CMU_ATTRIBUTION if arguments.attribution == "cmu" else arguments.attribution
@@ -64,7 +61,6 @@ def main() -> int:
                 arguments.mocap, arguments.garments, plan, name=name, attribution=attribution,
                 workers=workers, shards=shards, progress=True, say=print,
             )  # fmt: skip
-        index = replace(index, searched_by=build_search(index.vectors, arguments.search))
         version = save_index(index, arguments.out)
     except (MotionError, GarmentError, ShardError, WorkersError, ValueError, OSError) as error:
         print(f"build_index: {error}", file=sys.stderr)

@@ -1,10 +1,8 @@
 """Draw sheets of real people: photograph, silhouette, nearest simulated one, skeleton.
 
     python -m scripts.draw_people                     docs/people.png, docs/results/real-people.png
-    python -m scripts.draw_people --sheet FILE        24 people of the Penn-Fudan photographs
 
-People are chosen evenly, never by how well they came out. The Penn-Fudan photographs may not be
-passed on: their sheet belongs outside the repository.
+People are chosen evenly, never by how well they came out.
 """
 
 from __future__ import annotations
@@ -24,18 +22,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from app.drawing import draw_skeleton
-from app.estimates import ObservedPerson, Person, Scene
-from app.estimator import Estimator
+from app.api.overlay import draw_skeleton
+from app.estimation.estimates import ObservedPerson, Person, Scene
+from app.estimation.estimator import Estimator
+from app.estimation.normalised_person import NormalisedPerson
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.stopwatch import Stopwatch
-from app.upload import Upload
-from app.upright import UprightPerson
 from app.vision.people import Box
 from index.rotations import RotatedQuery
 from index.skeleton import NATIVE
 from scripts.experiments.real import CAMERAS
-from scripts.experiments.real_data import encode_png, read_pennfudan, read_pose2sim, read_vtest
+from scripts.experiments.real_data import encode_png, read_pose2sim, read_vtest
 from scripts.experiments.rotation import rotate_box
 from scripts.results import ROOT
 
@@ -120,11 +118,11 @@ def _nearest(
     """Silhouette of the first hypothesis's entry, rotated as it is, placed on the person's."""
     hypothesis, silhouette = person.hypotheses[0].hypothesis, person.observed.silhouette
     assert silhouette is not None
-    upright = UprightPerson.of(silhouette, None)
+    normalised = NormalisedPerson.of(silhouette, None)
     entry = estimator.index.silhouette(hypothesis.entry)
     entry = np.ascontiguousarray(entry[:, ::-1]) if hypothesis.mirrored else entry
-    query = RotatedQuery.of(upright.normalised, hypothesis.rotation_deg + upright.roll_deg)
-    matrix = upright.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+    query = RotatedQuery.of(normalised.silhouette, hypothesis.rotation_deg + normalised.roll_deg)
+    matrix = normalised.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
     rows, columns = frame_shape[:2]
     return np.asarray(cv2.warpAffine(entry.astype(np.float32), matrix, (columns, rows)) >= 0.5)
 
@@ -161,17 +159,6 @@ def video_people(
             scene = _people(estimator, turned, [box])
             name = video.name + (", turned" if quarter_turns else "")
             found += [pictures(estimator, turned, person, name) for person in scene.people]
-    return [person for person in found if person is not None]
-
-
-def street_people(estimator: Estimator, folder: Path) -> list[Pictures]:
-    """The labelled people of the street photographs, in their true boxes."""
-    found = []
-    for photograph in read_pennfudan(folder / "pennfudan"):
-        scene = _people(estimator, photograph.frame, photograph.boxes)
-        for number, person in enumerate(scene.people, start=1):
-            name = f"{Path(photograph.name).stem[-5:]}-{number}"
-            found.append(pictures(estimator, photograph.frame, person, name))
     return [person for person in found if person is not None]
 
 
@@ -227,14 +214,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs")
-    parser.add_argument("--sheet", type=Path, metavar="FILE", help="the Penn-Fudan sheet instead")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     folder = options.shared / "real"
     estimator = Estimator.load(Settings())
-    if options.sheet is not None:
-        draw_sheet(evenly(street_people(estimator, folder), 24), options.sheet)
-        return
     street, video = vtest_people(estimator, folder), video_people(estimator, folder)
     tall = [person for person in street if person.height_px >= SHOWN_FROM_PX]
     (options.docs / "results").mkdir(parents=True, exist_ok=True)

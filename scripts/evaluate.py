@@ -1,19 +1,12 @@
 """The experiments: what the service is measured by.
 
     python -m scripts.evaluate paper        the experiments of Atrevi et al. (2016)
-    python -m scripts.evaluate descriptor   how the discriminant descriptor was chosen
     python -m scripts.evaluate simulation   bodies, clips and views that the index never saw
-    python -m scripts.evaluate growth       the same as the index grows
-    python -m scripts.evaluate sizing       what to spend an index's entries on
-    python -m scripts.evaluate coverage     what its entries could answer at best
     python -m scripts.evaluate real         photographs and videos of ../shared/real
     python -m scripts.evaluate people       people who fall, sit, lie, lean or do sport
-    python -m scripts.evaluate scales       at which size MoveNet is shown a frame
     python -m scripts.evaluate actions      actions, postures and falls of tracks
     python -m scripts.evaluate weizmann     actions in the Weizmann data set, as in the paper
-    python -m scripts.evaluate truncation   people cut by the edge of a photograph
     python -m scripts.evaluate tracking     people followed over the frames of a fixed camera
-    python -m scripts.evaluate embedded     searches in the process of the service, by size
 
 Without a name, all of them. Results and plots go to ``docs/results/``, each with its command.
 """
@@ -30,19 +23,12 @@ ROOT = Path(__file__).resolve().parent.parent
 
 EXPERIMENTS = {
     "paper": "scripts.experiments.paper",
-    "descriptor": "scripts.experiments.descriptor_choice",
     "simulation": "scripts.experiments.strict",
-    "growth": "scripts.experiments.growth",
-    "sizing": "scripts.experiments.sizing",
-    "coverage": "scripts.experiments.coverage",
     "real": "scripts.experiments.real",
     "people": "scripts.experiments.people",
-    "scales": "scripts.experiments.scales",
     "actions": "scripts.experiments.actions",
     "weizmann": "scripts.experiments.weizmann_report",
-    "truncation": "scripts.experiments.truncation",
     "tracking": "scripts.experiments.tracking",
-    "embedded": "scripts.experiments.embedded_index",
 }
 """Modules with ``add_arguments(parser)`` and ``run(options)``, imported only when asked for."""
 

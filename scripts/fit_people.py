@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimates import Person
-from app.estimator import Estimator
-from app.hypotheses import set_upright
-from app.posture import GROUNDED, GROUPS, body_features, log_odds
+from app.estimation.estimates import Person
+from app.estimation.estimator import Estimator
+from app.estimation.hypotheses import normalise_person
+from app.estimation.posture import GROUNDED, GROUPS, body_features, log_odds
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.upload import Upload
 from app.vision.boxes import Boxes, iou_matrix
-from app.vision.detection.detector import NetworkDetector, logit
+from app.vision.detection.detector import NetworkDetector, detection_features
 from app.vision.people import LANDMARK_NAMES, Box, Landmarks
 from app.vision.weights import write_fitted
 from index.confidence import RIGHT_BELOW_PX
@@ -109,10 +109,10 @@ def candidate_samples(
 ) -> Iterator[tuple[NDArray[np.float64], bool]]:
     """Scores of the candidates of a frame, with whether they are people where that is known."""
     found, scores = detector.candidates(frame)
-    for one, row in zip(found, scores, strict=True):
+    for one, row in zip(found, detection_features(scores), strict=True):
         truth = judge(one.box)
         if truth is not None:
-            yield np.array([logit(row[:1])[0], max(0.0, row[1])]), truth
+            yield row, truth
 
 
 def overlap(box: Box, people: Boxes) -> float:
@@ -211,16 +211,14 @@ def _body(person: Person) -> NDArray[np.float64]:
 
 
 def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
-    """Weights of MoveNet's log odds and of HOG's positive margin."""
+    """Weights of what the detectors say; none of them may speak against a person."""
     features = np.concatenate([np.array(one.features) for one in sources.values()])
     truths = np.concatenate([np.array(one.truths) for one in sources.values()])
     model = LogisticRegression(C=10.0).fit(features, truths)
-    network, hog = model.coef_[0].tolist()
-    return {
-        "network": round(network, 4),
-        "hog": round(max(0.0, hog), 4),
-        "offset": round(float(model.intercept_[0]), 4),
-    }
+    weights = zip(("movenet", "hog", "pose_detection"), model.coef_[0].tolist(), strict=True)
+    constants = {name: max(0.0, weight) for name, weight in weights}
+    constants["offset"] = float(model.intercept_[0])
+    return {name: round(value, 4) for name, value in constants.items()}
 
 
 def simulated_samples(index: PoseIndex) -> Samples:
@@ -350,7 +348,7 @@ def confidence_samples(
     right: list[bool] = []
 
     def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        upright = set_upright(person.observed)
+        upright = normalise_person(person.observed)
         if upright is None:
             return
         to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))

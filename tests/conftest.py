@@ -19,7 +19,7 @@ from hypothesis import HealthCheck
 from hypothesis import settings as property_settings
 from numpy.typing import NDArray
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
@@ -29,8 +29,8 @@ from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
-from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
 from scripts.load.server import free_ports
+from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
 
 # Tests do not time: the machine may be busy.
 property_settings.register_profile(

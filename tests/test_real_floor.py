@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimates import Person
-from app.estimator import Estimator
-from app.replies import LEAST_SCORE
+from app.api.replies import LEAST_SCORE
+from app.estimation.estimates import Person
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.upload import Upload
 from app.vision.people import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
 from tests.conftest import ROOT

@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.version import VERSION
+from app.serving.version import VERSION
 from app.vision.weights import MODELS
 from index.store import DEFAULT_PATH
 from tests.conftest import ROOT, Server, start_server, wait_until

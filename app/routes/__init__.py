@@ -1,1 +1,1 @@
-"""HTTP routes, one file per resource."""
+"""HTTP routes, one file per resource. Imports serving and below."""

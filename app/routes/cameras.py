@@ -8,13 +8,15 @@ from fastapi import APIRouter, Depends, Path, Request
 from fastapi.responses import Response
 from pydantic import ValidationError
 
-from app.auth import Caller, RequireKey
-from app.cameras import CAMERA_PATTERN
-from app.cancellation import CancellationToken
-from app.errors import ProblemError, documented
+from app.api.replies import ReplyForm
+from app.api.tracking_replies import camera_reply, track_reply, zones_from
+from app.api.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
+from app.http.cameras import CAMERA_PATTERN
+from app.http.openapi import documented
+from app.http.problems import ProblemError
+from app.http.request_context import note_header
 from app.messages import expected_and_got
-from app.replies import ReplyForm
-from app.request_context import note_header
+from app.routes.auth import Caller, RequireKey
 from app.routes.forms import CheckQuery
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
@@ -27,11 +29,10 @@ from app.routes.uploads import (
     SilhouettesQuery,
     TrackUploadForm,
 )
-from app.runtime import run_frame, runtime_of
+from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
 from app.tracking.sessions import CameraKey, TooManyCamerasError
-from app.tracking_replies import camera_reply, track_reply, zones_from
-from app.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
+from app.work.cancellation import CancellationToken
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, CheckQuery])

@@ -8,16 +8,18 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 
-from app.auth import check_key
-from app.callers import keys_in_headers
-from app.cameras import NamesCamera
-from app.cancellation import CancellationToken
-from app.errors import ProblemError, documented, is_multipart, unsupported_body
+from app.api.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
+from app.estimation.upload import UploadError
+from app.http.callers import keys_in_headers
+from app.http.cameras import NamesCamera
+from app.http.content_types import is_multipart, unsupported_body
+from app.http.openapi import documented
+from app.http.problems import ProblemError
 from app.messages import expected_and_got
+from app.routes.auth import check_key
 from app.routes.forms import CheckQuery, check_fields, file_of, text_of
-from app.runtime import run_frame, runtime_of
-from app.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
-from app.upload import UploadError
+from app.serving.runtime import run_frame, runtime_of
+from app.work.cancellation import CancellationToken
 
 router = APIRouter(
     prefix="/v1/vision",

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator
 from fastapi import Depends, Request
 from starlette.datastructures import FormData, UploadFile
 
-from app.errors import ProblemError
+from app.http.problems import ProblemError
 from app.messages import suggestion
 
 _LONGEST_NAME = 60

@@ -6,9 +6,9 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
 
-from app.errors import documented
-from app.runtime import EstimatorDep, runtime_of
-from app.schemas import Health
+from app.api.schemas import Health
+from app.http.openapi import documented
+from app.serving.runtime import EstimatorDep, runtime_of
 
 router = APIRouter(tags=["health"])
 

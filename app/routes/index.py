@@ -7,18 +7,19 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
-from app.auth import RequireKey
-from app.drawing import encode_png
-from app.errors import ProblemError, documented
-from app.estimator import Estimator
+from app.api.overlay import encode_png
+from app.api.replies import entry_reply, index_reply
+from app.api.schemas import EntryResponse, IndexResponse
+from app.estimation.estimator import Estimator
+from app.http.openapi import documented
+from app.http.problems import ProblemError
 from app.messages import WHOLE_NUMBER
-from app.replies import entry_reply, index_reply
+from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery
 from app.routes.pose import PNG
 from app.routes.uploads import KeypointSetQuery
-from app.runtime import EstimatorDep, runtime_of
-from app.schemas import EntryResponse, IndexResponse
-from app.version import VERSION
+from app.serving.runtime import EstimatorDep, runtime_of
+from app.serving.version import VERSION
 
 router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, CheckQuery])
 

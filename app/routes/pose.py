@@ -7,12 +7,13 @@ from typing import Any
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from app.auth import RequireKey
-from app.cameras import NamesCamera
-from app.cancellation import CancellationToken
-from app.drawing import draw_labels, draw_overlay, encode_png
-from app.errors import documented
-from app.replies import ReplyForm, pose_reply
+from app.api.overlay import draw_labels, draw_overlay, encode_png
+from app.api.replies import ReplyForm, pose_reply
+from app.api.schemas import PoseResponse
+from app.estimation.stopwatch import Stopwatch
+from app.http.cameras import NamesCamera
+from app.http.openapi import documented
+from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
@@ -25,9 +26,8 @@ from app.routes.uploads import (
     SilhouettesQuery,
     UploadForm,
 )
-from app.runtime import run_frame, runtime_of
-from app.schemas import PoseResponse
-from app.stopwatch import Stopwatch
+from app.serving.runtime import run_frame, runtime_of
+from app.work.cancellation import CancellationToken
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(

@@ -14,22 +14,18 @@ from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.types import Message, Receive, Scope, Send
 
-from app.auth import RequireKey
-from app.callers import sender_of
-from app.cancellation import CancellationToken, DeadlineError
-from app.errors import (
-    SEARCH_FAILED,
-    ProblemError,
-    documented,
-    is_multipart,
-    is_video,
-    overloaded,
-    unsupported_body,
-)
-from app.line import Sender
+from app.api.replies import ReplyForm
+from app.api.schemas import Evidence
+from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
+from app.api.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
+from app.estimation.upload import Upload
+from app.http.callers import sender_of
+from app.http.content_types import is_multipart, is_video, unsupported_body
+from app.http.openapi import documented
+from app.http.problems import SEARCH_FAILED, ProblemError, overloaded
+from app.http.request_context import is_ending, note_rejection
 from app.messages import WHOLE_NUMBER
-from app.replies import ReplyForm
-from app.request_context import is_ending, note_rejection
+from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery, check_fields
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
@@ -38,15 +34,13 @@ from app.routes.uploads import (
     JointsQuery,
     KeypointSetQuery,
 )
-from app.runtime import Runtime, runtime_of
-from app.schemas import Evidence
+from app.serving.runtime import Runtime, runtime_of
 from app.tracking.results import TrackedFrame
 from app.tracking.sequence import SequenceSummary
 from app.tracking.session import CameraSession
-from app.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
-from app.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
-from app.upload import Upload
-from app.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
+from app.work.cancellation import CancellationToken, DeadlineError
+from app.work.line import Sender
+from app.work.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
 from index.neighbours import UnavailableError
 from index.skeleton import KEYPOINT_SETS
 

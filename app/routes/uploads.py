@@ -7,11 +7,7 @@ from typing import Annotated, Any, NamedTuple
 from fastapi import Depends, Query, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 
-from app.errors import ProblemError, is_image, is_multipart, unsupported_body
-from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got, shortened
-from app.routes.forms import check_fields, file_of, text_of
-from app.runtime import runtime_of
-from app.schemas import (
+from app.api.schemas import (
     Evidence,
     FrameUpload,
     JointForm,
@@ -19,9 +15,14 @@ from app.schemas import (
     ObservedSetName,
     SilhouetteForm,
 )
+from app.api.tracking_schemas import LATEST_TIMESTAMP_S, MOST_TRACK_ID_CHARACTERS, TrackUpload
+from app.estimation.upload import Upload, UploadError
+from app.http.content_types import is_image, is_multipart, unsupported_body
+from app.http.problems import ProblemError
+from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got, shortened
+from app.routes.forms import check_fields, file_of, text_of
+from app.serving.runtime import runtime_of
 from app.settings import Settings
-from app.tracking_schemas import LATEST_TIMESTAMP_S, MOST_TRACK_ID_CHARACTERS, TrackUpload
-from app.upload import Upload, UploadError
 from app.vision.people import Box
 
 # Strict: true and "12" are no numbers.
@@ -52,8 +53,8 @@ HypothesisCount = Annotated[
 KeypointSetQuery = Annotated[
     KeypointSetName,
     Query(
-        description="`native`: the 19 joints of the index; `coco17`: the 17 COCO keypoints; "
-        "`h36m17`: the 17 of Human3.6M.",
+        description="`native` or `cmu19`: the 19 joints of the index; `coco17`: the 17 COCO "
+        "keypoints; `h36m17`: the 17 of Human3.6M.",
         examples=["native"],
     ),
 ]

@@ -1,1 +1,1 @@
-"""People over time: camera sessions, tracks, smoothed poses, actions and events."""
+"""People over time: sessions, tracks, poses, actions, events. Imports estimation and below."""

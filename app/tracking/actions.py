@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Person, PlacedHypothesis
+from app.estimation.estimates import Person, PlacedHypothesis
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.measures import Measured, ground_path
 from app.tracking.results import RecognisedAction

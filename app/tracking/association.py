@@ -9,7 +9,8 @@ import lap
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.track import Sighting, Track, clothes_distance
+from app.tracking.appearance import appearance_distance
+from app.tracking.track import Sighting, Track
 from app.vision.people import Box
 
 # How far from the expected place somebody may be seen, in heights of the person: at once, for
@@ -18,7 +19,7 @@ _NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
 # Largest ratio of two sizes of one person.
 _GROWTH = 1.6
 # Weights of what speaks against a pair, each 0 to 1 within the gates.
-_PLACE, _OVERLAP, _SIZE, _CLOTHES = 0.4, 0.3, 0.2, 0.6
+_PLACE, _OVERLAP, _SIZE, _APPEARANCE = 0.4, 0.3, 0.2, 0.6
 # Share of these that counts against the track in whose window somebody was read.
 _FOLLOWED = 0.5
 _LARGEST_COST = 1.1
@@ -60,7 +61,7 @@ def association_costs(
     """
     costs = np.full((len(tracks), len(sightings)), 10 * _LARGEST_COST)
     for row, track in enumerate(tracks):
-        expected = track.motion.expect(timestamp)
+        expected = track.motion.predict(timestamp)
         reach = min(_FAR, _NEAR + _NEAR_PER_S * (timestamp - track.seen_at))
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
@@ -69,16 +70,16 @@ def association_costs(
             followed = sighting.followed is track
             if not followed and (away > reach or growth > 1):
                 continue
-            clothes = (
+            appearance = (
                 0.3
-                if track.clothes is None or sighting.clothes is None
-                else clothes_distance(track.clothes, sighting.clothes)
+                if track.appearance is None or sighting.appearance is None
+                else appearance_distance(track.appearance, sighting.appearance)
             )
             cost = (
                 _PLACE * min(1.0, away / reach)
                 + _OVERLAP * (1 - expected.iou(box))
                 + _SIZE * min(1.0, growth)
-                + _CLOTHES * clothes
+                + _APPEARANCE * appearance
             )
             costs[row, column] = _FOLLOWED * cost if followed else cost
     return costs

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson
-from app.finder import Check, PeopleFinder, distinct_bodies, observed
-from app.stopwatch import Stopwatch
+from app.estimation.estimates import ObservedPerson
+from app.estimation.finder import Check, PeopleFinder, distinct_bodies, observed
+from app.estimation.stopwatch import Stopwatch
 from app.tracking.track import Track
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import Reading
@@ -76,7 +76,7 @@ class PeopleFollower:
             The track in whose window the person was read, None where the search found them.
         """
         followed = [
-            (track, track.motion.expect(timestamp))
+            (track, track.motion.predict(timestamp))
             for track in tracks
             if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
         ]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from app.posture import EstimatedPosture, grounded_probability, posture_of, with_grounded
+from app.estimation.posture import EstimatedPosture, grounded_probability, posture_of, with_grounded
 from app.vision.people import Box, Landmarks
 
 SETTLING_S = 0.4

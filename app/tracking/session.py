@@ -11,17 +11,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import Evidence, ObservedPerson, Scene
-from app.estimator import Estimator
-from app.finder import Check
-from app.reranking import keep_nearest
-from app.stopwatch import Stopwatch
+from app.estimation.estimates import Evidence, ObservedPerson, Scene
+from app.estimation.estimator import Estimator
+from app.estimation.finder import Check
+from app.estimation.reranking import keep_nearest
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
+from app.tracking.appearance import appearance_histogram
 from app.tracking.association import associate
 from app.tracking.following import PeopleFollower
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.track import Sighting, Track, clothes_histogram
+from app.tracking.track import Sighting, Track
 from app.tracking.zones import Zone
-from app.upload import Upload
 from app.vision.people import Box
 from index.matching import FIRST_HYPOTHESES
 
@@ -111,7 +112,7 @@ class CameraSession:
             Called between steps; raises where the work is no longer wanted. The next frame then
             tells what began or ended at this one.
         evidence : str
-            As in :meth:`app.estimator.Estimator.estimate`.
+            As in :meth:`app.estimation.estimator.Estimator.estimate`.
 
         Raises
         ------
@@ -217,7 +218,7 @@ class CameraSession:
         Parameters
         ----------
         frame : (H, W, 3) uint8 array or None
-            None if the caller sent a mask alone: clothes are not seen then.
+            None if the caller sent a mask alone: what they wear is not seen then.
         found : list of (ObservedPerson, Track or None)
             With the track in whose window each was read.
         timestamp : float
@@ -277,9 +278,9 @@ class CameraSession:
         """
         if self._size is None or timestamp - track.seen_at > HIDDEN_FOR_S:
             return None
-        box = track.motion.expect(timestamp).clip(self._size[1], self._size[0])
+        box = track.motion.predict(timestamp).clip(self._size[1], self._size[0])
         hides = [
-            other.motion.expect(timestamp)
+            other.motion.predict(timestamp)
             for other in self._tracks
             if other is not track and other.seen_at == timestamp
         ]
@@ -323,4 +324,4 @@ def _sighting(
 ) -> Sighting:
     if frame is None or person.silhouette is None:
         return Sighting(person, None, followed)
-    return Sighting(person, clothes_histogram(frame, person.silhouette), followed)
+    return Sighting(person, appearance_histogram(frame, person.silhouette), followed)

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from app.estimates import Evidence
-from app.estimator import Estimator
-from app.finder import Check
+from app.estimation.estimates import Evidence
+from app.estimation.estimator import Estimator
+from app.estimation.finder import Check
+from app.estimation.upload import Upload
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.tracking.zones import Zone
-from app.upload import Upload
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
 """Why a session ended: on demand, because of one of the limits, or for another index."""
@@ -175,8 +175,9 @@ class CameraSessions:
     ) -> TrackedFrame:
         """Process the next frame of a camera, whose session begins if there is none.
 
-        A session begins only with a frame that could be used: rubbish displaces nobody. Frames of
-        one camera must not be processed at once; :meth:`app.executor.Executor.run` sees to that.
+        A session begins only with a frame that could be used, so rubbish ends no other session.
+        Frames of one camera must not be processed at once; :meth:`app.work.executor.Executor.run`
+        sees to that.
         A session that was begun with another estimator ends: its tracks hold poses of another
         index.
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson, Person
-from app.facing import Facing, azimuth_deg
-from app.posture import vote_posture
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.facing import Facing, azimuth_deg
+from app.estimation.posture import vote_posture
 from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
 from app.tracking.turning import Turn, TurnFilter, going

@@ -1,4 +1,4 @@
-"""A person over time: where they are expected next, how they are dressed, when they were seen."""
+"""A person over time: from the first sighting to the last."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson, Person
-from app.facing import Facing
-from app.posture import EstimatedPosture
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.facing import Facing
+from app.estimation.posture import EstimatedPosture
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector, Trust
+from app.tracking.motion import MotionFilter
 from app.tracking.postures import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
 from app.tracking.zones import Zone, is_rest, zones_of
-from app.vision.people import Box, PersonWindow, Silhouette
+from app.vision.people import PersonWindow
 
 SURE_SCORE = 0.6
 """Somebody detected with this probability, or named by the caller, is confirmed at once, ..."""
@@ -27,100 +27,7 @@ SURE_SCORE = 0.6
 CONFIRMING_SIGHTINGS = 3
 """... others when they have been seen in as many frames."""
 
-# Shares of the difference between the expected and the seen place that correct place, velocity
-# and size.
-_PLACE_GAIN, _VELOCITY_GAIN, _SIZE_GAIN = 0.7, 0.3, 0.3
-# Seconds in which the velocity of somebody unseen falls to 1/e.
-_DRIFT_S = 1.0
-_LEAST_S = 1e-3
-_CLOTHES_GAIN = 0.1
-_HUES, _SATURATIONS, _GREYS = 8, 4, 8
-
-
-class MotionFilter:
-    """Place and size of a person's box, at constant velocity.
-
-    The place is the middle of the lower edge, where the person stands.
-
-    Parameters
-    ----------
-    box : Box
-    timestamp : float
-        Seconds.
-    """
-
-    def __init__(self, box: Box, timestamp: float) -> None:
-        self._place = box.foot
-        self._size = np.array([box.width, box.height])
-        self.timestamp = timestamp
-        """Of the last correction, in seconds."""
-        self.velocity = np.zeros(2)
-        """Pixels a second, right and down."""
-
-    def expect(self, timestamp: float) -> Box:
-        """Box at a later time; it may lie outside the frame."""
-        place = self._expected_place(timestamp - self.timestamp)
-        width, height = self._size.tolist()
-        return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
-
-    def correct(self, box: Box, timestamp: float, *, whole: bool) -> None:
-        """Take in where the person was seen.
-
-        Parameters
-        ----------
-        box : Box
-        timestamp : float
-        whole : bool
-            Whether all of the person was seen; else the size does not shrink.
-        """
-        # A frame that is sent again comes at the same time.
-        elapsed = max(timestamp - self.timestamp, _LEAST_S)
-        expected = self._expected_place(elapsed)
-        growth = np.array([box.width, box.height]) - self._size
-        error = box.foot - expected
-        self._place = expected + _PLACE_GAIN * error
-        # The longer the gap, the more of the error is due to the velocity alone.
-        gain = _VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
-        self.velocity = self.velocity + gain * error
-        self._size = self._size + _SIZE_GAIN * (growth if whole else np.maximum(growth, 0))
-        self.timestamp = timestamp
-
-    def _expected_place(self, elapsed: float) -> NDArray[np.float64]:
-        travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))
-        return np.asarray(self._place + travel * self.velocity)
-
-
-def clothes_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
-    """Colours of a person's upper and lower half.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    silhouette : Silhouette
-
-    Returns
-    -------
-    (2 * 40,) float32 array
-        Hue by saturation, and brightness, of each half; sums to 1.
-    """
-    rows, columns = silhouette.crop.shape
-    left, top = silhouette.left, silhouette.top
-    crop = cv2.cvtColor(frame[top : top + rows, left : left + columns], cv2.COLOR_BGR2HSV)
-    mask = silhouette.crop.view(np.uint8)
-    parts = []
-    for half in (np.s_[: (rows + 1) // 2], np.s_[rows // 2 :]):
-        pixels, inside = crop[half], mask[half]
-        colour = cv2.calcHist([pixels], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
-        grey = cv2.calcHist([pixels], [2], inside, [_GREYS], [0, 256])
-        parts += [colour.ravel(), grey.ravel()]
-    histogram = np.concatenate(parts)
-    return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
-
-
-def clothes_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Hellinger distance of two histograms, 0 to 1."""
-    return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
+_APPEARANCE_GAIN = 0.1
 
 
 @dataclass
@@ -130,14 +37,14 @@ class Sighting:
     Parameters
     ----------
     observed : ObservedPerson
-    clothes : (80,) float32 array or None
+    appearance : (80,) float32 array or None
         None where there is no silhouette.
     followed : Track or None
         The track in whose window the person was read.
     """
 
     observed: ObservedPerson
-    clothes: NDArray[np.float32] | None
+    appearance: NDArray[np.float32] | None
     followed: Track | None = None
 
 
@@ -169,7 +76,7 @@ class Track:
         """When the track was last seen."""
         self.next_window: PersonWindow | None = observed.next_window
         """Where the person is looked for next."""
-        self.clothes = sighting.clothes
+        self.appearance = sighting.appearance
         self.posed_at = -math.inf
         """When poses were last searched for."""
         self._smoother = PoseSmoother()
@@ -192,19 +99,21 @@ class Track:
         self._locate(observed, zones)
         if self.sightings:
             whole = observed.silhouette is None or not observed.silhouette.truncated
-            self.motion.correct(observed.box, timestamp, whole=whole)
+            self.motion.update(observed.box, timestamp, whole=whole)
         self.sightings += 1
         self.seen_at = timestamp
         if observed.source not in ("background", "track"):
             score = 1.0 if observed.detection_score is None else observed.detection_score
             self.score = max(self.score, score)
         self.next_window = observed.next_window
-        # People who overlap others in the picture would wear their clothes.
+        # People who overlap others in the picture would lend them their colours.
         clear = observed.silhouette is not None and not observed.silhouette.truncated
-        if sighting.clothes is not None and self.clothes is None:
-            self.clothes = sighting.clothes
-        elif sighting.clothes is not None and self.clothes is not None and clear:
-            self.clothes = self.clothes + _CLOTHES_GAIN * (sighting.clothes - self.clothes)
+        if sighting.appearance is not None and self.appearance is None:
+            self.appearance = sighting.appearance
+        elif sighting.appearance is not None and self.appearance is not None and clear:
+            self.appearance = self.appearance + _APPEARANCE_GAIN * (
+                sighting.appearance - self.appearance
+            )
 
     def update(self, person: Person, timestamp: float, zones: Sequence[Zone] = ()) -> TrackedPerson:
         """Take in the poses of this frame; the posture says what part of the body is in a zone."""

@@ -1,4 +1,4 @@
-"""Frame to silhouettes: decode, detect, segment. Knows neither HTTP nor moments.
+"""Images only: decode, detect, read each person, cut out. Imports nothing of the service.
 
 Everywhere in this package an image is BGR, ``(H, W, 3)`` uint8, and pixels have their
 origin at the centre of the top-left pixel, x right, y down.

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import ObservedPerson, Person
-from app.hypotheses import fit_poses, set_upright
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.hypotheses import fit_poses, normalise_person
 from app.tracking.measures import Measured
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
@@ -245,7 +245,7 @@ def match_films(
 
     def matched(silhouette: Silhouette) -> Person:
         observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, observed, set_upright(observed), HYPOTHESES)
+        return fit_poses(index, observed, normalise_person(observed), HYPOTHESES)
 
     tracks = []
     with ThreadPoolExecutor(2) as pool:

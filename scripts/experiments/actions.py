@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from app.tracking.actions import LEAST_SHARE, ActionModel
 from app.tracking.events import EventDetector, Trust
 from app.tracking.postures import PostureFilter
-from descriptor.descriptor import DiagonalDescriptor
-from index.artefact import load_index
-from index.build.avatars import INDEX_AVATARS, make_avatars
-from index.build.motion import read_manifest
-from index.build.poses import read_poses
 from index.posture import POSTURES
-from index.store import PoseIndex
 from scripts.experiments.action_model import (
     ACTIONS,
     COPIES,
@@ -42,24 +36,13 @@ from scripts.experiments.action_tracks import (
     track_windows,
     training_windows,
 )
-from scripts.experiments.protocol import film, rig
 from scripts.experiments.report import percent, table, write
-from scripts.experiments.weizmann import (
-    PUBLISHED,
-    Recognition,
-    Recording,
-    leave_one_person_out,
-    read_recordings,
-)
 
 COMMAND = "python -m scripts.evaluate actions"
 ROOT = Path(__file__).resolve().parents[2]
 
 ON_THE_GROUND = ("lie",)
 """Actions in which a fall is no false alarm."""
-
-FRAME_STEP = 6
-"""Clip frames between the silhouettes of the frame vote: 5 a second."""
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
@@ -69,12 +52,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Run the experiment as the command line asks and write ``actions.md`` and ``actions.json``."""
-    recordings = read_recordings(options.weizmann) if options.weizmann.is_file() else None
-    index_folder = ROOT / "index" / "data"
-    index = load_index(index_folder)
-    votes = {} if recordings is None else frame_votes(recordings, index)
-    simulated_votes = frame_votes(film_recordings(options.shared), index)
-    tracks = read_or_make_tracks(options.shared, index_folder, options.tracks)
+    tracks = read_or_make_tracks(options.shared, ROOT / "index" / "data", options.tracks)
     windows = training_windows(options.shared, tracks)
     unseen = leave_subjects_out(windows)
     temperature = best_temperature(unseen, TEMPERATURES)
@@ -83,18 +61,6 @@ def run(options: argparse.Namespace) -> None:
     falls = told_falls(tracks)
     write(options.out, "actions", COMMAND, [
         "Actions, postures and falls",
-        "## The paper's frame vote",
-        "One person is left out; each of their frames takes the action of the nearest frame of all "
-        "others (Euclidean distance), and the frames of a sequence vote. Percent of the sequences "
-        "right. *Ours* is the descriptor of the shipped index, and known frames stand for their "
-        "mirror images too.",
-        vote_table(votes, simulated_votes),
-        f"- *Weizmann*: {PUBLISHED} % are published by Atrevi et al. (2016). The data set's "
-        f"authors distribute it; `{COMMAND} --weizmann classification_masks.mat` measures it. "
-        "[Its page](weizmann.md) has the confusions, frames in order, and camera sessions.\n"
-        f"- *Simulated clips*: {len(next(iter(simulated_votes.values())).truth)} sequences of the "
-        f"{len(ACTIONS)} actions below, a different avatar for each subject, before eight cameras, "
-        "5 silhouettes a second.",
         "## Actions over time",
         f"Told apart are {', '.join(ACTIONS)}: those that two subjects or more do in the same "
         "sense (scripts/experiments/action_model.py says which are not, and why). Each subject is "
@@ -134,11 +100,6 @@ def run(options: argparse.Namespace) -> None:
         "minutes bound the rate an hour only loosely.",
         table(["missed", "subject"], [[clip, subject] for clip, subject in falls.missed]),
     ], {
-        "frame_vote_percent": {
-            "published": PUBLISHED,
-            **{f"weizmann, {name}": 100 * r.right for name, r in votes.items()},
-            **{f"simulated, {name}": 100 * r.right for name, r in simulated_votes.items()},
-        },
         "temperature": temperature,
         "sequences": {name: {
             "vote_percent": a.vote_right, "percent": 100 * a.right,
@@ -149,55 +110,6 @@ def run(options: argparse.Namespace) -> None:
         "falls": {"number": falls.falls, "found": falls.found, "alarms": falls.alarms,
                   "minutes": falls.minutes},
     })  # fmt: skip
-
-
-def frame_votes(recordings: Sequence[Recording], index: PoseIndex) -> dict[str, Recognition]:
-    """The paper's protocol with its descriptor and with ours."""
-    return {
-        "paper's descriptor": leave_one_person_out(
-            recordings, DiagonalDescriptor(), mirrored=False
-        ),
-        "ours": leave_one_person_out(recordings, index.descriptor, mirrored=True),
-    }
-
-
-def vote_table(weizmann: Mapping[str, Recognition], simulated: Mapping[str, Recognition]) -> str:
-    """A line for each data set."""
-
-    def cells(votes: Mapping[str, Recognition]) -> list[str]:
-        return [percent(100 * votes[n].right if n in votes else None) for n in simulated]
-
-    return table(
-        ["data", "published", *simulated],
-        [["Weizmann", f"{PUBLISHED}", *cells(weizmann)],
-         ["Simulated clips", "-", *cells(simulated)]],
-    )  # fmt: skip
-
-
-def film_recordings(shared: Path) -> list[Recording]:
-    """The clips of :data:`ACTIONS` as silhouettes, an avatar for each subject, eight cameras."""
-    segments = [
-        s for s in read_manifest(shared / "mocap")
-        if s.action in ACTIONS and s.clip not in SEVERAL_ACTIONS
-    ]  # fmt: skip
-    subjects = sorted({segment.subject for segment in segments})
-    avatars = make_avatars(INDEX_AVATARS[: len(subjects)], None)
-    recordings = []
-    for segment in segments:
-        poses, _ = read_poses(shared / "mocap", [segment])
-        avatar = avatars[subjects.index(segment.subject)]
-        filmed = film(poses.take(np.arange(0, len(poses), FRAME_STEP)), [avatar], rig())
-        cameras = len(rig())
-        recordings += [
-            Recording(
-                segment.subject, segment.action, filmed.silhouettes(slice(camera, None, cameras))
-            )
-            for camera in range(cameras)
-        ]
-    by_action: dict[str, set[str]] = {}
-    for recording in recordings:
-        by_action.setdefault(recording.action, set()).add(recording.person)
-    return [r for r in recordings if len(by_action[r.action]) > 1]
 
 
 @dataclass(frozen=True)

@@ -2,60 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.avatars import PAPER_AVATARS, make_avatars
-from index.build.body import Avatar
 from index.build.learn import view_joints
 from index.build.motion import Segment
 from index.build.poses import Poses, read_poses
 from index.build.simulate import Simulation
 from index.skeleton import JOINT_NAMES, JOINTS
-from index.store import PoseIndex
-from scripts.experiments.answers import SEED, Choice, all_candidates, make_index, ranked_modes
-from scripts.experiments.paper_pictures import Track, plot_tracks
-from scripts.experiments.protocol import (
-    FRAMES,
-    STEP,
-    STRETCHES,
-    PaperData,
-    film,
-    nearest,
-    rig,
-)
+from scripts.experiments.paper_answers import OURS, PAPER, PLAIN, SEED, first_poses, learn
+from scripts.experiments.protocol import FRAMES, STEP, STRETCHES, PaperData, film, nearest, rig
 from scripts.experiments.report import table, write
 
 PUBLISHED_PX = {"climb": 1.98, "jump": 1.99}
 """The paper's mean errors."""
 
-SHOWN_AVATAR, SHOWN_CAMERA = 0, 1
+SHOWN_CAMERA = 1
 SHOWN_JOINTS = ("left_wrist", "right_wrist", "left_ankle", "right_ankle")
 KNOWN_BODY, OTHER_BODY = "known body", "other body"
-PAPER, PLAIN, OURS = "paper's descriptor", "ours, nearest", "ours"
+REACH_PX = 10.0
+"""Every track is drawn over at least twice this."""
 
 
-def run(data: PaperData, motion: Path, choice: Choice, out: Path, command: str) -> None:
+@dataclass(frozen=True)
+class Track:
+    """Joints over the frames of a clip: ``(F,)`` and twice ``(F, 19, 2)``, normalised pixels."""
+
+    frames: NDArray[np.integer]
+    truth: NDArray[np.floating]
+    answer: NDArray[np.floating]
+
+
+def run(data: PaperData, motion: Path, out: Path, command: str) -> None:
     """Follow both clips and write ``paper-motion.*``."""
     avatars = make_avatars(PAPER_AVATARS, None)
+    names = [avatar.name for avatar in avatars]
     errors: dict[str, dict[str, dict[str, float]]] = {}
     tracks = {}
     for action in PUBLISHED_PX:
         filmed = film(every_frame(motion, action), avatars, rig())
+        others = [
+            ask(of_body(data.known, name, others=True), of_body(filmed, name))
+            for name in tqdm(names, desc=f"{action}, other bodies", unit="body")
+        ]
         errors[action] = {
-            KNOWN_BODY: _mean(ask(data.known, frames_between(filmed), choice)),
-            OTHER_BODY: _mean(np.concatenate([
-                ask(without(data.known, avatar), only(filmed, avatar), choice)
-                for avatar in tqdm(avatars, desc=f"{action}, other bodies", unit="body")
-            ], axis=1)),
-        }  # fmt: skip
-        tracks[action] = follow(data.known, filmed, avatars[SHOWN_AVATAR], choice)
-    out.mkdir(parents=True, exist_ok=True)
-    plot_tracks(tracks, SHOWN_JOINTS, out / "paper-motion.png")
+            KNOWN_BODY: means(ask(data.known, frames_between(filmed))),
+            OTHER_BODY: means(np.concatenate(others, axis=1)),
+        }
+        tracks[action] = follow(data.known, filmed, names[0])
+    plot(tracks, out / "paper-motion.png")
     camera = rig()[SHOWN_CAMERA]
     write(out, "paper-motion", command, [
         "Joints followed over a climb and a jump",
@@ -80,24 +84,10 @@ def run(data: PaperData, motion: Path, choice: Choice, out: Path, command: str) 
         "simulation`.",
         "![joint tracks](paper-motion.png)",
         f"Four joints over all frames, truth and first answer of *{OURS}*, on one avatar that "
-        f"the known silhouettes do not show ({avatars[SHOWN_AVATAR].name}), before the camera at "
+        f"the known silhouettes do not show ({names[0]}), before the camera at "
         f"{camera['azimuth_deg']:.0f} degrees of azimuth and {camera['elevation_deg']:.0f} "
         "degrees of elevation; the titles say the mean error over all 19 joints.",
-    ], {
-        "published_px": PUBLISHED_PX,
-        "mean_error_px": errors,
-        "seed": SEED,
-        "tracks": {
-            action: {
-                "frames": track.frames.tolist(),
-                **{name: {
-                    "truth": track.truth[:, row].round(2).tolist(),
-                    "answer": track.answer[:, row].round(2).tolist(),
-                } for row, name in enumerate(JOINT_NAMES) if name in SHOWN_JOINTS},
-            }
-            for action, track in tracks.items()
-        },
-    })  # fmt: skip
+    ], {"published_px": PUBLISHED_PX, "mean_error_px": errors, "seed": SEED})  # fmt: skip
 
 
 def every_frame(motion: Path, action: str) -> Poses:
@@ -113,51 +103,63 @@ def frames_between(filmed: Simulation) -> Simulation:
     return filmed.take(np.flatnonzero((frames - frames.min()) % STEP != 0))
 
 
-def only(simulation: Simulation, avatar: Avatar) -> Simulation:
-    """The entries of one avatar."""
+def of_body(simulation: Simulation, name: str, *, others: bool = False) -> Simulation:
+    """The entries of one avatar, or of all others."""
     subjects = simulation.skeleton_labels["subject"][simulation.entries["skeleton"]]
-    return simulation.take(np.flatnonzero(subjects == simulation.subjects.index(avatar.name)))
+    own = subjects == simulation.subjects.index(name)
+    return simulation.take(np.flatnonzero(own != others))
 
 
-def without(simulation: Simulation, avatar: Avatar) -> Simulation:
-    """The entries of all other avatars."""
-    subjects = simulation.skeleton_labels["subject"][simulation.entries["skeleton"]]
-    return simulation.take(np.flatnonzero(subjects != simulation.subjects.index(avatar.name)))
-
-
-def ask(known: Simulation, asked: Simulation, choice: Choice) -> NDArray[np.float64]:
+def ask(known: Simulation, asked: Simulation) -> NDArray[np.float64]:
     """Joint errors ``(3, Q)`` in px of the first answers: the paper's, ours nearest, and ours."""
-    learned, truth = choice.learn(known), view_joints(asked)[1]
+    learned, truth = learn(known), view_joints(asked)[1]
     joints = view_joints(known)[1]
     answers: list[NDArray[np.floating]] = []
     for descriptor in (DiagonalDescriptor(), learned):
         numbers = nearest(known.describe(descriptor), asked.describe(descriptor), 1)
         answers.append(joints[numbers[:, 0]])
-    index = make_index(known, learned)
-    answers.append(first_answers(index, asked, choice))
+    answers.append(first_poses(known, learned, asked.silhouettes(slice(None)), 1)[:, 0, :JOINTS])
     return np.stack([np.linalg.norm(a - truth, axis=-1).mean(axis=-1) for a in answers])
 
 
-def first_answers(index: PoseIndex, asked: Simulation, choice: Choice) -> NDArray[np.float64]:
-    """Joints ``(Q, 19, 2)`` of the first distinct pose for every silhouette."""
-    found = all_candidates(index, asked.silhouettes(slice(None)), choice.matching.candidates)
-    return np.stack(
-        [ranked_modes(c, choice.matching, 1).points_normalised[0, :JOINTS] for c in found]
-    )
-
-
-def follow(known: Simulation, filmed: Simulation, avatar: Avatar, choice: Choice) -> Track:
+def follow(known: Simulation, filmed: Simulation, name: str) -> Track:
     """One avatar before one camera over all frames, asked of the other avatars."""
-    rest, shown = without(known, avatar), only(filmed, avatar)
+    rest, shown = of_body(known, name, others=True), of_body(filmed, name)
     azimuth = rig()["azimuth_deg"][SHOWN_CAMERA]
     shown = shown.take(np.flatnonzero(shown.entries["azimuth_deg"] == azimuth))
-    index = make_index(rest, choice.learn(rest))
     return Track(
         shown.skeleton_labels["frame"][shown.entries["skeleton"]].astype(int),
         view_joints(shown)[1],
-        first_answers(index, shown, choice),
+        first_poses(rest, learn(rest), shown.silhouettes(slice(None)), 1)[:, 0, :JOINTS],
     )
 
 
-def _mean(errors: NDArray[np.floating]) -> dict[str, float]:
+def means(errors: NDArray[np.floating]) -> dict[str, float]:
+    """Mean of each column."""
     return dict(zip((PAPER, PLAIN, OURS), errors.mean(axis=1).tolist(), strict=True))
+
+
+def plot(clips: Mapping[str, Track], file: Path) -> None:
+    """Draw two columns for each clip, across and down, and a row for each joint."""
+    rows, columns = len(SHOWN_JOINTS), 2 * len(clips)
+    figure, grid = plt.subplots(rows, columns, figsize=(12, 8), sharex="col", layout="constrained")
+    for column, ((action, track), axis) in enumerate(product(clips.items(), range(2))):
+        error_px = np.linalg.norm(track.answer - track.truth, axis=-1).mean()
+        grid[0, column].set_title(f"{action} ({error_px:.2f} px): {'xy'[axis]}")
+        for axes, joint in zip(grid[:, column], SHOWN_JOINTS, strict=True):
+            row = JOINT_NAMES.index(joint)
+            truth, answer = track.truth[:, row, axis], track.answer[:, row, axis]
+            axes.plot(track.frames, truth, color="0.3", label="truth")
+            axes.plot(track.frames, answer, "o", markersize=3, color="C0", label="answer")
+            middle = (truth.min() + truth.max()) / 2
+            reach = max(REACH_PX, np.abs([*truth, *answer] - middle).max() + 1)
+            # Down is down in the picture, too.
+            ends = (middle - reach, middle + reach)
+            axes.set(ylim=ends[::-1] if axis else ends)
+            axes.grid(alpha=0.3)
+            if column == 0:
+                axes.set_ylabel(joint.replace("_", " ") + " (px)")
+        grid[-1, column].set_xlabel("frame (30 a second)")
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    figure.savefig(file, dpi=120)
+    plt.close(figure)

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import Person
-from app.estimator import Estimator
-from app.posture import GROUNDED
+from app.estimation.estimates import Person
+from app.estimation.estimator import Estimator
+from app.estimation.posture import GROUNDED
+from app.estimation.upload import Upload
 from app.settings import Settings
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
-from app.upload import Upload
 from app.vision.people import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.results import machine, revision

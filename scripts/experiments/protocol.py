@@ -131,22 +131,6 @@ def paper_data(motion: Path, *, step: int = STEP, progress: bool = False) -> Pap
     return PaperData(known.take(np.linspace(0, len(known) - 1, KNOWN).round().astype(int)), unseen)
 
 
-def split_by_frame(
-    simulation: Simulation, *, every: int = 6, position: int = 0
-) -> tuple[Simulation, Simulation]:
-    """Entries to learn from and entries to try on, no frame of a clip in both.
-
-    Every ``every``-th frame of each clip is held out, from ``position`` on, on all bodies and
-    before all cameras: how parameters are chosen without a look at the unseen silhouettes.
-    """
-    labels = simulation.skeleton_labels[simulation.entries["skeleton"]]
-    held = np.zeros(len(simulation), bool)
-    for clip in np.unique(labels["clip"]):
-        frames = np.unique(labels["frame"][labels["clip"] == clip])
-        held |= (labels["clip"] == clip) & np.isin(labels["frame"], frames[position::every])
-    return simulation.take(np.flatnonzero(~held)), simulation.take(np.flatnonzero(held))
-
-
 def joint_errors(
     known: Simulation, unseen: Simulation, numbers: NDArray[np.integer]
 ) -> NDArray[np.float32]:

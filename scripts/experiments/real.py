@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,52 +21,32 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.settings import Settings
 from app.vision.detection.detector import MIN_SCORE, Detector, NetworkDetector
-from app.vision.people import silhouette_from_mask
-from app.vision.weights import fitted, write_fitted
 from index.store import DEFAULT_PATH
-from scripts.experiments.real_confidence import (
-    calibration_error,
-    cross_validated,
-    fit_confidence,
-    reliability,
-    without_definitions,
-)
+from scripts.experiments.real_confidence import calibration_error, cross_validated, reliability
 from scripts.experiments.real_data import (
-    Photograph,
-    StreetPerson,
     read_pennfudan,
     read_pose2sim,
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import (
-    all_candidates,
-    measure_detection,
-)
-from scripts.experiments.real_keypoints import estimate_by_landmarks
+from scripts.experiments.real_detection import all_candidates, measure_detection
 from scripts.experiments.real_lying import measure_lying
-from scripts.experiments.real_peer import why_absent
 from scripts.experiments.real_poses import (
-    HYPOTHESES,
+    BOTH,
     LIMBS_RIGHT_BELOW_PX,
+    WAYS,
     Trial,
+    Way,
     figures,
-    judge,
+    in_photographs,
+    in_video,
     observed_pck,
-    peer_on_video,
-    segmented,
-    street_trials,
-    video_trials,
+    trials_of,
 )
-from scripts.experiments.real_silhouettes import (
-    cut_out,
-    end_to_end,
-    in_true_boxes,
-    peer_in_true_boxes,
-)
+from scripts.experiments.real_silhouettes import end_to_end, in_true_boxes
 from scripts.experiments.real_vtest import FOUND_FROM, MARKS, measure_vtest, read_marks
 from scripts.results import machine
 
@@ -82,19 +62,11 @@ Figures = dict[str, float]
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
     """Add this experiment's options to the command line."""
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH, help="index artefact to ask")
-    parser.add_argument(
-        "--mediapipe", type=Path, metavar="PYTHON", help="interpreter with mediapipe 0.10.21"
-    )
     parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
-    parser.add_argument(
-        "--fit",
-        action="store_true",
-        help="fit the confidence in app/vision/weights/fitted.json and write it instead",
-    )
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the experiment, or fit constants, as the command line asks."""
+    """Run the experiment as the command line asks."""
     cv2.setNumThreads(1)
     estimator = Estimator.load(Settings(index=options.index))
     detector = estimator.detector
@@ -102,28 +74,25 @@ def run(options: argparse.Namespace) -> None:
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
-    if options.fit:
-        fit(people, estimator)
-        return
     candidates = all_candidates(photographs, detector)
-    absent = why_absent(options.mediapipe)
-    python = None if absent else options.mediapipe
     results: dict[str, Any] = {"command": COMMAND, "machine": machine()}
-    results["mediapipe"] = absent or "0.10.21"
     results["detection"] = measure_detection(photographs, candidates)
     results["lying"] = measure_lying(photographs, estimator)
-    results["silhouettes"] = silhouettes(photographs, estimator, python)
-    street = street_people(people, estimator)
+    results["silhouettes"] = {
+        "true boxes": in_true_boxes(photographs, estimator),
+        "own detections": end_to_end(photographs, estimator),
+    }
+    asked = in_photographs(people, estimator)
+    street = {way: trials_of(asked, estimator, way) for way in WAYS}
     results["street"] = street_figures(street)
     results["observed"] = observed_pck(people, estimator)
-    videos, results["pose2sim"] = pose2sim(folder, estimator, options, python)
+    videos, results["pose2sim"] = pose2sim(folder, estimator, options.step)
     if MARKS.is_file():
         results["vtest"] = vtest(folder, detector)
-    own = cross_validated(street["silhouette and landmarks"])
+    own = cross_validated(street[BOTH])
     grouped = {
         "street people": own,
         "street people, odd": [trial for trial in own if trial.odd],
-        "street people, definitions aside": without_definitions(own),
         "pose2sim": videos,
     }
     results["confidence"] = {
@@ -136,61 +105,7 @@ def run(options: argparse.Namespace) -> None:
     (options.out / "real.md").write_text(report(results))
 
 
-def fit(people: Sequence[StreetPerson], estimator: Estimator) -> None:
-    """Fit what confidences are made of, and write it beside the networks."""
-    trials = street_trials(people, estimator, segmented(estimator))
-    slope, offset = fit_confidence(trials)
-    write_fitted(
-        "confidence",
-        f"{COMMAND} --fit",
-        "105 street people of Penn-Fudan, silhouettes in true boxes, all 7 hypotheses",
-        {"slope": round(slope, 4), "offset": round(offset, 4)},
-    )
-    print("confidence", fitted("confidence"))
-
-
-def silhouettes(
-    photographs: Sequence[Photograph], estimator: Estimator, python: Path | None
-) -> dict[str, Figures]:
-    """Overlap with the true masks: in true boxes, end to end, and the peer's."""
-    found = {
-        "true boxes": in_true_boxes(photographs, estimator),
-        "own detections": end_to_end(photographs, estimator),
-    }
-    if python is not None:
-        found["MediaPipe, true boxes"] = peer_in_true_boxes(photographs, python)
-    return found
-
-
-def street_people(people: Sequence[StreetPerson], estimator: Estimator) -> dict[str, list[Trial]]:
-    """Trials of the street people, with more and less of what the photograph shows."""
-
-    def true_mask(person: StreetPerson) -> Any:
-        mask = person.photograph.labels == person.label
-        return silhouette_from_mask(mask, segmenter="mask", truncated=False)
-
-    own = segmented(estimator)
-    by_landmarks = []
-    for person in people:
-        box = person.photograph.boxes[person.label - 1]
-        silhouette = own(person)
-        found = silhouette and estimate_by_landmarks(
-            estimator, person.photograph.frame, box, silhouette, HYPOTHESES
-        )
-        if found:
-            name = f"{person.photograph.name}-{person.label}"
-            odd = person.photograph.odd
-            by_landmarks.append(judge(name, found, person.reference, box.height, odd=odd))
-    return {
-        "silhouette alone": street_trials(people, estimator, own, "silhouette"),
-        "landmarks alone": by_landmarks,
-        "silhouette and landmarks": street_trials(people, estimator, own),
-        "true silhouette alone": street_trials(people, estimator, true_mask, "silhouette"),
-        "true silhouette and landmarks": street_trials(people, estimator, true_mask),
-    }
-
-
-def street_figures(street: dict[str, list[Trial]]) -> dict[str, dict[str, Figures]]:
+def street_figures(street: Mapping[Way, list[Trial]]) -> dict[str, dict[str, Figures]]:
     """Figures of all street people and of those in odd photographs."""
     return {
         name: {"all": figures(trials), "odd": figures([t for t in trials if t.odd])}
@@ -199,37 +114,20 @@ def street_figures(street: dict[str, list[Trial]]) -> dict[str, dict[str, Figure
 
 
 def pose2sim(
-    folder: Path, estimator: Estimator, options: argparse.Namespace, python: Path | None
+    folder: Path, estimator: Estimator, step: int
 ) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
-    """Trials in the true boxes of both cameras, and the figures of all that was tried."""
-    trials: list[Trial] = []
+    """Trials in the true boxes of both cameras, and the figures of each way to answer."""
+    together: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
     for camera in CAMERAS:
-        frames = read_pose2sim(folder / "pose2sim", camera, options.step)
-        alone = video_trials(frames, estimator, own_detection=False, evidence="silhouette")
-        by_landmarks = []
-        for one in frames:
-            (silhouette,) = cut_out(estimator, one.frame, [one.box])
-            person = silhouette and estimate_by_landmarks(
-                estimator, one.frame, one.box, silhouette, HYPOTHESES
-            )
-            if person:
-                by_landmarks.append(judge(one.name, person, one.reference, one.box.height))
-        both = video_trials(frames, estimator, own_detection=False)
-        own = video_trials(frames, estimator, own_detection=True)
-        trials += both.trials
+        frames = read_pose2sim(folder / "pose2sim", camera, step)
+        asked = in_video(frames, estimator)
+        trials = {way: trials_of(asked, estimator, way) for way in WAYS}
+        together += trials[BOTH]
         found[camera] = {
-            name: {**figures(some), "frames": len(frames)}
-            for name, some in (
-                ("true box, silhouette alone", alone.trials),
-                ("true box, landmarks alone", by_landmarks),
-                ("true box", both.trials),
-                ("own detection", own.trials),
-            )
+            way: {**figures(some), "frames": len(frames)} for way, some in trials.items()
         }
-        if python is not None:
-            found[camera]["MediaPipe"] = {**peer_on_video(frames, python), "frames": len(frames)}
-    return trials, found
+    return together, found
 
 
 def vtest(folder: Path, detector: Detector) -> dict[str, Figures]:
@@ -242,13 +140,11 @@ def report(results: dict[str, Any]) -> str:
     """Write the results as Markdown."""
     lines = [
         "# Real photographs and videos\n",
-        f"`{COMMAND} [--mediapipe PYTHON]` on {results['machine']}, one thread.\n",
+        f"`{COMMAND}` on {results['machine']}, one thread.\n",
         "What is fitted of the detector is cross-validated by photograph. *Odd*: the odd-numbered "
         "ones, on which no setting of silhouettes or poses was tuned. Times are of a machine that "
         "did other work as well.\n",
     ]
-    if results["mediapipe"] != "0.10.21":
-        lines.append(f"MediaPipe's columns are missing: {results['mediapipe']}.\n")
     lines += ["## Detection\n", *_detection(results["detection"]), *_lying(results["lying"])]
     lines += ["\n## Silhouettes\n", *_silhouettes(results["silhouettes"])]
     lines += ["\n## Street people\n", *_street(results)]
@@ -335,15 +231,12 @@ def _street(results: dict[str, Any]) -> list[str]:
 
 def _pose2sim(found: dict[str, dict[str, Figures]]) -> list[str]:
     return [
-        "Mean distance of the 12 limb joints, hips on hips, and after Procrustes alignment.\n",
-        "| camera | silhouette from | frames answered | first (mm) | best of 7 (mm) "
-        "| first, aligned | best of 7, aligned | PCK |",
-        "|---|---|---|---|---|---|---|---|",
+        "Mean distance of the 12 limb joints, hips on hips, in true boxes.\n",
+        "| camera | poses from | frames answered | first (mm) | best of 7 (mm) | PCK |",
+        "|---|---|---|---|---|---|",
         *(
             f"| {camera} | {name} | {int(one['people'])} of {int(one['frames'])} "
             f"| {_or_dash(one.get('first_mm'), '.0f')} | {_or_dash(one.get('best_mm'), '.0f')} "
-            f"| {_or_dash(one.get('first_procrustes_mm'), '.0f')} "
-            f"| {_or_dash(one.get('best_procrustes_mm'), '.0f')} "
             f"| {_or_dash(one.get('pck'), '.0f')} |"
             for camera, rows in found.items()
             for name, one in rows.items()
@@ -375,8 +268,7 @@ def _confidence(found: dict[str, Any]) -> list[str]:
         "hypotheses lie as within 5 px over all 19 joints, as a confidence means it "
         "([measured](strict.md#limb-joints-alone)), "
         "in the normalised frame. The reference's joints are defined a little differently (knees "
-        "and elbows 2 to 4 px lower), which counts as error; *definitions aside* takes off the "
-        "mean offset of each joint, measured on the other half of the photographs.\n",
+        "and elbows 2 to 4 px lower), which counts as error.\n",
         "| people | confidence | hypotheses | stated | right |",
         "|---|---|---|---|---|",
     ]

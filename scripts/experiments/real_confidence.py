@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
 from app.vision.weights import fitted as constants_of
-from scripts.experiments.real_poses import LIMBS_RIGHT_BELOW_PX, Trial
+from scripts.experiments.real_poses import Trial
 
 
 def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Slope and bias that make probabilities of the agreement, as :mod:`app.reranking` takes them.
+    """Fit slope and bias that :mod:`app.estimation.reranking` makes a confidence with.
 
     Parameters
     ----------
@@ -67,26 +67,6 @@ def reliability(trials: Sequence[Trial], bins: int = 5) -> list[dict[str, float]
         for b in range(bins)
         if (bin_of == b).any()
     ]
-
-
-def without_definitions(trials: Sequence[Trial]) -> list[Trial]:
-    """The same trials less what their joints are defined differently from the reference's.
-
-    That is the mean offset of each joint over the people whose first hypothesis is roughly right;
-    those in odd photographs lend theirs to the others, and the reverse.
-    """
-    offset = {
-        odd: np.mean(
-            [
-                t.apart_px[0]
-                for t in trials
-                if t.odd != odd and t.error_px[0] < 2 * LIMBS_RIGHT_BELOW_PX
-            ],
-            axis=0,
-        )
-        for odd in (False, True)
-    }
-    return [replace(t, apart_px=t.apart_px - offset[t.odd]) for t in trials]
 
 
 def calibration_error(trials: Sequence[Trial]) -> float:

@@ -67,7 +67,7 @@ class Reference:
 
     @property
     def azimuth_deg(self) -> float:
-        """From where the camera sees shoulders and hips; see :func:`app.facing.azimuth_deg`."""
+        """As :func:`app.estimation.facing.azimuth_deg`, of shoulders and hips."""
         return azimuth_of_limbs(self.joints_3d)
 
 
@@ -81,7 +81,7 @@ class StreetPerson:
 
 
 def azimuth_of_limbs(joints_3d: NDArray[np.float64]) -> float:
-    """Azimuth in degrees, as :func:`app.facing.azimuth_deg`, of limb joints ``(12, 3)``."""
+    """As :func:`app.estimation.facing.azimuth_deg`, of limb joints ``(12, 3)``."""
     across = joints_3d[0] - joints_3d[1] + joints_3d[6] - joints_3d[7]
     return float(np.rad2deg(np.arctan2(-across[2], across[0])))
 

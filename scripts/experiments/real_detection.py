@@ -12,7 +12,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.vision.boxes import Boxes
-from app.vision.detection.detector import HogDetector, NetworkDetector, logit
+from app.vision.detection.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.odds import sigmoid
 from scripts.experiments.real_data import Photograph, as_array
 from scripts.experiments.real_detection_scores import (
@@ -36,8 +36,8 @@ class Candidates:
     Parameters
     ----------
     boxes : (N, 4) float64 array
-    features : (N, 2) float64 array
-        Log odds of MoveNet's score, and HOG's margin where it is positive.
+    features : (N, 3) float64 array
+        See :func:`app.vision.detection.detector.detection_features`.
     milliseconds : float
     """
 
@@ -55,8 +55,8 @@ def all_candidates(
         started = time.perf_counter()
         found, scores = detector.candidates(photograph.frame)
         spent = 1000 * (time.perf_counter() - started)
-        features = np.stack([logit(scores[:, 0]), np.maximum(0.0, scores[:, 1])], axis=1)
-        result.append(Candidates(as_array([one.box for one in found]), features, spent))
+        boxes = as_array([one.box for one in found])
+        result.append(Candidates(boxes, detection_features(scores), spent))
     return result
 
 
@@ -81,8 +81,10 @@ def measure_detection(
     """Figures of the detectors; what is fitted is cross-validated by photograph."""
     truths = [as_array(photograph.boxes) for photograph in photographs]
     found = {
-        "network, judged by HOG": _cross_validated(candidates, truths, [0, 1]),
-        "network alone": _cross_validated(candidates, truths, [0]),
+        "both networks and HOG": _cross_validated(candidates, truths, [0, 1, 2]),
+        "both networks": _cross_validated(candidates, truths, [0, 2]),
+        "MoveNet and HOG": _cross_validated(candidates, truths, [0, 1]),
+        "MoveNet alone": _cross_validated(candidates, truths, [0]),
     }
     spent = float(np.median([one.milliseconds for one in candidates]))
     for one in found.values():

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimates import ObservedPerson, Person
-from app.estimator import Estimator
-from app.stopwatch import Stopwatch
-from app.upload import Upload
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.estimator import Estimator
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.vision.boxes import iou_matrix
 from app.vision.people import Box
 from index.skeleton import wrap_degrees

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimator import Estimator
-from app.stopwatch import Stopwatch
-from app.upload import Upload
+from app.estimation.estimator import Estimator
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.vision.people import Box, Detection, Silhouette
 from app.vision.person.silhouettes import silhouettes_of
 from scripts.experiments.real_data import Photograph, encode_png
-from scripts.experiments.real_peer import ask, room_about
 
 
 def overlap(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
@@ -77,32 +75,3 @@ def end_to_end(photographs: Sequence[Photograph], estimator: Estimator) -> dict[
             truth = photograph.labels == label
             values.append(max((overlap(mask, truth) for mask in masks), default=0.0))
     return summary(values, odd_people(photographs))
-
-
-def peer_in_true_boxes(photographs: Sequence[Photograph], python: Path) -> dict[str, float]:
-    """MediaPipe's masks, each of a true box with room about it, cut to the box."""
-    crops, places = {}, []
-    for photograph in photographs:
-        for label, box in enumerate(photograph.boxes, start=1):
-            left, top, right, bottom = room_about(box, photograph.frame.shape)
-            name = f"{photograph.name}-{label}"
-            crops[name] = photograph.frame[top:bottom, left:right]
-            places.append((name, photograph, label, (left, top, right, bottom)))
-    answers = ask(python, crops)
-    values, missed = [], 0
-    for name, photograph, label, (left, top, right, bottom) in places:
-        mask = answers[name].mask
-        if mask is None:
-            missed += 1
-            values.append(0.0)
-            continue
-        whole = np.zeros(photograph.labels.shape, bool)
-        whole[top:bottom, left:right] = mask
-        inside = np.zeros_like(whole)
-        x0, y0, x1, y1 = photograph.boxes[label - 1].pixels()
-        inside[y0:y1, x0:x1] = whole[y0:y1, x0:x1]
-        values.append(overlap(inside, photograph.labels == label))
-    found = summary(values, odd_people(photographs))
-    found["missed"] = missed
-    found["milliseconds"] = float(np.mean([one.milliseconds for one in answers.values()]))
-    return found

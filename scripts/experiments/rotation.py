@@ -6,12 +6,10 @@ before it is rotated.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Box, ObservedKeypoints, Silhouette
+from app.vision.people import Box
 
 
 def rotate_points(
@@ -24,30 +22,9 @@ def rotate_points(
     return np.stack(places[quarter_turns % 4], axis=-1)
 
 
-def rotate_shape(shape: tuple[int, ...], quarter_turns: int) -> tuple[int, ...]:
-    """Return rows and columns of the rotated frame."""
-    return shape[:2] if quarter_turns % 2 == 0 else shape[1::-1]
-
-
 def rotate_box(box: Box, shape: tuple[int, ...], quarter_turns: int) -> Box:
     """Rotate a box with its frame."""
     corners = np.array([[box.x, box.y], [box.right, box.bottom]])
     corners = np.sort(rotate_points(corners, shape, quarter_turns), axis=0)
     (left, top), (right, bottom) = corners.tolist()
     return Box(left, top, right - left, bottom - top)
-
-
-def rotate_silhouette(
-    silhouette: Silhouette, shape: tuple[int, ...], quarter_turns: int
-) -> Silhouette:
-    """Rotate a silhouette with its frame."""
-    left, top, _, _ = rotate_box(silhouette.box, shape, quarter_turns).pixels()
-    crop = np.ascontiguousarray(np.rot90(silhouette.crop, quarter_turns))
-    return replace(silhouette, crop=crop, left=left, top=top)
-
-
-def rotate_keypoints(
-    keypoints: ObservedKeypoints, shape: tuple[int, ...], quarter_turns: int
-) -> ObservedKeypoints:
-    """Rotate keypoints with their frame; left and right are the person's own, and stay."""
-    return replace(keypoints, positions=rotate_points(keypoints.positions, shape, quarter_turns))

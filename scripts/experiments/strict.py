@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.posture import vote_posture
+from app.estimation.posture import vote_posture
 from index.artefact import load_index, save_index
 from index.build.avatars import HELD_OUT_AVATARS, make_avatars
 from index.build.builder import (
@@ -37,7 +37,7 @@ from index.posture import LOW, POSTURES, classify
 from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
 from index.store import PoseIndex
 from scripts.experiments.contour import disturb_all
-from scripts.experiments.strict_pictures import draw_hard_queries, draw_postures, plot_reliability
+from scripts.experiments.strict_pictures import draw_hard_queries, plot_reliability
 from scripts.experiments.strict_ranking import COLUMNS as STEP_COLUMNS
 from scripts.experiments.strict_ranking import by_step, shipped_reranker
 
@@ -155,15 +155,12 @@ def strict(shared: Path, out: Path, folder: Path | None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     plot_reliability(clean, out / "strict-reliability.png")
     draw_hard_queries(index, upright, clean, out / "strict-hard.png")
-    draw_postures(index, queries, postures, out / "strict-postures.png")
     lines += [
         "\n## Calibration\n\n![reliability diagram](strict-reliability.png)",
         "\n## Ten hard queries\n\nEvenly chosen among those whose first hypothesis is wrong: the "
         "query with its true skeleton, then its seven hypotheses over the silhouettes of their "
         "entries, with confidence and joint error; framed in green where right. Orange is the "
         "person's left, blue the right.\n\n![hard queries](strict-hard.png)\n",
-        "## Postures\n\nQueries evenly chosen over the postures, each with its first three "
-        "answers, drawn as above.\n\n![postures](strict-postures.png)\n",
     ]
     (out / "strict.md").write_text("\n".join(lines) + "\n")
     (out / "strict.json").write_text(json.dumps({"command": COMMAND, **results}, indent=1) + "\n")

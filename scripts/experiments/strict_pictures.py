@@ -1,8 +1,7 @@
-"""Pictures of the strict experiment: calibration, growth, and hard queries with their answers."""
+"""Pictures of the strict experiment: calibration, and hard queries with their answers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -14,17 +13,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from app.drawing import draw_skeleton
+from app.api.overlay import draw_skeleton
 from index.build.calibrate import HYPOTHESES, Queries, Trial
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import match
-from index.posture import POSTURES
 from index.rotations import rotate_silhouette
 from index.skeleton import JOINTS, NATIVE
 from index.store import PoseIndex
 
 HARD = 10
-POSTURE_QUERIES, POSTURE_ANSWERS, POSTURE_COLUMNS = 24, 3, 3
 ZOOM = 2
 GAP = 34
 
@@ -50,23 +47,6 @@ def plot_reliability(trial: Trial, file: Path) -> None:
     plt.close(figure)
 
 
-def plot_growth(sizes: Sequence[dict[str, float]], file: Path) -> None:
-    """Recognition and 3D error over the number of entries."""
-    entries = [s["entries"] for s in sizes]
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
-    left.semilogx(entries, [s["right_1"] for s in sizes], marker="o", label="at rank 1")
-    left.semilogx(entries, [s["right_7"] for s in sizes], marker="o", label="within 7")
-    left.set(xlabel="entries", ylabel="right (%)", ylim=(0, 100))
-    right.semilogx(entries, [s["first_mm"] for s in sizes], marker="o", label="first")
-    right.semilogx(entries, [s["best_mm"] for s in sizes], marker="o", label="best of 7")
-    right.set(xlabel="entries", ylabel="3D error (mm)", ylim=(0, None))
-    for axes in (left, right):
-        axes.legend()
-        axes.grid(alpha=0.3)
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
-
-
 def draw_hard_queries(index: PoseIndex, queries: Queries, trial: Trial, file: Path) -> None:
     """Draw queries whose first answer is wrong, evenly chosen, each beside its answers.
 
@@ -80,31 +60,11 @@ def draw_hard_queries(index: PoseIndex, queries: Queries, trial: Trial, file: Pa
     cv2.imwrite(str(file), np.vstack(rows))
 
 
-def draw_postures(
-    index: PoseIndex, queries: Queries, postures: NDArray[np.int64], file: Path
-) -> None:
-    """Draw queries evenly chosen over the postures ``(Q,)``, each beside its first answers."""
-    order = np.argsort(postures, kind="stable")
-    names, counts = np.unique(postures, return_counts=True)
-    share = np.linspace(0, len(names), POSTURE_QUERIES, endpoint=False)
-    ends = np.concatenate([[0], np.cumsum(counts)])
-    chosen = order[[int(np.interp(place, np.arange(len(ends)), ends)) for place in share]]
-    sheets = [
-        np.hstack(_answers(index, queries, query, POSTURE_ANSWERS, POSTURES[postures[query]]))
-        for query in chosen.tolist()
-    ]
-    length = len(sheets) // POSTURE_COLUMNS
-    columns = [np.vstack(sheets[i : i + length]) for i in range(0, len(sheets), length)]
-    cv2.imwrite(str(file), np.hstack(columns))
-
-
-def _answers(
-    index: PoseIndex, queries: Queries, query: int, count: int, title: str = "query"
-) -> list[NDArray[np.uint8]]:
+def _answers(index: PoseIndex, queries: Queries, query: int, count: int) -> list[NDArray[np.uint8]]:
     """Pictures of a query and of its first answers."""
     silhouette, truth = queries.silhouettes[query], queries.joints_2d[query]
     roll_deg = float(queries.roll_deg[query])
-    cells = [_cell(silhouette, truth, title, None)]
+    cells = [_cell(silhouette, truth, "query", None)]
     for hypothesis in match(index, silhouette, count, roll_deg=roll_deg).hypotheses[:count]:
         joints = hypothesis.points_normalised[:JOINTS]
         error = float(np.linalg.norm(joints - truth, axis=-1).mean())

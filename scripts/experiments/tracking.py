@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.cores import available_cores
-from app.estimates import ObservedPerson, Person
-from app.facing import azimuth_deg
-from app.hypotheses import fit_poses, set_upright
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.facing import azimuth_deg
+from app.estimation.hypotheses import fit_poses, normalise_person
 from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
+from app.work.cores import available_cores
 from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
@@ -153,7 +153,7 @@ def ask(index: PoseIndex, filmed: Filmed) -> list[Person]:
 
     def estimate(silhouette: Silhouette) -> Person:
         observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, observed, set_upright(observed), STATES)
+        return fit_poses(index, observed, normalise_person(observed), STATES)
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(estimate, filmed.silhouettes))

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.drawing import draw_skeleton
+from app.api.overlay import draw_skeleton
 from app.vision.people import Silhouette
 from index.skeleton import NATIVE
 from scripts.experiments.sequences import Filmed

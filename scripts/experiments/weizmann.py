@@ -13,12 +13,11 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,9 +56,9 @@ class Film:
     action: str
     masks: tuple[Mask, ...]
 
-    def normalised(self, draw: Callable[[Mask], Mask] = np.asarray) -> Recording:
-        """Its silhouettes, of masks drawn in another way if wanted."""
-        silhouettes = [normalise(draw(mask))[0] for mask in self.masks]
+    def normalised(self) -> Recording:
+        """Its silhouettes."""
+        silhouettes = [normalise(mask)[0] for mask in self.masks]
         return Recording(self.person, self.action, np.stack(silhouettes))
 
 
@@ -105,11 +104,6 @@ def read_films(file: Path) -> list[Film]:
     return films
 
 
-def read_recordings(file: Path) -> list[Recording]:
-    """Read ``classification_masks.mat`` as normalised silhouettes; raises as :func:`read_films`."""
-    return [film.normalised() for film in read_films(file)]
-
-
 def _film(field: str, masks: Mask, expected: str) -> Film:
     """One field, such as ``lena_walk1``: masks ``(H, W, F)``."""
     person, _, take = field.partition("_")
@@ -123,26 +117,6 @@ def _film(field: str, masks: Mask, expected: str) -> Film:
             "by height, width and frame"
         )
     return Film(person, action, tuple(mask for mask in np.moveaxis(masks, 2, 0) if mask.any()))
-
-
-def enlarged(mask: Mask, times: int, outset_px: float) -> NDArray[np.uint8]:
-    """A mask drawn larger, as the polygons around its parts.
-
-    Parameters
-    ----------
-    mask : (H, W) array
-    times : int
-    outset_px : float
-        How far outside the centres of its outermost pixels it ends, in pixels of the mask: its
-        pixels end half a pixel outside.
-    """
-    padded = np.pad(mask, 2).astype(np.uint8)
-    outlines, _ = cv2.findContours(padded, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    drawn = np.zeros(tuple(times * side for side in padded.shape), np.uint8)
-    cv2.drawContours(drawn, [times * outline for outline in outlines], -1, 1, -1)
-    diameter = 1 + 2 * round(times * outset_px)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (diameter, diameter))
-    return np.asarray(cv2.dilate(drawn, disc), np.uint8)
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""Measure whole requests to a real server, and yardsticks in the same minutes.
+"""Measure whole requests to a real server, and a yardstick in the same minutes.
 
-    python -m scripts.load.benchmark [--mediapipe PYTHON] [--rounds 30] [--write FILE]
+    python -m scripts.load.benchmark [--rounds 30] [--write FILE]
 
 Every kind of request is sent a few times in a row, in turn and for many rounds, so that a slow
-minute of the machine affects all of them. OpenCV's people detector and MediaPipe Pose, in an
-environment of its own, take part in the same rounds.
+minute of the machine affects all of them. OpenCV's people detector takes part in the same rounds.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -24,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.store import DEFAULT_PATH
-from scripts.experiments.real_peer import LivePeer, why_absent
 from scripts.load.benchmark_cases import (
     WALKERS,
     Street,
@@ -42,7 +39,6 @@ REPEATS = 3
 """Consecutive requests of a kind: most then find warm caches."""
 
 HOG = "yardstick: OpenCV's `detectMultiScale`, 640x480, one thread"
-MEDIAPIPE = "MediaPipe Pose 0.10.21 on the person of the box, cut out and decoded"
 Task = Callable[[], object]
 
 
@@ -92,9 +88,7 @@ def processor_time() -> NDArray[np.int64]:
         return np.array(file.readline().split()[1:9], np.int64)
 
 
-def benchmark(
-    server: ServerProcess, street: Street | None, peer: LivePeer | None, rounds: int
-) -> Measured:
+def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> Measured:
     """Measure a server that was just started."""
     ready_s = server.wait_until_ready()
     client = Client(server.url)
@@ -105,8 +99,6 @@ def benchmark(
         picture = street.busy[0]
     tasks: dict[str, Task] = {HOG: yardstick(picture)}
     tasks |= {case.what: sender(client, case.calls) for case in cases}
-    if peer:
-        tasks[MEDIAPIPE] = peer.ask
     interleaved(tasks, rounds=1)  # Warms up.
     before = processor_time()
     times = interleaved(tasks, rounds)
@@ -118,8 +110,6 @@ def benchmark(
         )
         for case in cases
     ]  # fmt: skip
-    if peer:
-        rows.append(Row(MEDIAPIPE, times[MEDIAPIPE], str(int(peer.ask()))))
     index = answer(client, Call("GET", "/index"))
     client.close()
     return Measured(
@@ -136,33 +126,22 @@ def read_street(folder: Path) -> tuple[Street | None, list[str]]:
         return None, [f"all cases but that of {WALKERS.name} ({error})"]
 
 
-def find_peer(python: Path | None, street: Street | None) -> tuple[LivePeer | None, list[str]]:
-    """Return MediaPipe, or None and why it is left out."""
-    reason = why_absent(python)
-    if python is None or reason:
-        return None, [f"MediaPipe Pose, as {reason}"]
-    return (LivePeer(python, street.crop), []) if street else (None, [])
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--mediapipe", type=Path, metavar="PYTHON", help="that has it, 0.10.21")
     parser.add_argument("--rounds", type=int, default=30, help=f"of {REPEATS} requests a kind")
     parser.add_argument("--write", type=Path, help="also write the report to this file")
     options = parser.parse_args(arguments)
     street, left_out = read_street(options.shared / "real" / "vtest")
-    peer, without_peer = find_peer(options.mediapipe, street)
     try:
-        # The server starts last, so that nothing else slows its start.
-        with peer or nullcontext(), ServerProcess(options.index) as server:
-            measured = benchmark(server, street, peer, options.rounds)
+        with ServerProcess(options.index) as server:
+            measured = benchmark(server, street, options.rounds)
     except (OSError, RuntimeError) as error:  # A server that is never ready among them.
         raise SystemExit(f"benchmark: {error}") from None
     command = shlex.join(["python", "-m", "scripts.load.benchmark", *(arguments or sys.argv[1:])])
-    page = report(measured, command, left_out + without_peer)
+    page = report(measured, command, left_out)
     print(page)
     if options.write:
         options.write.parent.mkdir(parents=True, exist_ok=True)

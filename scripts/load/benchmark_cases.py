@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from app.vision.people import Box
 from scripts.experiments.real_data import read_vtest
-from scripts.experiments.real_peer import room_about
 from scripts.experiments.real_vtest import Marks, read_marks
 from scripts.load.client import Call
 from scripts.load.scenes import encode
@@ -72,12 +71,6 @@ class Street:
     def boxes(self) -> bytes:
         """The walker's box, as the form field has it."""
         return json.dumps([[self.box.x, self.box.y, self.box.width, self.box.height]]).encode()
-
-    @property
-    def crop(self) -> NDArray[np.uint8]:
-        """The walker with room about the box, as MediaPipe is given people elsewhere."""
-        left, top, right, bottom = room_about(self.box, self.busy[0].shape)
-        return self.busy[0][top:bottom, left:right]
 
     @classmethod
     def read(cls, folder: Path) -> Street:

@@ -89,7 +89,7 @@ Machine: {machine()}; its host gave {measured.stolen:.0%} of the processors' tim
 Index: {measured.index}.
 
 Whole requests to `/pose` over a real socket, {len(measured.yardstick.milliseconds)} of each kind \
-and the yardsticks as often, in turns.
+and the yardstick as often, in turns.
 
 | | people found | fastest tenth within | median | wanted | median over yardstick's | wanted |
 |---|---|---|---|---|---|---|

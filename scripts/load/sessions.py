@@ -19,12 +19,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from app.vision.people import Box
-from scripts.experiments.tracking_vtest import FRAMES_PER_S, encoded_frames
 from scripts.load.client import Call, Client
+from scripts.load.scenes import encode
 from scripts.load.server import ServerProcess
 from scripts.results import conclude, machine, measurement_parser, percentile, revision
 
+FRAMES_PER_S = 10.0
 MOST_GROWTH = 0.03
 """Of resident memory, from the second round to the last."""
 
@@ -42,6 +45,14 @@ class Followed:
     sessions: list[str] = field(default_factory=list)
     answers: Counter[str] = field(default_factory=Counter)
     milliseconds: list[float] = field(default_factory=list)
+
+
+def encoded_frames(video: Path) -> list[bytes]:
+    """Frames as a camera sends them, JPEG at quality 90."""
+    capture, frames = cv2.VideoCapture(str(video)), []
+    while (read := capture.read())[0]:
+        frames.append(encode(".jpg", read[1], cv2.IMWRITE_JPEG_QUALITY, 90))
+    return frames
 
 
 def follow(url: str, camera: str, frames: Sequence[bytes]) -> Followed:
@@ -133,7 +144,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=3, help="each on sessions of its own")
     options = parser.parse_args()
     count, length = options.cameras, options.frames
-    frames = [data for _, data in encoded_frames(options.video, None)]
+    frames = encoded_frames(options.video)
     apart = (len(frames) - length) // count
     parts = [frames[k * apart : k * apart + length] for k in range(count)]
     limits = {"POSE_MAX_CAMERAS": str(count), "POSE_CAMERA_MEMORY_MB": "1024"}

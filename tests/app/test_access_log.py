@@ -10,12 +10,12 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message, Receive, Scope, Send
 
-from app.access_log import AccessLogMiddleware
-from app.estimator import Estimator
-from app.logs import JsonFormatter
+from app.estimation.estimator import Estimator
+from app.http.access_log import AccessLogMiddleware
+from app.http.metrics import Metrics
+from app.http.route_table import RouteTable
 from app.main import create_app
-from app.metrics import Metrics
-from app.route_table import RouteTable
+from app.serving.logs import JsonFormatter
 from app.settings import Settings
 from tests.app.test_errors import check_problem
 from tests.app.test_metrics import sample

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson, Person, PlacedHypothesis
-from app.facing import Facing
-from app.posture import EstimatedPosture, vote_posture
+from app.estimation.estimates import ObservedPerson, Person, PlacedHypothesis
+from app.estimation.facing import Facing
+from app.estimation.posture import EstimatedPosture, vote_posture
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.actions import ActionModel, ActionRecogniser, shipped_model, window_features
 from app.tracking.ground import STILL

@@ -13,10 +13,10 @@ from fastapi.routing import APIRoute
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from app.admission import AdmissionMiddleware, UploadLimits
-from app.errors import ProblemError
-from app.line import OverloadedError
+from app.http.admission import AdmissionMiddleware, UploadLimits
+from app.http.problems import ProblemError
 from app.routes import cameras, deepstack, health, index, pose, sequence
+from app.work.line import OverloadedError
 
 
 async def answer(
@@ -154,9 +154,9 @@ def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyP
             for _ in range(2):
                 tasks.start_soon(stalled.stall)
             await anyio.wait_all_tasks_blocked()
-            monkeypatch.setattr("app.admission.STALLED_S", 60.0)
+            monkeypatch.setattr("app.http.admission.STALLED_S", 60.0)
             assert (await answer(stalled.admission))[0] == 503  # They have only just begun.
-            monkeypatch.setattr("app.admission.STALLED_S", 0.0)
+            monkeypatch.setattr("app.http.admission.STALLED_S", 0.0)
             for _ in range(3):
                 assert (await answer(stalled.admission))[0] == 200
                 await anyio.wait_all_tasks_blocked()
@@ -169,7 +169,7 @@ def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyP
 def test_a_stalled_upload_is_given_up_long_before_a_slow_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("app.admission.GRACE_S", 0.05)
+    monkeypatch.setattr("app.http.admission.GRACE_S", 0.05)
     stalled = StalledUploads()
     with_deadline = anyio.run(_within, stalled.stall)
     assert with_deadline

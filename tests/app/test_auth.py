@@ -8,7 +8,7 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message, Receive, Scope, Send
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from tests.conftest import Photo

@@ -12,11 +12,11 @@ import pytest
 from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
-from app import loading
-from app.breaker import CircuitBreaker, GuardedNeighbours
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
-from app.runtime import Runtime
+from app.serving import loading
+from app.serving.breaker import CircuitBreaker, GuardedNeighbours
+from app.serving.runtime import Runtime
 from app.settings import Settings
 from index.artefact import load_index
 from index.milvus_address import MilvusAddress

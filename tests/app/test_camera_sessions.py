@@ -12,11 +12,11 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from app.estimator import Estimator
+from app.api.tracking_schemas import CameraList, CameraState, TrackResponse
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from app.tracking.session import CameraSession
-from app.tracking_schemas import CameraList, CameraState, TrackResponse
 from tests.app.test_errors import check_problem
 from tests.app.test_metrics import sample
 from tests.conftest import Photo, Server

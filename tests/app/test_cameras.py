@@ -10,8 +10,8 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
-from app.cameras import camera_stream
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
+from app.http.cameras import camera_stream
 from app.main import create_app
 from app.settings import Settings
 from tests.app.test_errors import check_problem

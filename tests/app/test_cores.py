@@ -11,13 +11,13 @@ import anyio
 import pytest
 from fastapi.testclient import TestClient
 
-from app import cores
-from app.cancellation import CancellationToken
-from app.estimator import Estimator
-from app.executor import Executor
-from app.line import Sender
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
+from app.work import cores
+from app.work.cancellation import CancellationToken
+from app.work.executor import Executor
+from app.work.line import Sender
 
 Host = Callable[[dict[str, str]], None]
 

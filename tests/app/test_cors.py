@@ -6,7 +6,7 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 

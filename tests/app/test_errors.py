@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from tests.conftest import Photo, png

@@ -8,12 +8,13 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from app import finder
-from app.estimates import ObservedPerson, Person, Scene
-from app.estimator import Estimator, network_threads
+from app.estimation import finder
+from app.estimation.estimates import ObservedPerson, Person, Scene
+from app.estimation.estimator import Estimator
+from app.estimation.networks import network_threads
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import Upload
 from app.settings import Settings
-from app.stopwatch import Stopwatch
-from app.upload import Upload
 from app.vision.people import Box, Landmarks, silhouette_from_mask
 from app.vision.person.reader import PersonReader
 from index.landmark_search import rotate_clockwise

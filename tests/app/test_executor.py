@@ -19,10 +19,10 @@ import anyio
 import pytest
 from anyio import to_thread
 
-from app.cancellation import BusyError, CancellationToken, ClientGoneError, DeadlineError
-from app.executor import Executor
-from app.line import OverloadedError, Sender, ShutdownError, SupersededError
-from app.request_context import request_id
+from app.http.request_context import request_id
+from app.work.cancellation import BusyError, CancellationToken, ClientGoneError, DeadlineError
+from app.work.executor import Executor
+from app.work.line import OverloadedError, Sender, ShutdownError, SupersededError
 
 pytestmark = pytest.mark.anyio
 
@@ -181,7 +181,7 @@ class TestFrames:
 
     @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc, needs glibc")
     async def test_long_work_leaves_no_memory_behind(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("app.executor._TRIM_AFTER_S", 0.0)
+        monkeypatch.setattr("app.work.executor._TRIM_AFTER_S", 0.0)
         executor = Executor(frames=1, max_wait_s=60, timeout_s=5)
         kept = []
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from app.facing import azimuth_deg, front_share
+from app.estimation.facing import azimuth_deg, front_share
 from index.landmark_search import rotate_clockwise
 from index.skeleton import camera_rotation
 

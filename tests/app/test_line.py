@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from app.line import (
+from app.work.line import (
     ADMIT_SHARE,
     Line,
     OverloadedError,

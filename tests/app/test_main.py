@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from app.vision import weights

@@ -6,11 +6,11 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.estimator import Estimator
-from app.line import Line, OverloadedError
+from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.version import VERSION
 from app.settings import Settings
-from app.version import VERSION
+from app.work.line import Line, OverloadedError
 from tests.conftest import Photo
 
 

@@ -14,16 +14,16 @@ import httpx
 import pytest
 
 from app import __main__ as main
-from app import remote_index
+from app.serving import remote_index
 from index.artefact import load_index, save_index
 from index.store import PoseIndex
 from scripts.load.client import Call
-from scripts.load.loops import BackgroundLoop, Reply
-from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
 from scripts.load.server import free_ports
 from tests.app.test_camera_sessions import send
 from tests.app.test_server import metric
 from tests.conftest import Photo, Server, build_tiny_index, start_server, wait_until
+from tests.support.background import BackgroundLoop, Reply
+from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
     from index.milvus import Milvus

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.drawing import LEGEND
-from app.replies import _flat, _points_3d
-from app.schemas import PoseResponse
+from app.api.overlay import LEGEND
+from app.api.replies import _flat, _points_3d
+from app.api.schemas import PoseResponse
 from app.vision.people import LANDMARK_NAMES
 from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex
@@ -96,7 +96,7 @@ def test_hypotheses_are_ranked_distinct_and_finite(
             assert all(math.isfinite(value) for value in point.values())
 
 
-@pytest.mark.parametrize("name", ["native", "coco17", "h36m17"])
+@pytest.mark.parametrize("name", ["native", "cmu19", "coco17", "h36m17"])
 def test_keypoint_sets_select_points_of_the_entry(
     client: TestClient, photo: Photo, tiny_index: PoseIndex, name: str
 ) -> None:
@@ -104,7 +104,7 @@ def test_keypoint_sets_select_points_of_the_entry(
     answer = ask(client, photo, keypoints=name)
     chosen = KEYPOINT_SETS[name]
     assert answer["keypoints"] == {
-        "set": name,
+        "set": "native" if name == "cmu19" else name,
         "names": list(chosen.names),
         "bones": [{"parent": parent, "child": child} for parent, child in chosen.bones],
     }

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.posture import (
+from app.estimation.posture import (
     CLEAR_FROM,
     GROUNDED,
     body_features,

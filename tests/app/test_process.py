@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 
-from app.process import lower_thread_priority
+from app.work.process import lower_thread_priority
 from tests.conftest import ROOT
 
 EXPORT = """

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from app.schemas import PoseResponse, Problem
+from app.api.schemas import PoseResponse, Problem
 from tests.conftest import Photo, png
 
 relaxed = settings(

@@ -13,7 +13,7 @@ import uvicorn
 from starlette.responses import PlainTextResponse
 from uvicorn.server import ServerState
 
-from app.protocol import HttpProtocol
+from app.http.protocol import HttpProtocol
 
 pytestmark = pytest.mark.anyio
 

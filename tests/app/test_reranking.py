@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.reranking import (
+from app.estimation.reranking import (
     PER_OPPOSITE_FACING,
     fused_confidences,
     nearest_of_both_facings,

@@ -15,13 +15,13 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message
 
-from app.estimator import Estimator
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame
+from app.estimation.estimator import Estimator
+from app.http.request_context import NOTES
 from app.main import create_app
-from app.request_context import NOTES
 from app.routes import sequence
 from app.settings import Settings
 from app.tracking.session import CameraSession
-from app.tracking_schemas import SequenceEnd, SequenceFrame
 from tests.app.test_errors import check_problem
 from tests.app.test_metrics import sample
 from tests.app.test_server import metric

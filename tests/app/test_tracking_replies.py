@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimates import Estimate
-from app.estimator import Estimator
-from app.facing import Facing
-from app.replies import ReplyForm
-from app.schemas import JointForm
+from app.api.replies import ReplyForm
+from app.api.schemas import JointForm
+from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, track_reply
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
+from app.estimation.estimates import Estimate
+from app.estimation.estimator import Estimator
+from app.estimation.facing import Facing
+from app.estimation.upload import Upload
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.sequence import SequenceSummary
-from app.tracking_replies import sequence_end_reply, sequence_frame_reply, track_reply
-from app.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
-from app.upload import Upload
 from index.skeleton import KEYPOINT_SETS, NATIVE
 from tests.conftest import Photo
 

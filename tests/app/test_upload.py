@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload, UploadError
 from app.main import create_app
 from app.settings import Settings
-from app.upload import Upload, UploadError
 from app.vision.people import Box
 
 

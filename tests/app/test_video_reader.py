@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
 from app.vision.decoding.video import END, FRAME, HEADER, TOO_LARGE
+from app.work.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
 from tests.videos import numbered_frames, write_video
 
 pytestmark = pytest.mark.anyio

@@ -11,11 +11,11 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from app.estimator import Estimator
+from app.api.tracking_schemas import MOST_CORNERS, MOST_ZONES, CameraState
+from app.estimation.estimator import Estimator
 from app.main import create_app
-from app.runtime import Runtime
+from app.serving.runtime import Runtime
 from app.settings import Settings
-from app.tracking_schemas import MOST_CORNERS, MOST_ZONES, CameraState
 from index.store import DEFAULT_PATH, PoseIndex
 from tests.app.test_camera_sessions import send
 from tests.app.test_errors import check_problem

@@ -18,11 +18,11 @@ from typing import Any
 import httpx
 import pytest
 
-from scripts.load.balancer import CONFIGURATION, Balancer
 from scripts.load.server import ServerProcess
 from tests.app.test_camera_sessions import send
 from tests.app.test_errors import check_problem
 from tests.conftest import Photo
+from tests.support.balancer import CONFIGURATION, Balancer
 from tests.videos import numbered_frames, write_video
 
 pytestmark = pytest.mark.skipif(

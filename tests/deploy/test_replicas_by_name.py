@@ -18,7 +18,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from scripts.load.balancer import CONFIGURATION, Balancer
+from tests.support.balancer import CONFIGURATION, Balancer
 
 pytestmark = [
     pytest.mark.slow,

@@ -16,8 +16,8 @@ from index.artefact import load_index, save_index
 from index.neighbours import UnavailableError
 from index.store import PoseIndex
 from index.verified_files import ArtefactError
-from scripts.load.milvus_server import MilvusProcess, why_milvus_cannot_run
 from tests.conftest import build_tiny_index
+from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
     from index.milvus import LARGEST_K, Contents, Milvus, MilvusNeighbours, check_vectors

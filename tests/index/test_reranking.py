@@ -14,13 +14,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.artefact import copy_index, load_index, save_index
+from index.artefact import load_index, save_index
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
 from index.keypoints import Keypoints
 from index.matching import match
 from index.modes import find_modes
-from index.neighbours import ExactNeighbours
 from index.reranker import (
     FILES,
     MANIFEST,
@@ -178,12 +177,6 @@ class TestFiles:
             (tmp_path / "again" / name).read_bytes() == (saved / name).read_bytes()
             for name in FILES
         )
-
-    def test_a_copy_with_another_search_keeps_the_network(
-        self, toy_index: PoseIndex, saved: Path, tmp_path: Path
-    ) -> None:
-        copy_index(saved, tmp_path / "copy", ExactNeighbours(toy_index.vectors))
-        assert load_index(tmp_path / "copy").reranker is not None
 
     def test_an_index_may_have_none(self, toy_index: PoseIndex, tmp_path: Path) -> None:
         save_index(toy_index, tmp_path / "plain")

@@ -127,7 +127,9 @@ def other(name: str) -> str:
 def test_skeleton_has_19_joints_and_5_face_points() -> None:
     assert (JOINTS, POINTS) == (19, 24)
     assert len(set(POINT_NAMES)) == POINTS
-    assert KEYPOINT_SETS == {"native": NATIVE, "coco17": COCO17, "h36m17": H36M17}
+    assert KEYPOINT_SETS == {
+        "native": NATIVE, "cmu19": NATIVE, "coco17": COCO17, "h36m17": H36M17
+    }  # fmt: skip
     assert NATIVE.indices == tuple(range(JOINTS))
     assert NATIVE.names == JOINT_NAMES
 

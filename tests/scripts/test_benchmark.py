@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from app.vision.people import Box
-from scripts.experiments.real_peer import LivePeer
 from scripts.experiments.real_vtest import Marks, read_marks
-from scripts.load.benchmark import describe_index, find_peer, interleaved, read_street, sender
+from scripts.load.benchmark import describe_index, interleaved, read_street, sender
 from scripts.load.benchmark_cases import (
     Street,
     mask_call,
@@ -75,11 +74,6 @@ def test_cases_ask_what_their_names_say(street: Street) -> None:
     assert (asked.path, json.loads(asked.parts["boxes"])) == ("/silhouette", [[40, 20, 30, 90]])
 
 
-def test_the_peer_is_given_the_person_of_the_box_with_room(street: Street) -> None:
-    # A quarter of the height on each side, as far as the frame goes.
-    assert street.crop.shape == (133, 75, 3)
-
-
 def test_the_yardstick_searches_a_picture_of_any_size() -> None:
     boxes, _ = yardstick(np.full((50, 40, 3), 128, np.uint8))()  # type: ignore[misc]
     assert len(boxes) == 0
@@ -105,7 +99,6 @@ def test_the_page_has_ratios_to_the_yardstick_beside_those_wanted() -> None:
     rows = [
         Row("nobody", [60.0, 30.0, 40.0], "0", 75, 0.6),
         Row("walkers", [200.0] * 3, "4, 3", 120),
-        Row("MediaPipe", [20.0] * 3, "1"),
     ]
     measured = Measured(Row("HOG", [100.0, 90.0, 80.0]), rows, 0.07, "sticks", 1.5, 250.4, 270.0)
     page = report(measured, "make bench", ["the moon (it is far)"])
@@ -113,41 +106,17 @@ def test_the_page_has_ratios_to_the_yardstick_beside_those_wanted() -> None:
         "| HOG |  | 82.0 ms | 90.0 ms |  | 1.000 |  |",
         "| nobody | 0 | 32.0 ms | 40.0 ms | 75 ms | 0.444 | 0.60 |",
         "| walkers | 4, 3 | 200.0 ms | 200.0 ms | 120 ms | 2.222 |  |",
-        "| MediaPipe | 1 | 20.0 ms | 20.0 ms |  | 0.222 |  |",
     ]
     for said in ("`make bench`, revision", "Machine: ", "7% of", "250 MB", "Left out: the moon"):
         assert said in page
 
 
-def test_without_the_video_or_mediapipe_it_says_what_is_left_out(tmp_path: Path) -> None:
+def test_without_the_video_it_says_what_is_left_out(tmp_path: Path) -> None:
     street, why = read_street(tmp_path)
     assert street is None
     assert "expected a video" in why[0]
-    assert find_peer(None, street) == (
-        None, ["MediaPipe Pose, as no interpreter was named (`--mediapipe PYTHON`)"],
-    )  # fmt: skip
 
 
 def test_the_index_is_named_in_a_line() -> None:
     reply = {"name": "sticks", "entries": 96, "version": "sha256:0123456789abcdef"}
     assert describe_index(json.dumps(reply).encode()) == "sticks, 96 entries, sha256:0123456789ab"
-
-
-def interpreter(folder: Path, script: str) -> Path:
-    """Stand in for a Python that has MediaPipe."""
-    file = folder / "python"
-    file.write_text(f"#!/bin/sh\n{script}\n")
-    file.chmod(0o755)
-    return file
-
-
-def test_a_peer_answers_as_often_as_it_is_asked(tmp_path: Path) -> None:
-    python = interpreter(tmp_path, "echo ready; read a; echo 1; read b; echo 0; read c")
-    with LivePeer(python, np.zeros((4, 4, 3), np.uint8)) as peer:
-        assert [peer.ask(), peer.ask()] == [True, False]
-
-
-def test_a_peer_that_does_not_start_is_an_error(tmp_path: Path) -> None:
-    peer = LivePeer(interpreter(tmp_path, "exit 1"), np.zeros((4, 4, 3), np.uint8))
-    with pytest.raises(RuntimeError, match="expected MediaPipe to say ready"), peer:
-        pass

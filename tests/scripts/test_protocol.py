@@ -1,4 +1,4 @@
-"""The paper's protocol: what counts as recognised, and folds that share no frame."""
+"""The paper's protocol: what counts as recognised."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from index.build.simulate import Simulation
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
-from scripts.experiments.protocol import joint_errors, nearest, recognised, rig, split_by_frame
+from scripts.experiments.protocol import joint_errors, nearest, recognised, rig
 
 FRAMES, BODIES, VIEWS = 12, 2, 3
 
@@ -31,20 +31,6 @@ def filmed() -> Simulation:
     skeletons[:, :, 1] = 0.05 * np.arange(count)[:, None]
     silhouettes = Silhouettes.compress(np.zeros((len(entries), 768), np.uint8))
     return Simulation(silhouettes, entries, skeletons, labels, ("a", "b"), ("x", "y"), ("walk",))
-
-
-def test_folds_share_no_frame_and_lose_none(filmed: Simulation) -> None:
-    rest, held = split_by_frame(filmed, every=6, position=2)
-    assert len(rest) + len(held) == len(filmed)
-
-    def frames(part: Simulation) -> set[tuple[int, int]]:
-        labels = part.skeleton_labels[part.entries["skeleton"]]
-        return set(zip(labels["clip"].tolist(), labels["frame"].tolist(), strict=True))
-
-    assert frames(held) == {(clip, frame) for clip in (0, 1) for frame in (4, 16)}
-    assert not frames(rest) & frames(held)
-    # On every body, before every camera.
-    assert len(held) == 4 * BODIES * VIEWS
 
 
 def test_joint_errors_are_distances_in_the_frame(filmed: Simulation) -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from app.vision.people import Box
 from scripts.experiments.real_detection_scores import average_precision, figures, matches
-from scripts.experiments.real_peer import why_absent
-from scripts.experiments.real_poses import procrustes
 from scripts.experiments.real_vtest import Marks, compare, read_marks
 
 PEOPLE = np.array([[0.0, 0.0, 10.0, 30.0], [50.0, 0.0, 10.0, 30.0]])
@@ -29,16 +25,6 @@ def test_a_second_box_on_one_person_is_false() -> None:
     assert average_precision(matches(found, [PEOPLE]), 2) == pytest.approx(0.5)
 
 
-def test_procrustes_ignores_turning_moving_and_scaling() -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(12, 3))
-    turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    turned *= np.sign(np.linalg.det(turned))
-    assert procrustes(1.7 * points @ turned + 3, points) == pytest.approx(0, abs=1e-9)
-    mirrored = points * (-1, 1, 1)
-    assert procrustes(mirrored, points) > 0.1
-
-
 def test_ignored_people_count_neither_way() -> None:
     marks = Marks(0, [Box(0, 0, 10, 30)], [Box(50, 0, 10, 30)])
     boxes = [Box(0, 1, 10, 30), Box(50, 1, 10, 30), Box(90, 0, 10, 30)]
@@ -53,8 +39,3 @@ def test_the_marks_are_sound() -> None:
         for box in one.people:
             assert box.height >= 50
             assert box.clip(768, 576) == box or box.right <= 768.5
-
-
-def test_a_peer_that_is_not_there_is_named() -> None:
-    assert "--mediapipe" in why_absent(None)
-    assert "cannot be run" in why_absent(Path("/nonexistent/python"))

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scripts import watch_camera
+from scripts.examples import watch_camera
 from tests.app.test_page import WALKERS
 from tests.conftest import Server
 from tests.videos import numbered_frames, write_video

@@ -9,24 +9,25 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
-from descriptor.silhouette import bounding_box
 from index.store import PoseIndex
 from scripts.experiments.weizmann import (
     Film,
     Pixels,
     Recording,
-    enlarged,
     leave_one_person_out,
     read_films,
-    read_recordings,
     stretches,
 )
 from scripts.experiments.weizmann_report import in_frames, watch
 
 FRAMES = 6
 HEIGHT, WIDTH = 72, 90
+
+
+def read_recordings(file: Path) -> list[Recording]:
+    return [film.normalised() for film in read_films(file)]
 
 
 def body(action: str, width: int, step: int) -> NDArray[np.uint8]:
@@ -124,18 +125,6 @@ def test_order_tells_actions_of_the_same_frames_apart(file: Path) -> None:
     )
     assert by_frame.right == 0.5
     assert in_order.right == 1 and (in_order.lead == 1).all()
-
-
-@pytest.mark.parametrize("times", [2, 4])
-def test_masks_drawn_larger_end_where_their_pixels_do(file: Path, times: int) -> None:
-    for film in read_films(file):
-        mask = np.asarray(film.masks[0], np.uint8)
-        _, _, *size = bounding_box(mask != 0)
-        _, _, *drawn = bounding_box(enlarged(mask, times, 0.5) != 0)
-        _, _, *thinner = bounding_box(enlarged(mask, times, 0.0) != 0)
-        assert drawn == [times * side + 1 for side in size]
-        # A pixel between the centres of the outermost ones.
-        assert thinner == [times * (side - 1) + 1 for side in size]
 
 
 def test_films_are_watched_as_by_a_camera(estimator: Estimator, tiny_index: PoseIndex) -> None:

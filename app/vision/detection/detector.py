@@ -41,8 +41,6 @@ _LEAST_HOG_PX = 16.0
 # Scores of BlazePose's detector from which a body is looked at, and the landmark network's presence
 # from which it is a person: walls and trees stay below 0.1, people mostly above 0.9.
 _LEAST_BODY_SCORE, _LEAST_PRESENCE = 0.3, 0.5
-# Probability that somebody whom both networks see is a person.
-_SEEN_BY_BOTH = 0.5
 # Sizes of a body's circle relative to its box at which both are about one person.
 _SAME_SIZE = (0.4, 2.5)
 
@@ -106,24 +104,42 @@ class NetworkDetector:
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
         detections, scores = self.candidates(frame)
-        probabilities = detection_probability(scores[:, 0], scores[:, 1]).tolist()
+        probabilities = detection_probability(scores).tolist()
         found = [
             replace(detection, score=probability)
             for detection, probability in zip(detections, probabilities, strict=True)
         ]
-        bodies = self._pose_detection.bodies(frame, _LEAST_BODY_SCORE)
-        return _best_first(self._merged(frame, found, bodies), self._min_score)
+        return _best_first(found, self._min_score)
 
     def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
-        """Find all candidates of MoveNet, however low their score.
+        """Find all candidates of both networks, however low their score.
 
         Returns
         -------
         detections : list of Detection
-            One for each person, best first, with MoveNet's score.
-        scores : (N, 2) float64 array
-            MoveNet's score, and HOG's margin on the box's window.
+            One for each person, with MoveNet's score and the windows of BlazePose's detector.
+        scores : (N, 3) float64 array
+            MoveNet's score, HOG's margin on the box's window, and the score of BlazePose's
+            detector; 0 where a network sees nobody.
         """
+        found = self._people(frame)
+        windows: list[list[PersonWindow]] = [[] for _ in found]
+        scores = [[one.score, person_margin(frame, one.box), 0.0] for one in found]
+        alone: list[Detection] = []
+        for body in self._pose_detection.bodies(frame, _LEAST_BODY_SCORE):
+            near = [i for i, one in enumerate(found) if _is_about(body.window, one.box)]
+            if near:
+                best = max(near, key=lambda i: found[i].score)
+                windows[best].append(body.window)
+                scores[best][2] = max(scores[best][2], body.score)
+            elif (person := self._confirmed(frame, body)) is not None:
+                alone.append(person)
+                scores.append([0.0, 0.0, body.score])
+        seen = [replace(one, windows=tuple(own)) for one, own in zip(found, windows, strict=True)]
+        return [*seen, *alone], np.array(scores, np.float64).reshape(-1, 3)
+
+    def _people(self, frame: NDArray[np.uint8]) -> list[Detection]:
+        """The people whom MoveNet sees, one for each, best first."""
         height, width = frame.shape[:2]
         tiles = tiles_of(width, height, self._min_person_px)
         found: list[Detection] = []
@@ -138,30 +154,7 @@ class NetworkDetector:
                 keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.window[:2])
                 found.append(Detection(box, min(1.0, person.score), keypoints))
                 preferred.append(len(tiles) == 1 or large == (number == 0))
-        kept = [found[i] for i in _suppressed(found, preferred)]
-        scores = [(one.score, person_margin(frame, one.box)) for one in kept]
-        return kept, np.array(scores, np.float64).reshape(-1, 2)
-
-    def _merged(
-        self,
-        frame: NDArray[np.uint8],
-        found: Sequence[Detection],
-        bodies: Sequence[BodyCircle],
-    ) -> list[Detection]:
-        """Give each person the circle about them, and add bodies that MoveNet does not see."""
-        windows: list[list[PersonWindow]] = [[] for _ in found]
-        merged: list[Detection] = []
-        for body in bodies:
-            near = [i for i, one in enumerate(found) if _is_about(body.window, one.box)]
-            if near:
-                windows[max(near, key=lambda i: found[i].score)].append(body.window)
-            elif (alone := self._confirmed(frame, body)) is not None:
-                merged.append(alone)
-        merged += [
-            replace(one, windows=tuple(own), score=max(one.score, _SEEN_BY_BOTH if own else 0.0))
-            for one, own in zip(found, windows, strict=True)
-        ]
-        return merged
+        return [found[i] for i in _suppressed(found, preferred)]
 
     def _confirmed(self, frame: NDArray[np.uint8], body: BodyCircle) -> Detection | None:
         """A person whom MoveNet does not see, where the landmark network sees one."""
@@ -169,7 +162,7 @@ class NetworkDetector:
         box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
         if box is None or reading.presence < _LEAST_PRESENCE:
             return None
-        return Detection(box, reading.presence * body.score, None, (body.window,))
+        return Detection(box, 0.0, None, (body.window,))
 
 
 class HogDetector:
@@ -236,19 +229,21 @@ def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, N
     return averaged(boxes, margins + 0.1, kept), margins[kept]
 
 
-def detection_probability(
-    network_scores: NDArray[np.float64], hog_margins: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Probability ``(N,)`` that boxes hold a person, from MoveNet's scores and HOG's margins.
-
-    Only margins of people whom HOG takes for people count.
-    """
+def detection_probability(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
     constants = fitted("detection")
-    return sigmoid(
-        constants["network"] * logit(network_scores)
-        + constants["hog"] * np.maximum(0.0, hog_margins)
-        + constants["offset"]
-    )
+    weights = np.array([constants[name] for name in ("movenet", "hog", "pose_detection")])
+    return sigmoid(detection_features(scores) @ weights + constants["offset"])
+
+
+def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the probability is made of, ``(N, 3)``, from :meth:`NetworkDetector.candidates`.
+
+    MoveNet's log odds, HOG's margin where it sees a person, the score of BlazePose's detector.
+    """
+    movenet, margin, body = scores.T
+    odds = logit(np.maximum(movenet, _LEAST_NETWORK_SCORE))
+    return np.stack([odds, np.maximum(0.0, margin), body], axis=1)
 
 
 def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:

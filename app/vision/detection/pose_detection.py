@@ -23,7 +23,7 @@ from app.vision.odds import sigmoid
 from app.vision.people import PersonWindow
 from app.vision.person.window import window_of_circle
 from app.vision.resampling import resize
-from app.vision.runtime.tflite import TfliteNetwork
+from app.vision.tflite import TfliteNetwork
 
 PIXELS = 224
 """Side of the network's input."""
@@ -59,7 +59,7 @@ class PoseDetection:
     path : Path
         ``pose_detection.tflite``.
     threads, copies : int
-        As in :class:`app.vision.runtime.tflite.TfliteNetwork`.
+        As in :class:`app.vision.tflite.TfliteNetwork`.
 
     Raises
     ------

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.people import Box, ObservedKeypoints
-from app.vision.runtime.tflite import TfliteNetwork
+from app.vision.tflite import TfliteNetwork
 
 CELL_PX = 4
 """Pixels of the picture per heatmap cell, each way."""

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES, Landmarks, PersonWindow
+from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints, PersonWindow
 from app.vision.person.window import (
     cut_window,
     window_drift,
     window_of_circle,
     window_to_frame,
 )
-from app.vision.runtime.tflite import TfliteNetwork
+from app.vision.tflite import TfliteNetwork
 
 PIXELS = 256
 """Side of the network's input and mask."""
@@ -51,6 +51,8 @@ class Reading:
         That each pixel of the window shows the person.
     next_window : PersonWindow
         Where the network would look next.
+    keypoints : ObservedKeypoints or None
+        What MoveNet reads of the same person, in pixels of the frame.
     """
 
     window: PersonWindow
@@ -58,6 +60,7 @@ class Reading:
     presence: float
     probability: NDArray[np.float32]
     next_window: PersonWindow
+    keypoints: ObservedKeypoints | None = None
 
     @property
     def drift(self) -> float:
@@ -73,7 +76,7 @@ class LandmarkNetwork:
     path : Path
         ``pose_landmarks.tflite``.
     threads, copies : int
-        As in :class:`app.vision.runtime.tflite.TfliteNetwork`.
+        As in :class:`app.vision.tflite.TfliteNetwork`.
 
     Raises
     ------

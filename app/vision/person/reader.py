@@ -14,9 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.keypoints.reader import KeypointReader
-from app.vision.people import COCO_NAMES, COCO_ROWS, Box, ObservedKeypoints, PersonWindow
+from app.vision.people import (
+    COCO_NAMES,
+    COCO_ROWS,
+    LANDMARK_NAMES,
+    Box,
+    Landmarks,
+    ObservedKeypoints,
+    PersonWindow,
+)
 from app.vision.person.landmarks import LandmarkNetwork, Reading
-from app.vision.person.window import window_about
+from app.vision.person.window import window_about, window_of_circle
 
 SURE = 0.85
 """Quality from which a reading is taken without trying another window."""
@@ -30,6 +38,13 @@ AGREES_WITHIN = 0.15
 KEYPOINT_WEIGHT = 2.0
 """Weight of a MoveNet keypoint of score 1 against the landmark it agrees with."""
 
+NEAR_BORDER = 0.3
+"""Distance from the frame's border, as a share of the body's size, within which landmarks are
+visible only as far as MoveNet's keypoints are."""
+
+SEEN_SCORE = 0.25
+"""Score of a MoveNet keypoint from which it is seen."""
+
 UNKNOWN_AGREEMENT = 0.6
 """Agreement where MoveNet reads nothing to agree with."""
 
@@ -37,8 +52,29 @@ _COMPARED = [
     i for i, name in enumerate(COCO_NAMES) if name == "nose" or not name.endswith(("eye", "ear"))
 ]
 _LEAST_SCORE = 0.15
+# Distance of a box from the frame's border, as a share of its longer side, at which it ends there.
+_AT_BORDER = 0.05
+# From the hips to the feet, as a multiple of the trunk.
+_BODY_OF_TRUNK = 1.7
 # A window's side is this multiple of the body's size.
 _WINDOW_SIZES = 2.5
+
+
+def _keypoint_of(landmark: str) -> int:
+    """Position in ``COCO_NAMES`` of the keypoint of the same part of the body."""
+    if landmark.startswith("mouth"):
+        return COCO_NAMES.index("nose")
+    side, _, part = landmark.partition("_")
+    if part.startswith("eye"):
+        part = "eye"
+    elif part in ("pinky", "index", "thumb"):
+        part = "wrist"
+    elif part in ("heel", "foot_index"):
+        part = "ankle"
+    return COCO_NAMES.index(f"{side}_{part}" if part else side)
+
+
+_KEYPOINT_OF_LANDMARK = [_keypoint_of(name) for name in LANDMARK_NAMES]
 
 
 @dataclass(frozen=True)
@@ -83,7 +119,9 @@ class PersonReader:
         if keypoints is None:
             keypoints = self.keypoint_reader.read(frame, box)
         best = None
-        for window in (*windows, window_about(box, trunk_roll_deg(keypoints) or 0.0)):
+        beyond = window_beyond_border(keypoints, box, frame.shape)
+        about = window_about(box, trunk_roll_deg(keypoints) or 0.0)
+        for window in (*beyond, *windows, about):
             best = self._better(best, frame, window, keypoints)
             if quality(best, keypoints) >= SURE:
                 break
@@ -104,6 +142,30 @@ class PersonReader:
         if best is None or quality(other, keypoints) > quality(best, keypoints):
             return other
         return best
+
+
+def window_beyond_border(
+    keypoints: ObservedKeypoints | None, box: Box, frame_shape: tuple[int, ...]
+) -> list[PersonWindow]:
+    """Window about the whole of a body whose head or feet the border cuts off, if it is one.
+
+    The other windows hold what is seen of it, in which the network reads a small whole body.
+    """
+    height, width = frame_shape[:2]
+    gaps = (box.x, box.y, width - 1 - box.right, height - 1 - box.bottom)
+    if keypoints is None or min(gaps) > _AT_BORDER * max(box.width, box.height):
+        return []
+    head, shoulders, hips, ankles = (
+        _middle(keypoints, part, SEEN_SCORE) for part in ("nose", "shoulder", "hip", "ankle")
+    )
+    if hips is None or (head is None) == (ankles is None):
+        return []
+    if head is None:
+        assert ankles is not None
+        towards_head = hips - ankles
+    else:
+        towards_head = _BODY_OF_TRUNK * ((head if shoulders is None else shoulders) - hips)
+    return [window_of_circle(hips, hips + towards_head)]
 
 
 def quality(reading: Reading, keypoints: ObservedKeypoints | None) -> float:
@@ -138,7 +200,25 @@ def fuse(reading: Reading, keypoints: ObservedKeypoints) -> Reading:
     positions = landmarks.positions.copy()
     shares = (weights / (1 + weights))[:, None]
     positions[COCO_ROWS] += shares * (keypoints.positions - positions[COCO_ROWS])
-    return replace(reading, landmarks=replace(landmarks, positions=positions))
+    landmarks = replace(landmarks, positions=positions)
+    return replace(reading, landmarks=landmarks, keypoints=keypoints)
+
+
+def doubt_at_border(reading: Reading, frame_shape: tuple[int, ...]) -> Landmarks:
+    """Landmarks of a reading, near the frame's border no more visible than MoveNet's keypoints.
+
+    The landmark network squeezes a body that the border cuts into what is left of it, and says that
+    all of it is visible. MoveNet gives what it does not see a low score.
+    """
+    landmarks = reading.landmarks
+    if reading.keypoints is None:
+        return landmarks
+    reach = NEAR_BORDER * reading.next_window.side / _WINDOW_SIZES
+    end = np.array([frame_shape[1], frame_shape[0]]) - 1
+    near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
+    seen = np.minimum(1.0, reading.keypoints.scores[_KEYPOINT_OF_LANDMARK] / SEEN_SCORE)
+    visibility = np.where(near, seen * landmarks.visibility, landmarks.visibility)
+    return replace(landmarks, visibility=visibility)
 
 
 def trunk_roll_deg(keypoints: ObservedKeypoints | None) -> float | None:
@@ -152,9 +232,11 @@ def trunk_roll_deg(keypoints: ObservedKeypoints | None) -> float | None:
     return float(np.rad2deg(np.arctan2(right, -down)))
 
 
-def _middle(keypoints: ObservedKeypoints, part: str) -> NDArray[np.float64] | None:
+def _middle(
+    keypoints: ObservedKeypoints, part: str, least_score: float = _LEAST_SCORE
+) -> NDArray[np.float64] | None:
     rows = [i for i, name in enumerate(COCO_NAMES) if name.endswith(part)]
     scores = keypoints.scores[rows]
-    if scores.max() < _LEAST_SCORE:
+    if scores.max() < least_score:
         return None
     return np.asarray(scores @ keypoints.positions[rows] / scores.sum())

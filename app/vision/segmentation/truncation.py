@@ -9,7 +9,7 @@ import numpy as np
 
 from app.vision.people import COCO_NAMES, Box, ObservedKeypoints, Silhouette
 
-# All of this was chosen on even-numbered photographs: python -m scripts.evaluate truncation.
+# All of this was chosen on even-numbered photographs: docs/results/truncation.md.
 # Who is cut by the frame's edge ends at it, or so near to it as silhouettes are precise: in pixels,
 # and as a share of the person's longer side.
 _NEAR_PX = 1.0

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from app.vision.runtime.tflite import NetworkError
+from app.vision.tflite import NetworkError
 
 FOLDER = Path(__file__).parent
 FITTED = FOLDER / "fitted.json"

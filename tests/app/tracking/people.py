@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson, Person, PlacedHypothesis
-from app.facing import Facing
-from app.posture import posture_of, vote_posture
+from app.estimation.estimates import ObservedPerson, Person, PlacedHypothesis
+from app.estimation.facing import Facing
+from app.estimation.posture import posture_of, vote_posture
 from app.vision.people import Box
 from index.matching import Hypothesis
 from index.posture import Posture

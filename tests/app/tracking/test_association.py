@@ -6,24 +6,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimates import ObservedPerson
+from app.estimation.estimates import ObservedPerson
+from app.tracking.appearance import appearance_distance, appearance_histogram
 from app.tracking.association import associate
-from app.tracking.track import MotionFilter, Sighting, Track, clothes_distance, clothes_histogram
+from app.tracking.motion import MotionFilter
+from app.tracking.track import Sighting, Track
 from app.vision.people import Box, Silhouette
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
 
 
-def sighting(x: float, y: float = 100.0, clothes: NDArray[np.float32] | None = None) -> Sighting:
+def sighting(x: float, y: float = 100.0, appearance: NDArray[np.float32] | None = None) -> Sighting:
     """Somebody 80 px tall."""
-    return Sighting(ObservedPerson(Box(x, y, 30, 80), "detector", 0.9, None), clothes)
+    return Sighting(ObservedPerson(Box(x, y, 30, 80), "detector", 0.9, None), appearance)
 
 
-def walking(x: float, speed: float, clothes: NDArray[np.float32] | None = None) -> Track:
+def walking(x: float, speed: float, appearance: NDArray[np.float32] | None = None) -> Track:
     """A track seen for a second up to time 1, at ``x`` then, in pixels a second to the right."""
-    track = Track(sighting(x - speed, clothes=clothes), 0.0)
+    track = Track(sighting(x - speed, appearance=appearance), 0.0)
     for step in range(11):
-        seen = sighting(x - speed + speed * step / 10, clothes=clothes)
+        seen = sighting(x - speed + speed * step / 10, appearance=appearance)
         if step:
             track.see(seen, step / 10)
     return track
@@ -34,24 +36,24 @@ class TestMotionFilter:
         track = walking(200, 60)
         assert track.motion.velocity[0] == pytest.approx(60, rel=0.15)
         assert track.motion.velocity[1] == pytest.approx(0, abs=1e-9)
-        expected = track.motion.expect(1.1)
+        expected = track.motion.predict(1.1)
         assert expected.x == pytest.approx(206, abs=2)
         assert (expected.width, expected.height) == (30, 80)
 
     def test_somebody_unseen_is_not_expected_ever_farther_away(self) -> None:
         track = walking(200, 60)
-        assert track.motion.expect(100.0).x < 200 + 1.3 * 60
+        assert track.motion.predict(100.0).x < 200 + 1.3 * 60
 
     def test_the_size_does_not_shrink_where_a_part_is_hidden(self) -> None:
         motion = MotionFilter(Box(100, 100, 30, 80), 0.0)
-        motion.correct(Box(100, 140, 30, 40), 0.1, whole=False)
-        assert motion.expect(0.1).height == 80
-        motion.correct(Box(100, 100, 30, 90), 0.2, whole=False)
-        assert 80 < motion.expect(0.2).height < 90
+        motion.update(Box(100, 140, 30, 40), 0.1, whole=False)
+        assert motion.predict(0.1).height == 80
+        motion.update(Box(100, 100, 30, 90), 0.2, whole=False)
+        assert 80 < motion.predict(0.2).height < 90
 
     def test_frames_far_apart_do_not_overshoot(self) -> None:
         motion = MotionFilter(Box(100, 100, 30, 80), 0.0)
-        motion.correct(Box(150, 100, 30, 80), 5.0, whole=True)
+        motion.update(Box(150, 100, 30, 80), 5.0, whole=True)
         assert motion.velocity[0] == pytest.approx(10)
 
 
@@ -79,7 +81,7 @@ class TestAssociate:
     def test_clothes_tell_who_is_who_where_places_do_not(self) -> None:
         tracks = [walking(100, 0, RED), walking(110, 0, BLUE)]
         assert associate(
-            tracks, [sighting(103, clothes=BLUE), sighting(107, clothes=RED)], 1.1
+            tracks, [sighting(103, appearance=BLUE), sighting(107, appearance=RED)], 1.1
         ) == [
             1,
             0,
@@ -102,17 +104,17 @@ class TestClothes:
         frame[10:50, 40:60] = (200, 20, 20)
         crop = np.ones((40, 20), bool)
         red, blue = (
-            clothes_histogram(frame, Silhouette(crop, left, 10, "network", False))
+            appearance_histogram(frame, Silhouette(crop, left, 10, "network", False))
             for left in (10, 40)
         )
         assert red.shape == (80,) and red.sum() == pytest.approx(1)
-        assert clothes_distance(red, red) == pytest.approx(0, abs=1e-3)
-        assert clothes_distance(red, blue) > 0.6
+        assert appearance_distance(red, red) == pytest.approx(0, abs=1e-3)
+        assert appearance_distance(red, blue) > 0.6
 
     def test_upper_and_lower_half_are_told_apart(self) -> None:
         frame = np.zeros((40, 20, 3), np.uint8)
         frame[:20] = (20, 20, 200)
         silhouette = Silhouette(np.ones((40, 20), bool), 0, 0, "network", False)
-        upright = clothes_histogram(frame, silhouette)
-        swapped = clothes_histogram(np.ascontiguousarray(frame[::-1]), silhouette)
-        assert clothes_distance(upright, swapped) > 0.9
+        upright = appearance_histogram(frame, silhouette)
+        swapped = appearance_histogram(np.ascontiguousarray(frame[::-1]), silhouette)
+        assert appearance_distance(upright, swapped) > 0.9

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimates import ObservedPerson, Person
-from app.posture import EstimatedPosture
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.posture import EstimatedPosture
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.tracking.sequence import LONGEST_GAP_S, SequenceSummary
 from app.vision.people import Box

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.cancellation import DeadlineError
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload, UploadError
 from app.tracking.following import SEARCH_EVERY_S
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession, LateFrameError
-from app.upload import Upload, UploadError
 from app.vision.people import Box, Detection, Landmarks, PersonWindow
 from app.vision.person.landmarks import PIXELS, Reading
 from app.vision.person.window import cut_window, window_about, window_to_frame
+from app.work.cancellation import DeadlineError
 from tests.conftest import build_tiny_index, png
 
 ROWS, COLUMNS = 200, 320

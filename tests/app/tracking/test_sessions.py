@@ -8,10 +8,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from app.estimator import Estimator
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload, UploadError
 from app.tracking.results import TrackedFrame
 from app.tracking.sessions import CameraKey, CameraSessions
-from app.upload import Upload, UploadError
 
 UPLOAD = Upload(b"frame")
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.estimates import Person
-from app.facing import azimuth_deg
+from app.estimation.estimates import Person
+from app.estimation.facing import azimuth_deg
 from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed, _line_at_zero
 from app.vision.people import Silhouette
 from index.posture import POSTURES

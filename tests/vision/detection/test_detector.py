@@ -175,18 +175,17 @@ def test_who_is_less_sure_than_asked_is_left_out(
         assert make(1.0).detect(street) == []
 
 
-def test_candidates_are_judged_by_both(
-    detector: NetworkDetector, street: NDArray[np.uint8]
-) -> None:
+def test_candidates_are_judged_by_all(detector: NetworkDetector, street: NDArray[np.uint8]) -> None:
     candidates, scores = detector.candidates(street)
-    assert scores.shape == (len(candidates), 2)
+    assert scores.shape == (len(candidates), 3)
     assert [one.score for one in candidates] == scores[:, 0].tolist()
-    assert (np.diff(scores[:, 0]) <= 0).all()
-    probabilities = detection_probability(scores[:, 0], scores[:, 1])
+    assert [bool(one.windows) for one in candidates] == (scores[:, 2] > 0).tolist()
+    probabilities = detection_probability(scores)
     judged = {one.box: score for one, score in zip(candidates, probabilities, strict=True)}
-    for one in detector.detect(street):
-        # A body that BlazePose's detector sees as well may be surer, never less sure.
-        assert one.score >= judged[one.box] - 1e-12
+    found = detector.detect(street)
+    assert found
+    for one in found:
+        assert one.score == judged[one.box]
 
 
 class SeesNobody(PoseDetection):
@@ -220,26 +219,27 @@ def test_impossible_limits_are_refused(networks: Networks) -> None:
             make(min_score=2)
 
 
-def probability(score: float, margin: float) -> float:
-    return float(detection_probability(np.array([score]), np.array([margin]))[0])
+def probability(score: float, margin: float, body: float) -> float:
+    return float(detection_probability(np.array([[score, margin, body]]))[0])
 
 
-@given(score=st.floats(0, 1), margin=st.floats(-5, 5), more=st.floats(0, 2))
-def test_each_opinion_makes_the_other_no_less_sure(
-    score: float, margin: float, more: float
+@given(score=st.floats(0, 1), margin=st.floats(-5, 5), body=st.floats(0, 1), more=st.floats(0, 2))
+def test_each_opinion_makes_the_others_no_less_sure(
+    score: float, margin: float, body: float, more: float
 ) -> None:
-    found = probability(score, margin)
+    found = probability(score, margin, body)
     assert 0 <= found <= 1
-    assert probability(score, margin + more) >= found
-    assert probability(min(1, score + more), margin) >= found
+    assert probability(score, margin + more, body) >= found
+    assert probability(min(1, score + more), margin, body) >= found
+    assert probability(score, margin, min(1, body + more)) >= found
 
 
 @given(score=st.floats(0, 1), margin=st.floats(-5, 5))
 def test_hog_never_lowers_a_score(score: float, margin: float) -> None:
     """Who lies or sits looks to it like a wall: that says nothing."""
-    assert probability(score, margin) >= probability(score, 0.0)
+    assert probability(score, margin, 0.0) >= probability(score, 0.0, 0.0)
     if margin <= 0:
-        assert probability(score, margin) == probability(score, 0.0)
+        assert probability(score, margin, 0.0) == probability(score, 0.0, 0.0)
 
 
 @given(probability=st.floats(0.0002, 0.9998))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.vision.detection.pose_detection import CELLS, PIXELS, PoseDetection, decode
 from app.vision.people import Box
-from app.vision.runtime.tflite import NetworkError
+from app.vision.tflite import NetworkError
 from app.vision.weights import network_path
 from scripts.experiments.rotation import rotate_points
 

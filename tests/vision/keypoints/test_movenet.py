@@ -22,7 +22,7 @@ from app.vision.keypoints.movenet import (
     decode,
 )
 from app.vision.people import COCO_NAMES, Box
-from app.vision.runtime.tflite import NetworkError
+from app.vision.tflite import NetworkError
 from app.vision.weights import network_path
 from tests.conftest import ROOT
 

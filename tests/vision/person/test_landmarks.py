@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from app.vision.people import LANDMARK_NAMES, Box, PersonWindow
 from app.vision.person.landmarks import PIXELS, LandmarkNetwork, Reading
 from app.vision.person.window import window_about, window_to_frame
-from app.vision.runtime.tflite import NetworkError
+from app.vision.tflite import NetworkError
 from app.vision.weights import network_path
 from scripts.experiments.rotation import rotate_points
 

@@ -11,15 +11,24 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from app.finder import SAME_BODY, distinct_bodies
-from app.vision.people import COCO_NAMES, COCO_ROWS, Box, ObservedKeypoints, PersonWindow
+from app.estimation.finder import SAME_BODY, distinct_bodies
+from app.vision.people import (
+    COCO_NAMES,
+    COCO_ROWS,
+    LANDMARK_NAMES,
+    Box,
+    ObservedKeypoints,
+    PersonWindow,
+)
 from app.vision.person.landmarks import Reading
 from app.vision.person.reader import (
     AGREES_WITHIN,
     PersonReader,
+    doubt_at_border,
     fuse,
     quality,
     trunk_roll_deg,
+    window_beyond_border,
 )
 from app.vision.person.window import window_about
 
@@ -150,3 +159,41 @@ def test_no_two_of_those_kept_are_one_body(readings: list[Reading], order: list[
     assert len(kept) == 3
     assert kept == sorted(kept)
     assert distinct_bodies([shuffled[i] for i in kept]) == [0, 1, 2]
+
+
+def test_who_is_cut_off_is_read_as_a_part_of_a_whole_body(
+    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    """Without head and shoulders in the picture, the legs stay where they are."""
+    walker = walkers[1]
+    whole = person_reader.read(street, walker).landmarks
+    top = round(walker.y + 0.35 * walker.height)
+    box = Box(walker.x, -0.5, walker.width, walker.bottom - top)
+    reading = person_reader.read(street[top:].copy(), box)
+    landmarks = doubt_at_border(reading, street[top:].shape)
+    legs = [i for i, name in enumerate(LANDMARK_NAMES) if name.endswith(("knee", "ankle"))]
+    apart = landmarks.positions[legs] + [0, top] - whole.positions[legs]
+    assert np.linalg.norm(apart, axis=1).max() < 0.1 * walker.height
+    assert landmarks.visibility[legs].min() > 0.5
+    head = [i for i, name in enumerate(LANDMARK_NAMES) if "eye" in name or name == "nose"]
+    assert landmarks.visibility[head].max() < 0.5
+
+
+def test_nothing_is_doubted_away_from_the_border(
+    readings: list[Reading], street: NDArray[np.uint8]
+) -> None:
+    for reading in readings:
+        inner = replace(reading, next_window=replace(reading.next_window, side=1.0))
+        assert_array_equal(
+            doubt_at_border(inner, street.shape).visibility, reading.landmarks.visibility
+        )
+        unknown = replace(reading, keypoints=None)
+        assert doubt_at_border(unknown, street.shape) is reading.landmarks
+
+
+def test_the_window_of_who_is_seen_whole_is_not_extended(walkers: list[Box]) -> None:
+    seen = ObservedKeypoints(np.full((17, 2), 50.0), np.ones(17))
+    at_border = Box(-0.5, -0.5, 50, 100)
+    assert window_beyond_border(seen, at_border, (200, 200, 3)) == []
+    assert window_beyond_border(None, at_border, (200, 200, 3)) == []
+    assert window_beyond_border(seen, Box(60, 60, 40, 80), (200, 200, 3)) == []

@@ -11,7 +11,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.finder import distinct_bodies
+from app.estimation.finder import distinct_bodies
 from app.vision.people import LANDMARK_NAMES, Box, Landmarks, PersonWindow, Silhouette
 from app.vision.person.landmarks import PIXELS, Reading
 from app.vision.person.reader import PersonReader

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from app.vision.runtime.tflite import NetworkError, TfliteNetwork
+from app.vision.tflite import NetworkError, TfliteNetwork
 from app.vision.weights import network_path
 
 INPUT, OUTPUTS = (224, 224, 3), [(2254, 12), (2254, 1)]

@@ -16,7 +16,7 @@ from app.vision.segmentation.truncation import (
     touches_border,
     with_truncation,
 )
-from scripts.experiments.rotation import rotate_box, rotate_keypoints, rotate_shape
+from scripts.experiments.rotation import rotate_box, rotate_points
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:
@@ -95,13 +95,10 @@ def test_the_ends_of_somebody_who_lies_are_at_other_edges(
 ) -> None:
     shape, keypoints = (300, 400), keypoints_but(*gone)
     for box in (Box(50, 3, 40, 100), Box(50, 198, 40, 100), Box(2, 100, 40, 100)):
-        lying = (
-            rotate_box(box, shape, -quarter_turns),
-            rotate_keypoints(keypoints, shape, -quarter_turns),
-        )
-        assert end_beyond_border(*lying, rotate_shape(shape, quarter_turns)) == end_beyond_border(
-            box, keypoints, shape
-        )
+        positions = rotate_points(keypoints.positions, shape, -quarter_turns)
+        lying = rotate_box(box, shape, -quarter_turns), replace(keypoints, positions=positions)
+        its_shape = np.rot90(np.empty(shape), quarter_turns).shape
+        assert end_beyond_border(*lying, its_shape) == end_beyond_border(box, keypoints, shape)
 
 
 def test_the_nearer_person_hides_the_farther() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from app.vision import weights
-from app.vision.runtime.tflite import NetworkError
+from app.vision.tflite import NetworkError
 from app.vision.weights import (
     FITTED,
     FOLDER,

@@ -1,0 +1,1 @@
+"""The public contract: schemas, replies, COCO forms, overlays. Imports tracking and below."""

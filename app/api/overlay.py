@@ -1,0 +1,243 @@
+"""Pictures of what was found: the overlay and the label image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.estimates import Estimate, Person, Scene
+from app.vision.people import LANDMARK_NAMES
+from index.skeleton import POINT_NAMES, KeypointSet
+
+PEOPLE = (
+    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224),
+    (25, 195, 224), (196, 196, 35), (138, 92, 255), (255, 123, 157),
+    (60, 221, 180), (90, 138, 201), (255, 184, 143), (208, 159, 255),
+)  # fmt: skip
+"""Colours of people, BGR, as on the debug page; bright enough for night, dark enough for snow."""
+
+SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
+"""Colours of limbs, BGR, as on the debug page: the person's own left orange, right blue."""
+
+OUTLINE = (255, 255, 255)
+
+LEGEND = (
+    ("person's left", SIDES["left"], False),
+    ("right", SIDES["right"], False),
+    ("unsure", SIDES["middle"], True),
+    ("silhouette", OUTLINE, False),
+)
+"""What a line means, its colour, and whether it is dashed."""
+
+SURE = 0.5
+"""Visibility of a landmark, and confidence of a hypothesis, below which lines are dashed."""
+
+# Drawn parts of a dashed line, as shares of its length.
+_DASHES = ((0.0, 0.2), (0.4, 0.6), (0.8, 1.0))
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT_PX = 22
+"""Height of a capital letter at scale 1."""
+
+
+def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
+    """Draw the frame with numbered boxes, postures, silhouettes and the best skeletons.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    keypoints : KeypointSet
+        What to draw of the skeletons.
+
+    Returns
+    -------
+    (H + L, W, 3) uint8 array
+        BGR: the frame, and below it L rows that explain the colours.
+    """
+    picture = estimate.frame.copy()
+    longer = max(picture.shape[:2])
+    line, letter = max(1, round(longer / 500)), max(11, longer // 50)
+    for number, person in enumerate(estimate.persons, start=1):
+        _draw_person(picture, person, PEOPLE[(number - 1) % len(PEOPLE)], keypoints, line)
+    # Afterwards, so that no person covers another one's number.
+    labels: list[_Label] = []
+    for number, person in enumerate(estimate.persons, start=1):
+        box = person.observed.box
+        text = (
+            f"{number} {person.posture.label.replace('_', ' ')}" if person.posture else f"{number}"
+        )
+        width = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0]
+        left = max(0, min(round(box.x), picture.shape[1] - width))
+        label = _Label(left, left + width, max(letter + 2, round(box.y) - 2 - line))
+        labels.append(_below_others(label, labels, letter + 4))
+        corner = left, labels[-1].bottom
+        write_text(picture, text, corner, letter, PEOPLE[(number - 1) % len(PEOPLE)])
+    return np.vstack([picture, _legend(picture.shape[1], letter)])
+
+
+class _Label(NamedTuple):
+    """Where a text stands: its columns, and its lowest row."""
+
+    left: int
+    right: int
+    bottom: int
+
+
+def _below_others(label: _Label, others: Sequence[_Label], height: int) -> _Label:
+    """Move a label down until it covers no other one."""
+    beside = [other for other in others if label.left < other.right and other.left < label.right]
+    while any(abs(label.bottom - other.bottom) < height for other in beside):
+        label = label._replace(bottom=label.bottom + height)
+    return label
+
+
+def _draw_person(
+    picture: NDArray[np.uint8],
+    person: Person,
+    colour: tuple[int, int, int],
+    keypoints: KeypointSet,
+    line: int,
+) -> None:
+    box, silhouette = person.observed.box, person.observed.silhouette
+    # Small people would vanish under lines that suit the frame.
+    thin = min(line, max(1, round(box.height / 100)))
+    corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
+    cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, thin)
+    if silhouette is not None:
+        outlines, _ = cv2.findContours(
+            silhouette.crop.astype(np.uint8),
+            cv2.RETR_EXTERNAL,
+            cv2.CHAIN_APPROX_NONE,
+            offset=(silhouette.left, silhouette.top),
+        )
+        cv2.drawContours(picture, outlines, -1, OUTLINE, thin)
+    if person.hypotheses:
+        points = person.hypotheses[0].points_2d[list(keypoints.indices)]
+        bone = min(line + 1, max(1, round(box.height / 60)))
+        draw_skeleton(picture, points, keypoints, bone, _unsure(person, keypoints))
+
+
+def _unsure(person: Person, keypoints: KeypointSet) -> list[bool]:
+    """Which keypoints of a person the photograph does not show well."""
+    landmarks = person.observed.landmarks
+    if person.hypotheses[0].confidence < SURE:
+        return [True] * len(keypoints.names)
+    if landmarks is None:
+        return [False] * len(keypoints.names)
+    seen = dict(zip(LANDMARK_NAMES, (landmarks.visibility >= SURE).tolist(), strict=True))
+    names = [POINT_NAMES[row].replace("_toe", "_foot_index") for row in keypoints.indices]
+    return [not seen.get(name, True) for name in names]
+
+
+def _legend(width: int, letter: int) -> NDArray[np.uint8]:
+    """Draw a strip that explains the colours; in a narrow one the letters shrink."""
+    text = "   ".join(name for name, *_ in LEGEND)
+    samples = 2 * letter * len(LEGEND)
+    wide = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0] + samples + 2 * letter
+    letter = max(1, min(letter, letter * width // wide))
+    strip = np.full((3 * letter, width, 3), 32, np.uint8)
+    left = letter
+    for name, colour, dashed in LEGEND:
+        middle = 3 * letter // 2
+        for start, end in _DASHES if dashed else ((0.0, 1.0),):
+            ends = [(left + round(share * letter), middle) for share in (start, end)]
+            cv2.line(strip, ends[0], ends[1], colour, 3)
+        left = write_text(
+            strip, name, (left + 3 * letter // 2, 2 * letter), letter, (235, 235, 235)
+        )
+        left += letter
+    return strip
+
+
+def write_text(
+    picture: NDArray[np.uint8],
+    text: str,
+    corner: tuple[int, int],
+    letter: int,
+    colour: tuple[int, int, int],
+) -> int:
+    """Write with a dark outline from the bottom left corner; return the column where it ends.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 array
+        Changed.
+    text : str
+    corner : (int, int)
+        Column and row, pixels.
+    letter : int
+        Height of a capital letter, pixels.
+    colour : (int, int, int)
+        BGR.
+    """
+    scale, line = letter / _FONT_PX, max(1, letter // 9)
+    for width, paint in ((line + 2, (0, 0, 0)), (line, colour)):
+        cv2.putText(picture, text, corner, _FONT, scale, paint, width, cv2.LINE_AA)
+    return corner[0] + int(cv2.getTextSize(text, _FONT, scale, line)[0][0])
+
+
+def draw_labels(scene: Scene) -> NDArray[np.uint8]:
+    """Draw the label image ``(H, W)`` uint8: 0 background, k = the k-th person, counted from 1."""
+    labels = np.zeros(scene.frame.shape[:2], np.uint8)
+    for label, found in enumerate(scene.people, start=1):
+        if found.silhouette is not None:
+            labels[found.silhouette.mask(labels.shape)] = label
+    return labels
+
+
+def encode_png(picture: NDArray[np.uint8]) -> bytes:
+    """Encode grey or BGR pixels as PNG."""
+    done, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise ValueError(f"expected a picture to encode, got an array of shape {picture.shape}")
+    return data.tobytes()
+
+
+def draw_skeleton(
+    picture: NDArray[np.uint8],
+    points: NDArray[np.float64],
+    keypoints: KeypointSet,
+    line: int,
+    unsure: Sequence[bool] = (),
+) -> None:
+    """Draw bones into a BGR picture, with a dark outline; points that are not finite are left out.
+
+    Left and right have the colours of :data:`SIDES`; bones with an unsure end are dashed.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 array
+        Changed.
+    points : (K, 2) float64 array
+        Pixels, in the order of ``keypoints``.
+    keypoints : KeypointSet
+    line : int
+        Pixels.
+    unsure : sequence of bool, optional
+        Of each keypoint.
+    """
+    # OpenCV takes fixed-point coordinates, here with four fractional bits.
+    fixed = np.round(np.nan_to_num(points) * 16).astype(int)
+    drawable = [bool(np.isfinite(point).all()) for point in points]
+    for seam in (2, 0):
+        for parent, child in keypoints.bones:
+            if drawable[parent] and drawable[child]:
+                colour = (0, 0, 0) if seam else SIDES[_side(keypoints, parent, child)]
+                dashed = bool(unsure) and (unsure[parent] or unsure[child])
+                along = fixed[child] - fixed[parent]
+                for start, end in _DASHES if dashed else ((0.0, 1.0),):
+                    first, last = (
+                        np.rint(fixed[parent] + share * along).astype(int).tolist()
+                        for share in (start, end)
+                    )
+                    cv2.line(picture, first, last, colour, line + seam, cv2.LINE_AA, 4)
+
+
+def _side(keypoints: KeypointSet, *points: int) -> str:
+    """``left`` or ``right`` if a bone ends on that side, else ``middle``."""
+    sides = {keypoints.names[point].split("_")[0] for point in points} & {"left", "right"}
+    return sides.pop() if len(sides) == 1 else "middle"

@@ -1,0 +1,511 @@
+"""The public contract: every model a caller sends or gets, with units and examples."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
+from typing_extensions import TypedDict
+
+from index.posture import Posture as PostureLabel
+
+KeypointSetName = Literal["native", "cmu19", "coco17", "h36m17"]
+ObservedSetName = Literal["coco17", "blazepose33"]
+PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
+Evidence = Literal["photograph", "silhouette"]
+SilhouetteForm = Literal["none", "rle", "polygon"]
+JointForm = Literal["full", "compact", "none"]
+
+Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
+
+
+class Model(BaseModel):
+    """Base of all models: immutable, unknown fields forbidden."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+FRAME = (
+    "The photograph: JPEG, PNG, WebP, BMP, TIFF or GIF. Its EXIF orientation is applied; all "
+    "pixels of the answer refer to the turned image."
+)
+
+
+class FrameUpload(Model):
+    """A frame and, if known, where its people are."""
+
+    frame: bytes | None = Field(
+        default=None, description=f"{FRAME} Required unless a mask is given."
+    )
+    mask: bytes | None = Field(
+        default=None,
+        description="Where the people are: an image of the frame's size, 0 background, "
+        "k = person k; a two-valued mask is one person. PNG keeps the labels, JPEG does not. "
+        "Without a frame, poses are estimated from the silhouettes alone.",
+    )
+    background: bytes | None = Field(
+        default=None,
+        description="The empty scene, of the frame's size and from the same fixed camera: "
+        "people are what differs.",
+    )
+    boxes: str | None = Field(
+        default=None,
+        description="Where the people are: a JSON list of `[x, y, width, height]` in pixels "
+        "of the frame. With a background, what differs from it is cut out inside them; a mask "
+        "excludes both.",
+        examples=["[[401, 120, 61, 148]]"],
+    )
+
+
+class Problem(Model):
+    """An error, as RFC 9457 describes it."""
+
+    type: str = Field(
+        description="URI of the kind of problem; `about:blank` if the status says it all.",
+        examples=["about:blank"],
+    )
+    title: str = Field(description="The status in words.", examples=["Unprocessable Entity"])
+    status: int = Field(description="The HTTP status.", examples=[422])
+    detail: str = Field(
+        description="What is wrong with this request, in one sentence.",
+        examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
+    )
+    reason: str = Field(
+        description="The same for programs: `overloaded`, `superseded` by a newer frame of the "
+        "camera, `late_frame`, `deadline`, `not_ready`, `unavailable` (the index cannot be "
+        "searched), `undecodable`, `too_large`, `misfit`, `invalid`, ...: see operations.md; more "
+        "may be added.",
+        examples=["misfit"],
+    )
+    field: str | None = Field(
+        default=None,
+        description="The parameter or form field it is about, if any.",
+        examples=["mask"],
+    )
+
+
+# Points are dictionaries, checked with the model that holds them: an answer has hundreds, and
+# creating them as models would take as long as all the rest.
+@with_config(ConfigDict(extra="forbid"))
+class Point2D(TypedDict):
+    """A point in an image."""
+
+    x: Annotated[
+        FiniteFloat,
+        Field(
+            description="Pixels from the centre of the top-left pixel to the right.",
+            examples=[431.2],
+        ),
+    ]
+    y: Annotated[
+        FiniteFloat,
+        Field(description="Pixels from the centre of the top-left pixel down.", examples=[190.4]),
+    ]
+
+
+@with_config(ConfigDict(extra="forbid"))
+class Point3D(TypedDict):
+    """A point in camera axes, origin at the pelvis."""
+
+    x: Annotated[FiniteFloat, Field(description="Metres to the right.", examples=[0.12])]
+    y: Annotated[FiniteFloat, Field(description="Metres down.", examples=[-0.48])]
+    z: Annotated[FiniteFloat, Field(description="Metres away from the camera.", examples=[0.05])]
+
+
+class Box(Model):
+    """A person's bounding box."""
+
+    x: FiniteFloat = Field(description="Left edge, pixels of the frame.", examples=[401.0])
+    y: FiniteFloat = Field(description="Top edge, pixels of the frame.", examples=[120.0])
+    width: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[61.0])
+    height: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[148.0])
+
+
+class ImageSize(Model):
+    """Size of the frame after its EXIF orientation was applied."""
+
+    width: int = Field(description="Pixels.", examples=[768])
+    height: int = Field(description="Pixels.", examples=[576])
+
+
+class Bone(Model):
+    """A line between two keypoints."""
+
+    parent: int = Field(description="Position in the list of keypoint names.", examples=[0])
+    child: int = Field(description="Position in the list of keypoint names.", examples=[1])
+
+
+class Keypoints(Model):
+    """The keypoints that an answer lists, and their order."""
+
+    set: KeypointSetName = Field(description="The requested set.", examples=["native"])
+    names: list[str] = Field(
+        description="Names in the order of every list of joints; left and right are the "
+        "person's own.",
+        examples=[["pelvis", "spine", "chest"]],
+    )
+    bones: list[Bone] = Field(description="Lines to draw between them.")
+
+
+class IndexVersion(Model):
+    """Which index answered."""
+
+    name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
+    version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
+
+
+class RunLengths(Model):
+    """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
+
+    counts: str = Field(
+        description="Counts of pixels outside and inside, alternately, down the columns of the "
+        "frame from the left, compressed as pycocotools does.",
+        examples=["l]a76ja000000TZl5"],
+    )
+    size: list[int] = Field(
+        min_length=2,
+        max_length=2,
+        description="Height and width of the frame, in this order.",
+        examples=[[576, 768]],
+    )
+
+
+class SilhouetteSummary(Model):
+    """The silhouette a pose was estimated from."""
+
+    area_px: int = Field(ge=0, description="Pixels of the frame.", examples=[3120])
+    segmenter: str = Field(
+        description="What cut it out: `network`, `background`, or the caller's `mask`.",
+        examples=["network"],
+    )
+    truncated: bool = Field(
+        description="Whether part of the person is missing: the edge of the frame cuts the body "
+        "(told by the silhouette, and by keypoints of head and feet that are not seen), or "
+        "a nearer person hides it.",
+        examples=[False],
+    )
+    rle: RunLengths | None = Field(
+        description="Its pixels, as COCO's run lengths. Null unless requested by `silhouettes=rle`."
+    )
+    polygon: list[list[FiniteFloat]] | None = Field(
+        description="Its outlines, as COCO's polygon: for each part `[x1, y1, x2, y2, ...]` in "
+        "pixels of the frame, through the centres of the outermost pixels; holes are left out. "
+        "Null unless requested by `silhouettes=polygon`.",
+        examples=[[[401.0, 120.0, 461.0, 120.0, 461.0, 267.0, 401.0, 267.0]]],
+    )
+
+
+class ObservedKeypoint(Model):
+    """Where the photograph shows a keypoint."""
+
+    name: str = Field(description="Left and right are the person's own.", examples=["nose"])
+    x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
+    y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
+    z: FiniteFloat = Field(
+        description="Metres behind the middle of the hips, negative in front of it, as the network "
+        "reads it.",
+        examples=[-0.21],
+    )
+    score: Probability = Field(
+        description="Visibility: how certain the network is that the keypoint is inside the frame "
+        "and not hidden. Hidden ones are guessed from the rest of the body.",
+        examples=[0.81],
+    )
+
+
+class Facing(Model):
+    """Whether the person faces the camera, which a silhouette alone cannot tell."""
+
+    front_probability: Probability = Field(
+        description="Probability that the camera sees the person from the front.",
+        examples=[0.91],
+    )
+    evidence: Literal["image", "motion", "none"] = Field(
+        description="What it rests on: `image`, the keypoints that the photograph shows; `motion`, "
+        "the way a tracked person moves; `none`, the silhouette alone, which cannot tell. In a "
+        "single frame it is the share of the hypotheses' confidence that faces the camera.",
+        examples=["image"],
+    )
+
+
+class Posture(Model):
+    """What the person's body does, told by its 3D skeleton."""
+
+    label: PostureLabel | Literal["unclear"] = Field(
+        description="The likeliest posture; `unclear` where none is right with a probability of a "
+        "half.",
+        examples=["walking"],
+    )
+    probability: Probability = Field(
+        description="Calibrated probability that the label is right; of `unclear`, that of the "
+        "likeliest posture.",
+        examples=[0.88],
+    )
+
+
+class MotionSource(Model):
+    """Where an entry's pose comes from."""
+
+    clip: str = Field(description="Name of the motion capture clip.", examples=["07_01"])
+    frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
+    subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
+    action: str = Field(
+        description="Label of what the clip shows there, not of what the person in the photograph "
+        "does, which a single frame cannot tell.",
+        examples=["walk"],
+    )
+    mirrored: bool = Field(
+        description="Whether left and right of the clip were exchanged.", examples=[False]
+    )
+
+
+class Camera(Model):
+    """Position of the virtual camera that saw an entry."""
+
+    azimuth_deg: FiniteFloat = Field(
+        description="Degrees; 0: it looks the person in the face, 90: it sees the person's left "
+        "side.",
+        examples=[45.0],
+    )
+    elevation_deg: FiniteFloat = Field(
+        description="Degrees; height angle of the camera above the person.", examples=[15.0]
+    )
+    roll_deg: FiniteFloat = Field(
+        description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
+        "About 90 or -90 for a person who lies.",
+        examples=[0.0],
+    )
+
+
+class Hypothesis(Model):
+    """One pose that fits the silhouette."""
+
+    rank: int = Field(ge=1, description="1 is the best.", examples=[1])
+    entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
+    distance: FiniteFloat = Field(
+        ge=0,
+        description="By silhouette and keypoints; ascends with the rank: where a hypothesis after "
+        "the seventh is nearer, it is that of the one before. It is the distance of the "
+        "silhouettes if `facing.evidence` is `none`; otherwise keypoints that support a hypothesis "
+        "make it shorter, and keypoints that contradict it longer.",
+        examples=[0.031],
+    )
+    silhouette_distance: FiniteFloat = Field(
+        ge=0,
+        description="Euclidean distance of the two descriptors, regardless of keypoints; "
+        "comparable within one index.",
+        examples=[0.031],
+    )
+    reprojection_error_px: FiniteFloat = Field(
+        ge=0,
+        description="Mean distance between the outlines of the person's silhouette and of the "
+        "entry's, both ways, in pixels of the normalised 128x48 frame. It measures outlines, not "
+        "joints.",
+        examples=[1.8],
+    )
+    confidence: Probability = Field(
+        description="Calibrated probability that the mean joint error in the image is under 5 px "
+        "of the normalised 128x48 frame. Keypoints read from the photograph are taken into "
+        "account.",
+        examples=[0.87],
+    )
+    adjusted_mm: FiniteFloat = Field(
+        ge=0,
+        description="Mean distance of the joints from those of the entry's own skeleton, in "
+        "millimetres: how far it was moved to fit this person. `GET /index/entries/{entry}` has "
+        "the entry's own.",
+        examples=[41.0],
+    )
+    posture: PostureLabel = Field(
+        description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
+    )
+    joints_3d: list[Point3D | None] | None = Field(
+        description="The entry's skeleton fitted to this person, in metres: interpolated between "
+        "near entries and moved to the landmarks in three dimensions, its bones as long as the "
+        "indexed body's. Camera axes (x right, y down, z forward), origin at the pelvis. Null "
+        "where the entry lacks one, and as a whole with `joints=compact` or `none`.",
+        examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
+    )
+    joints_2d: list[Point2D | None] | None = Field(
+        description="The same keypoints in pixels of the frame, placed and scaled on this "
+        "person's silhouette. Null where the entry lacks one, and as a whole with "
+        "`joints=compact` or `none`.",
+        examples=[[{"x": 431.2, "y": 190.4}]],
+    )
+    joints_3d_flat: list[FiniteFloat | None] | None = Field(
+        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`: three for each "
+        "keypoint, null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
+    )
+    joints_2d_flat: list[FiniteFloat | None] | None = Field(
+        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`: two for each keypoint, "
+        "null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[431.2, 190.4, 430.6, 177.9]],
+    )
+    source: MotionSource
+    camera: Camera
+
+
+class Person(Model):
+    """One person of the frame."""
+
+    box: Box
+    detection_score: FiniteFloat | None = Field(
+        description="Score of the detector, higher is more certain; null if the caller said where "
+        "people are.",
+        examples=[0.93],
+    )
+    source: PersonSource = Field(
+        description="What found the person: the service's detector (`GET /index` names it), the "
+        "caller's mask or boxes, or the difference from the background. In camera sessions also "
+        "`track`: the person is expected there by what was seen before.",
+        examples=["detector"],
+    )
+    silhouette: SilhouetteSummary | None = Field(
+        description="Null if a caller's box holds no silhouette; there are no hypotheses then."
+    )
+    observed_keypoints: list[ObservedKeypoint | None] | None = Field(
+        description="The 17 COCO keypoints as the photograph shows them, in COCO's order; null for "
+        "one that was not seen. Null as a whole if none were read: with `evidence=silhouette`, "
+        "without a frame, and if the network found no person."
+    )
+    facing: Facing | None = Field(description="Null if there are no hypotheses.")
+    posture: Posture | None = Field(description="Null if there are no hypotheses.")
+    hypotheses: list[Hypothesis] = Field(
+        description="Distinct poses, the best first: near-duplicates are listed once."
+    )
+
+
+class Timings(Model):
+    """Durations in milliseconds."""
+
+    decode: FiniteFloat = Field(ge=0, description="Decoding the images.", examples=[3.1])
+    detect: FiniteFloat = Field(ge=0, description="Detecting people.", examples=[21.0])
+    segment: FiniteFloat = Field(ge=0, description="Cutting out silhouettes.", examples=[4.4])
+    keypoints: FiniteFloat = Field(
+        ge=0, description="Reading keypoints from the photograph.", examples=[12.5]
+    )
+    describe: FiniteFloat = Field(
+        ge=0, description="Normalising silhouettes to 128x48.", examples=[0.1]
+    )
+    search: FiniteFloat = Field(
+        ge=0,
+        description="Moments, nearest entries, and choosing distinct poses among them.",
+        examples=[0.4],
+    )
+    total: FiniteFloat = Field(
+        ge=0, description="All work on this frame, without waiting and transport.", examples=[29.6]
+    )
+
+
+class PoseResponse(Model):
+    """The people of a frame, each with the poses that fit."""
+
+    image: ImageSize
+    index: IndexVersion
+    keypoints: Keypoints
+    persons: list[Person] = Field(description="Ordered left to right; empty if there are none.")
+    timings_ms: Timings
+
+
+class DescriptorSummary(Model):
+    """The descriptor of silhouettes."""
+
+    name: str = Field(description="Name of the descriptor.", examples=["krawtchouk-discriminant"])
+    dimension: int = Field(description="Values in a vector.", examples=[48])
+
+
+class ServiceVersion(Model):
+    """Which build of the service runs."""
+
+    version: str = Field(description="Version of the service.", examples=["1.0.0"])
+    revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
+    detector: Literal["network", "hog"] = Field(
+        description="What finds people: MoveNet with HOG beside it, or HOG alone.",
+        examples=["network"],
+    )
+
+
+class IndexResponse(Model):
+    """What the index holds and how it was built."""
+
+    name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
+    version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
+    entries: int = Field(description="Simulated silhouettes.", examples=[40000])
+    descriptor: DescriptorSummary
+    joints: list[str] = Field(
+        description="Names of the native keypoints, in order.", examples=[["pelvis", "spine"]]
+    )
+    bones: list[Bone] = Field(description="Lines between the native keypoints.")
+    actions: list[str] = Field(
+        description="Labels of the motions.", examples=[["walk", "jump", "climb"]]
+    )
+    subjects: list[str] = Field(
+        description="Names of the avatars.", examples=[["f-young-slim", "m-old-heavy"]]
+    )
+    parameters: dict[str, Any] = Field(
+        description="How the index was built; its keys belong to the builder.",
+        examples=[{"seed": 1}],
+    )
+    attribution: str = Field(
+        description="Whose data it was built from, to be shown with results.",
+        examples=["The data used in this project was obtained from mocap.cs.cmu.edu."],
+    )
+    service: ServiceVersion
+
+
+class EntryResponse(Model):
+    """One entry of the index: a simulated silhouette and its skeleton."""
+
+    entry: int = Field(ge=0, description="Number of the entry.", examples=[20117])
+    source: MotionSource
+    camera: Camera
+    keypoints: Keypoints
+    joints_3d: list[Point3D | None] = Field(
+        description="Metres; camera axes (x right, y down, z forward), origin at the pelvis. "
+        "Null where the entry lacks a keypoint."
+    )
+    joints_2d: list[Point2D | None] = Field(
+        description="Pixels of the normalised 128x48 silhouette. Null as above."
+    )
+
+
+class DeepstackUpload(Model):
+    """An image, as DeepStack's clients send it."""
+
+    image: bytes = Field(description=FRAME)
+    min_confidence: Probability = Field(
+        default=0.4,
+        description="Detections below this score are left out; 0.4 if it is missing.",
+        examples=[0.4],
+    )
+    api_key: str | None = Field(
+        default=None, description="Required if the operator has set keys, unless a header has one."
+    )
+
+
+class DeepstackPrediction(Model):
+    """A person, in DeepStack's form."""
+
+    label: Literal["person"] = Field(description="Always `person`.", examples=["person"])
+    confidence: Probability = Field(description="Score of the detector.", examples=[0.93])
+    x_min: int = Field(description="Left edge, pixels of the image.", examples=[401])
+    y_min: int = Field(description="Top edge, pixels of the image.", examples=[120])
+    x_max: int = Field(description="Right edge, pixels of the image.", examples=[462])
+    y_max: int = Field(description="Bottom edge, pixels of the image.", examples=[268])
+
+
+class DeepstackResponse(Model):
+    """The people of an image, in DeepStack's form."""
+
+    success: Literal[True] = Field(
+        description="Always true; an error has another status.", examples=[True]
+    )
+    predictions: list[DeepstackPrediction] = Field(description="The most certain first.")
+    duration: FiniteFloat = Field(ge=0, description="Seconds.", examples=[0.042])
+
+
+class Health(Model):
+    """All is well; otherwise the answer is a problem."""
+
+    status: Literal["ok"] = Field(default="ok", description="Always `ok`.", examples=["ok"])

@@ -1,0 +1,320 @@
+"""The public contract of camera sessions and videos; see :mod:`app.api.schemas` for the rest."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, field_validator
+
+from app.api.schemas import (
+    FrameUpload,
+    ImageSize,
+    Model,
+    Person,
+    Point2D,
+    Point3D,
+    PoseResponse,
+    Probability,
+)
+from index.posture import Posture as PostureLabel
+
+EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
+EventState = Literal["begin", "end", "instant"]
+ZoneKind = Literal["rest", "watch"]
+SequenceEndReason = Literal[
+    "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
+]
+
+LATEST_TIMESTAMP_S = 1e11
+"""Later than any clock says in seconds, earlier than today in milliseconds."""
+
+
+MOST_TRACK_ID_CHARACTERS = 64
+MOST_ZONES, MOST_CORNERS = 32, 64
+
+
+class TrackUpload(FrameUpload):
+    """A frame of a camera and, if known, when it was taken and where its people are."""
+
+    track_ids: str | None = Field(
+        default=None,
+        description="The caller's own identities of the people in `boxes`, for callers who track "
+        "people themselves: a JSON list of texts or whole numbers, one for each box. They come "
+        "back as `caller_track_id`, as text; who has the same one is the same person.",
+        examples=['["17", "18"]'],
+    )
+    timestamp: float | None = Field(
+        default=None,
+        ge=0,
+        le=LATEST_TIMESTAMP_S,
+        allow_inf_nan=False,
+        description="When the frame was taken: seconds on any clock that does not go back, later "
+        "than that of the last frame. By default the time of arrival counts.",
+        examples=[12.4],
+    )
+
+
+class Zone(Model):
+    """A part of a camera's picture."""
+
+    name: str = Field(
+        min_length=1, max_length=64, description="Unique for the camera.", examples=["bed"]
+    )
+    kind: ZoneKind = Field(
+        description="`rest`: a bed or a sofa, where lying is no event: neither `lying` nor `fell` "
+        "begins there; `watch`: any other place that persons and events shall name.",
+        examples=["rest"],
+    )
+    polygon: list[
+        Annotated[
+            list[Annotated[FiniteFloat, Field(strict=True)]], Field(min_length=2, max_length=2)
+        ]
+    ] = Field(
+        min_length=3,
+        max_length=MOST_CORNERS,
+        description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
+        examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
+    )
+
+
+class CameraConfiguration(Model):
+    """What is known of a camera beforehand."""
+
+    zones: list[Zone] = Field(
+        max_length=MOST_ZONES, description="All of them; an empty list removes them."
+    )
+
+    @field_validator("zones")
+    @classmethod
+    def _named_once(cls, zones: list[Zone]) -> list[Zone]:
+        names = [zone.name for zone in zones]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"expected zones of different names, got {name!r} twice")
+        return zones
+
+
+class SmoothedPose(Model):
+    """The pose of a track, estimated from all of its frames so far."""
+
+    entry: int = Field(
+        ge=0,
+        description="Index entry of the hypothesis of this frame that the pose follows.",
+        examples=[20117],
+    )
+    confidence: Probability = Field(
+        description="Calibrated probability that the mean joint error in the image is under 5 px "
+        "of the normalised 128x48 frame.",
+        examples=[0.91],
+    )
+    joints_3d: list[Point3D | None] | None = Field(
+        description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
+        "at the pelvis. Null where one is unknown, and as a whole with `joints=compact` or `none`.",
+        examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
+    )
+    joints_2d: list[Point2D | None] | None = Field(
+        description="The same keypoints in pixels of the frame. Null as above.",
+        examples=[[{"x": 431.2, "y": 190.4}]],
+    )
+    joints_3d_flat: list[FiniteFloat | None] | None = Field(
+        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`. Null as a whole unless "
+        "`joints=compact`.",
+        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
+    )
+    joints_2d_flat: list[FiniteFloat | None] | None = Field(
+        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`. Null as a whole unless "
+        "`joints=compact`.",
+        examples=[[431.2, 190.4, 430.6, 177.9]],
+    )
+
+
+class Action(Model):
+    """What a person does, told by their motion."""
+
+    label: str = Field(
+        description="One of the actions of the index (`GET /index`).", examples=["walk"]
+    )
+    probability: Probability = Field(description="How sure it is.", examples=[0.88])
+
+
+class TrackedPerson(Person):
+    """One person of the frame, and the track they belong to.
+
+    `facing` and `posture` are those of the track; `hypotheses` are those of the frame alone, and
+    empty where poses of this person were not searched for: on a frame of a camera they are for a
+    few people, in turn.
+    """
+
+    track_id: int = Field(
+        ge=1, description="Identity of the person, unique for one camera.", examples=[3]
+    )
+    age_frames: int = Field(
+        ge=1, description="Frames since the track began, this one included.", examples=[41]
+    )
+    pose: SmoothedPose | None = Field(
+        description="Smoothed over the frames so far. Null if the person could not be cut out for "
+        "a second."
+    )
+    action: Action | None = Field(description="Null until enough frames were seen.")
+    zones: list[str] = Field(
+        description="Names of the camera's zones in which the person is, with the feet or, if "
+        "they lie or crawl, with the middle of the box.",
+        examples=[["bed"]],
+    )
+    caller_track_id: str | None = Field(
+        description="The caller's own identity of the person, last given in `track_ids`. Null if "
+        "none was.",
+        examples=["17"],
+    )
+
+
+class Event(Model):
+    """Something about a track that began, ended or happened at a frame."""
+
+    event: EventName = Field(
+        description="`entered` and `left`: the track began, ended; `fell`: went down and lies; "
+        "`lying`, `arms_raised`: the posture.",
+        examples=["fell"],
+    )
+    track_id: int = Field(ge=1, description="Of the person.", examples=[3])
+    state: EventState = Field(
+        description="Whether it began or ended; `instant` of `entered`, `left` and `fell`, which "
+        "are moments.",
+        examples=["instant"],
+    )
+    zones: list[str] = Field(
+        description="Names of the camera's zones in which the person is, or was seen last.",
+        examples=[["kitchen"]],
+    )
+    caller_track_id: str | None = Field(
+        description="The caller's own identity of the person. Null if none was given.",
+        examples=["17"],
+    )
+    timestamp: FiniteFloat = Field(description="Seconds, of the frame.", examples=[12.4])
+    probability: Probability = Field(description="How sure it is.", examples=[0.93])
+
+
+class _TrackedFrame(PoseResponse):
+    frame_index: int = Field(
+        ge=0, description="Frames since the session began, from 0.", examples=[40]
+    )
+    timestamp: FiniteFloat = Field(
+        description="Seconds: the frame's own, or those since the session began.", examples=[12.4]
+    )
+    reset: str | None = Field(
+        description="Why tracks and background were forgotten before this frame, as a sentence. "
+        "Null where they were not.",
+        examples=["expected frames of 768x576 pixels like the last one, got 640x480"],
+    )
+    persons: list[TrackedPerson] = Field(  # type: ignore[assignment]
+        description="Ordered left to right; empty if there are none."
+    )
+    events: list[Event] = Field(description="What began, ended or happened at this frame.")
+
+
+class TrackResponse(_TrackedFrame):
+    """The people of a frame of a camera, each with identity, smoothed pose and action."""
+
+    camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
+
+
+class CameraState(Model):
+    """A camera at a glance: its zones, and its session if it has one."""
+
+    camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
+    zones: list[Zone] = Field(description="As `PUT` set them.")
+    frames: int = Field(
+        ge=0,
+        description="Frames since the session began; 0 where there is none.",
+        examples=[4120],
+    )
+    timestamp: FiniteFloat | None = Field(
+        description="Seconds, of the last frame. Null without a session.", examples=[412.0]
+    )
+    image: ImageSize | None = Field(description="Of the last frame. Null without a session.")
+    track_ids: list[int] = Field(
+        description="The people in the last frame, left to right.", examples=[[3, 7]]
+    )
+    age_s: FiniteFloat | None = Field(
+        ge=0,
+        description="Seconds since the first frame came. Null without a session.",
+        examples=[413.2],
+    )
+    idle_s: FiniteFloat | None = Field(
+        ge=0,
+        description="Seconds since the last frame came. Null without a session.",
+        examples=[0.1],
+    )
+    memory_bytes: int = Field(ge=0, description="What the session holds.", examples=[2400000])
+
+
+class CameraList(Model):
+    """The cameras of the caller that have a session or zones."""
+
+    cameras: list[CameraState] = Field(description="Ordered by name.")
+
+
+class VideoUpload(Model):
+    """A video."""
+
+    video: bytes = Field(
+        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF or Ogg, of any codec that "
+        "FFmpeg reads."
+    )
+
+
+class _FrameLine(Model):
+    type: Literal["frame"] = Field(description="Always `frame`.", examples=["frame"])
+    video_frame: int = Field(ge=0, description="Frame of the video, from 0.", examples=[80])
+
+
+class SequenceFrame(_TrackedFrame, _FrameLine):
+    """A line of a video's answer: one of its frames."""
+
+
+class PostureTime(Model):
+    """How long a person kept a posture."""
+
+    label: PostureLabel | Literal["unclear"] = Field(
+        description="The posture.", examples=["walking"]
+    )
+    seconds: FiniteFloat = Field(ge=0, description="In all.", examples=[11.8])
+
+
+class TrackSummary(Model):
+    """A person over a whole video."""
+
+    track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
+    first_timestamp: FiniteFloat = Field(
+        description="Seconds, of the first frame with the person.", examples=[0.6]
+    )
+    last_timestamp: FiniteFloat = Field(
+        description="Seconds, of the last frame with the person.", examples=[12.4]
+    )
+    frames: int = Field(ge=1, description="Frames with the person.", examples=[119])
+    action: Action | None = Field(
+        description="The action with the largest sum of probabilities, and its mean probability. "
+        "Null if none was recognised."
+    )
+    postures: list[PostureTime] = Field(description="The longest first.")
+
+
+class SequenceEnd(Model):
+    """The last line of a video's answer."""
+
+    type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
+    reason: SequenceEndReason = Field(
+        description="`complete`: the video's end; `max_frames`: as many as were asked for or are "
+        "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
+        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",
+        examples=["complete"],
+    )
+    detail: str = Field(
+        description="The same as a sentence.", examples=["the video ended after 795 frames"]
+    )
+    frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
+    tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
+    events: list[Event] = Field(description="All of them, in order.")
+
+
+SequenceLine = SequenceFrame | SequenceEnd

@@ -1,0 +1,193 @@
+"""Finds the people of a frame: boxes, and in one pass each their silhouettes and landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.estimates import ObservedPerson, Source
+from app.estimation.stopwatch import Stopwatch
+from app.estimation.upload import DecodedUpload
+from app.vision.decoding.decode import LabelImage
+from app.vision.detection.detector import Detector, smallest_person_px
+from app.vision.people import Box, Detection, Silhouette
+from app.vision.person.landmarks import Reading
+from app.vision.person.reader import PersonReader, doubt_at_border
+from app.vision.person.silhouettes import silhouettes_of
+from app.vision.segmentation.background import BackgroundSegmenter
+from app.vision.segmentation.labels import silhouettes_from_labels
+from app.vision.segmentation.truncation import end_beyond_border
+from app.work.executor import Map, map_serially
+
+Check = Callable[[], None]
+"""Called between steps; raises where the work is no longer wanted."""
+
+SAME_BODY = 0.12
+"""Mean distance of landmarks, in sizes of the body, below which two readings are of one person."""
+
+
+@dataclass(frozen=True)
+class PeopleFinder:
+    """Finds people by detection, or where the caller says they are.
+
+    Parameters
+    ----------
+    detector : Detector
+    reader : PersonReader
+    min_person_px : float or None
+        Height of the smallest person wanted, where a background is given.
+    max_persons : int
+        Detections beyond are dropped, the least sure first.
+    map_parts : callable
+        Works on the people of a frame; see :class:`app.work.executor.Map`.
+    """
+
+    detector: Detector
+    reader: PersonReader
+    min_person_px: float | None
+    max_persons: int
+    map_parts: Map = map_serially
+
+    def find(
+        self, upload: DecodedUpload, reads: bool, check: Check, stopwatch: Stopwatch
+    ) -> list[ObservedPerson]:
+        """Find the people of a frame with their silhouettes, in no particular order.
+
+        Parameters
+        ----------
+        upload : DecodedUpload
+        reads : bool
+            Whether landmarks count, else the silhouettes alone.
+        check : callable
+        stopwatch : Stopwatch
+        """
+        frame = upload.frame
+        background = upload.background is not None and BackgroundSegmenter(
+            upload.background, min_person_px=smallest_person_px(frame.shape, self.min_person_px)
+        )
+        if upload.mask is not None:
+            people = self._in_mask(upload.mask, frame, reads, check, stopwatch)
+        elif upload.boxes is not None:
+            found = [Detection(box, 1.0) for box in upload.boxes]
+            people = self._read("boxes", found, frame, background or None, reads, check, stopwatch)
+            people = [replace(person, detection_score=None) for person in people]
+        else:
+            with stopwatch.stage("detect"):
+                detections = (background or self.detector).detect(frame)[: self.max_persons]
+            check()
+            source: Source = "background" if background else "detector"
+            people = self._read(
+                source, detections, frame, background or None, reads, check, stopwatch
+            )
+            # A detection without a silhouette was hardly a person.
+            people = [person for person in people if person.silhouette is not None]
+        if reads:
+            return people
+        return [replace(person, landmarks=None) for person in people]
+
+    def detect(self, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
+        """Find people by their boxes alone, the surest first."""
+        return tuple(
+            ObservedPerson(found.box, "detector", found.score, None)
+            for found in self.detector.detect(frame)[: self.max_persons]
+        )
+
+    def read(
+        self, frame: NDArray[np.uint8], found: Sequence[Detection], check: Check
+    ) -> list[Reading]:
+        """Read each person of a frame."""
+
+        def read_one(one: Detection) -> Reading:
+            check()
+            return self.reader.read(frame, one.box, one.keypoints, one.windows)
+
+        return self.map_parts(read_one, found)
+
+    def _read(
+        self,
+        source: Source,
+        found: Sequence[Detection],
+        frame: NDArray[np.uint8],
+        background: BackgroundSegmenter | None,
+        reads: bool,
+        check: Check,
+        stopwatch: Stopwatch,
+    ) -> list[ObservedPerson]:
+        boxes = [one.box for one in found]
+        readings: Sequence[Reading | None] = [None] * len(found)
+        if reads or background is None:
+            with stopwatch.stage("keypoints"):
+                read = self.read(frame, found, check)
+            if source != "boxes":
+                kept = distinct_bodies(read)
+                found, read = [found[i] for i in kept], [read[i] for i in kept]
+                boxes = [boxes[i] for i in kept]
+            readings = read
+        with stopwatch.stage("segment"):
+            silhouettes = (
+                silhouettes_of(read, boxes, frame.shape, exact=source == "boxes")
+                if background is None
+                else background.segment(frame, boxes)
+            )
+        return [
+            observed(frame, one.box, source, one.score, silhouette, reading)
+            for one, silhouette, reading in zip(found, silhouettes, readings, strict=True)
+        ]
+
+    def _in_mask(
+        self,
+        mask: LabelImage,
+        frame: NDArray[np.uint8],
+        reads: bool,
+        check: Check,
+        stopwatch: Stopwatch,
+    ) -> list[ObservedPerson]:
+        with stopwatch.stage("segment"):
+            silhouettes = silhouettes_from_labels(mask)
+        if not reads:
+            return [ObservedPerson(one.box, "mask", None, one) for one in silhouettes]
+        with stopwatch.stage("keypoints"):
+            readings = self.read(frame, [Detection(one.box, 1.0) for one in silhouettes], check)
+        return [
+            observed(frame, one.box, "mask", None, one, reading)
+            for one, reading in zip(silhouettes, readings, strict=True)
+        ]
+
+
+def observed(
+    frame: NDArray[np.uint8],
+    box: Box,
+    source: Source,
+    score: float | None,
+    silhouette: Silhouette | None,
+    reading: Reading | None,
+) -> ObservedPerson:
+    """What is seen of a person; landmarks show truncation that the silhouette may not show."""
+    if reading is None:
+        return ObservedPerson(box, source, score, silhouette)
+    landmarks = doubt_at_border(reading, frame.shape)
+    if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
+        silhouette = replace(silhouette, truncated=True)
+    return ObservedPerson(
+        box, source, score, silhouette, landmarks, reading.presence, reading.next_window
+    )
+
+
+def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
+    """Rows of readings that are not of the same body as one before them."""
+    kept: list[int] = []
+    for row, reading in enumerate(readings):
+        if all(_apart(reading, readings[other]) >= SAME_BODY for other in kept):
+            kept.append(row)
+    return kept
+
+
+def _apart(first: Reading, second: Reading) -> float:
+    """Mean distance between the landmarks of two readings, in sizes of the body."""
+    offsets = first.landmarks.positions - second.landmarks.positions
+    weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3
+    distance = float(weights @ np.linalg.norm(offsets, axis=1) / weights.sum())
+    return distance / (min(first.next_window.side, second.next_window.side) / 2.5)

@@ -1,0 +1,249 @@
+"""What a caller sends, decoded and validated."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Literal, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.decoding.decode import (
+    ImageError,
+    ImageTooLargeError,
+    LabelImage,
+    decode_image,
+    decode_mask,
+)
+from app.vision.people import Box
+from app.work.executor import Map
+
+T = TypeVar("T")
+
+# Of a mask with one label: parts from this share of the largest one's area are looked at, and are
+# people apart where the gap is wider than this share of the narrower one.
+_FIGURE_SHARE = 0.25
+_GAP_SHARE = 0.5
+_LEAST_FIGURE_PX = 48
+
+
+class UploadError(ValueError):
+    """What a caller sent cannot be used.
+
+    Parameters
+    ----------
+    field : str
+        ``frame``, ``mask``, ``background``, ``boxes`` or ``track_ids``.
+    reason : str
+        ``undecodable``, ``too_large``, or ``misfit``: valid, but not for this frame.
+    message : str
+        One sentence.
+    """
+
+    def __init__(
+        self, field: str, reason: Literal["undecodable", "too_large", "misfit"], message: str
+    ) -> None:
+        super().__init__(message)
+        self.field = field
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Upload:
+    """Encoded images and, if known, where the people are.
+
+    Parameters
+    ----------
+    frame : bytes or (H, W, 3) uint8 array, optional
+        Photograph, encoded or as BGR pixels; may be missing if there is a mask.
+    mask : bytes, optional
+        Encoded label image of the same size: 0 background, k = person k.
+    background : bytes, optional
+        Encoded photograph of the empty scene, of the same size.
+    boxes : sequence of Box, optional
+        In pixels of the frame. Neither boxes nor a background may come with a mask.
+    track_ids : sequence of str, optional
+        The caller's own identity of the person in each box.
+    """
+
+    frame: bytes | NDArray[np.uint8] | None = None
+    mask: bytes | None = None
+    background: bytes | None = None
+    boxes: Sequence[Box] | None = None
+    track_ids: Sequence[str] | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """What it holds, which tells how long the work on it takes."""
+        return tuple(name for name, value in vars(self).items() if value is not None)
+
+    def __post_init__(self) -> None:
+        if self.frame is None and self.mask is None:
+            raise UploadError("frame", "misfit", "frame: expected an image file, got none")
+        for name in ("background", "boxes"):
+            if self.mask is not None and getattr(self, name) is not None:
+                raise UploadError(name, "misfit", f"expected a mask or {name}, got both")
+        if self.track_ids is not None:
+            _check_track_ids(self.track_ids, self.boxes)
+
+
+def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> None:
+    if boxes is None or len(track_ids) != len(boxes):
+        count = "no boxes" if boxes is None else f"{len(boxes)} boxes"
+        raise UploadError(
+            "track_ids",
+            "misfit",
+            f"track_ids: expected one for each box, got {len(track_ids)} and {count}",
+        )
+    for track_id, times in Counter(track_ids).items():
+        if times > 1:
+            raise UploadError(
+                "track_ids", "misfit", f"track_ids: expected each once, got {track_id!r} twice"
+            )
+
+
+@dataclass(frozen=True)
+class DecodedUpload:
+    """Images of one size, and boxes within them.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR; black if the caller sent a mask alone.
+    mask : LabelImage or None
+    background : (H, W, 3) uint8 array or None
+        BGR.
+    boxes : list of Box or None
+        Clipped to the frame.
+    """
+
+    frame: NDArray[np.uint8]
+    mask: LabelImage | None
+    background: NDArray[np.uint8] | None
+    boxes: list[Box] | None
+
+
+@dataclass(frozen=True)
+class UploadDecoder:
+    """Decodes uploads; raises :class:`UploadError` for those that cannot be used.
+
+    Parameters
+    ----------
+    max_pixels : int
+        Of each image.
+    max_persons : int
+        That a caller may name by boxes or a mask.
+    map_parts : callable
+        Decodes the images of an upload; see :class:`app.work.executor.Map`.
+    """
+
+    max_pixels: int
+    max_persons: int
+    map_parts: Map
+
+    def decode(self, upload: Upload) -> DecodedUpload:
+        """Decode all images of an upload and check that they fit together."""
+        images = (
+            ("frame", upload.frame, decode_image),
+            ("mask", upload.mask, decode_mask),
+            ("background", upload.background, decode_image),
+        )
+        sent = [image for image in images if isinstance(image[1], bytes)]
+        decoded: list[Any] = self.map_parts(lambda image: self._decode(*image), sent)
+        by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
+        mask, background = by_name.get("mask"), by_name.get("background")
+        if isinstance(upload.frame, np.ndarray):
+            frame = upload.frame
+        elif "frame" in by_name:
+            frame = by_name["frame"]
+        else:
+            frame = np.zeros((*by_name["mask"].labels.shape, 3), np.uint8)
+        if mask is not None:
+            _check_size("mask", mask.labels, frame)
+            self._check_count("mask", len(mask.present))
+            _check_together(mask)
+        if background is not None:
+            _check_size("background", background, frame)
+        return DecodedUpload(frame, mask, background, self._boxes(upload.boxes, frame))
+
+    def decode_frame(self, data: bytes) -> NDArray[np.uint8]:
+        """Decode a photograph, ``(H, W, 3)`` uint8, BGR."""
+        return self._decode("frame", data, decode_image)
+
+    def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
+        try:
+            return decode(data, max_pixels=self.max_pixels)
+        except ImageTooLargeError as error:
+            raise UploadError(name, "too_large", f"{name}: {error}") from error
+        except ImageError as error:
+            raise UploadError(name, "undecodable", f"{name}: {error}") from error
+
+    def _boxes(self, boxes: Sequence[Box] | None, frame: NDArray[np.uint8]) -> list[Box] | None:
+        if boxes is None:
+            return None
+        self._check_count("boxes", len(boxes))
+        return [_clip(box, frame, position) for position, box in enumerate(boxes)]
+
+    def _check_count(self, name: str, count: int) -> None:
+        if count > self.max_persons:
+            raise UploadError(
+                name, "misfit", f"expected at most {self.max_persons} persons, got {count}"
+            )
+
+
+def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8]) -> None:
+    if image.shape[:2] != frame.shape[:2]:
+        (height, width), (other_height, other_width) = frame.shape[:2], image.shape[:2]
+        raise UploadError(
+            name,
+            "misfit",
+            f"expected a {name} of {width}x{height} pixels like the frame, "
+            f"got {other_width}x{other_height}",
+        )
+
+
+def _check_together(mask: LabelImage) -> None:
+    """Refuse a mask whose only label marks several people who stand apart.
+
+    As one person, they would be as wide as they are apart, and lie.
+    """
+    if len(mask.present) != 1:
+        return
+    marked = np.asarray(mask.part != 0).view(np.uint8)
+    stats = cv2.connectedComponentsWithStats(marked)[2][1:]
+    areas = stats[:, cv2.CC_STAT_AREA]
+    large = stats[areas >= _FIGURE_SHARE * areas.max()]
+    figures = sorted((Box(*part[:4]) for part in large.tolist()), key=lambda box: box.x)
+    apart = 1 + sum(_are_apart(*pair) for pair in pairwise(figures))
+    if apart > 1:
+        raise UploadError(
+            "mask",
+            "misfit",
+            f"expected a label for each person (1, 2, ...; 0 is background), got {apart} figures "
+            "apart with the same label",
+        )
+
+
+def _are_apart(left: Box, right: Box) -> bool:
+    """Whether two parts of a mask are people beside one another rather than parts of one."""
+    small, large = sorted((left.height, right.height))
+    gap = right.x - left.right
+    alike = small >= _LEAST_FIGURE_PX and large < 2 * small
+    return alike and gap > _GAP_SHARE * min(left.width, right.width)
+
+
+def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
+    height, width = frame.shape[:2]
+    inside = box.clip(width, height)
+    if inside is None:
+        raise UploadError(
+            "boxes",
+            "misfit",
+            f"expected boxes inside the frame of {width}x{height} pixels, "
+            f"got box {position}: {[box.x, box.y, box.width, box.height]}",
+        )
+    return inside

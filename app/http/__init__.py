@@ -1,0 +1,1 @@
+"""What every request passes and every error becomes. Imports api and below."""

@@ -1,0 +1,214 @@
+"""Admission: how many uploads are received at once, how large they are and how long they take.
+
+FastAPI reads a whole body before any code of a route runs, so this comes before it, as plain ASGI.
+A refused upload costs neither parsing nor memory: under overload, the cores are left to the frames
+that have been accepted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.http.problems import ProblemError, busy, overloaded, problem_response
+from app.work.cancellation import BusyError
+
+GRACE_S = 5.0
+MIN_BYTES_PER_S = 4096
+"""An upload slower than this after the grace period is given up."""
+
+CALLER_SHARE = 0.75
+"""Of the uploads open at once, those that one caller may have."""
+
+STALLED_S = 1.0
+"""An upload that has been silent for this long makes room for another one."""
+
+
+@dataclass(frozen=True)
+class UploadLimits:
+    """Limits of one request body.
+
+    Parameters
+    ----------
+    max_bytes : int
+    timeout_s : float
+        For receiving it.
+    """
+
+    max_bytes: int
+    timeout_s: float
+
+
+class _Upload:
+    """One body that is being received.
+
+    Parameters
+    ----------
+    caller : hashable
+    limits : UploadLimits
+    """
+
+    def __init__(self, caller: Hashable, limits: UploadLimits) -> None:
+        self.caller, self.limits = caller, limits
+        self._started = self._last = asyncio.get_running_loop().time()
+        self._timeout: asyncio.Timeout | None = None
+        self.received = 0
+        self.complete = False
+
+    async def next(self, receive: Receive) -> Message:
+        """Return the next message; raise TimeoutError if it does not come in time."""
+        grace_s = GRACE_S + self.received / MIN_BYTES_PER_S
+        deadline = self._started + min(self.limits.timeout_s, grace_s)
+        try:
+            async with asyncio.timeout_at(deadline) as self._timeout:
+                message = await receive()
+        finally:
+            self._timeout = None
+        self._last = asyncio.get_running_loop().time()
+        self.received += len(message.get("body", b""))
+        self.complete = not message.get("more_body", False)
+        return message
+
+    def silent_s(self) -> float:
+        """Seconds since the last message, 0 while no further one is awaited."""
+        if self._timeout is None:
+            return 0.0
+        return asyncio.get_running_loop().time() - self._last
+
+    def give_up(self) -> None:
+        """Have :meth:`next` time out now."""
+        if self._timeout is not None:
+            self._last = asyncio.get_running_loop().time()
+            self._timeout.reschedule(self._last)
+
+
+class AdmissionMiddleware:
+    """ASGI middleware that refuses uploads which are too large, too slow or too many.
+
+    Parameters
+    ----------
+    app : ASGI application
+    check : callable
+        Raises :class:`app.work.cancellation.BusyError` where a request would be refused later.
+    caller_of : callable
+        Whom a request comes from.
+    limits : UploadLimits
+    limits_of_paths : mapping
+        Limits of the paths that have others.
+    max_open : int
+        Requests with a body that are received or answered at once.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        check: Callable[[Scope], None],
+        caller_of: Callable[[Scope], Hashable],
+        limits: UploadLimits,
+        limits_of_paths: Mapping[str, UploadLimits],
+        max_open: int,
+    ) -> None:
+        self.app = app
+        self._check = check
+        self._caller_of = caller_of
+        self._limits = limits
+        self._limits_of_paths = limits_of_paths
+        self._max_open = max_open
+        self._uploads: set[_Upload] = set()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] != "http" or scope["method"] not in ("POST", "PUT", "PATCH"):
+            await self.app(scope, receive, send)
+            return
+        limits = self._limits_of_paths.get(scope["path"], self._limits)
+        caller = self._caller_of(scope)
+        refusal = self._refusal(scope, caller, limits)
+        if refusal is not None:
+            await problem_response(refusal)(scope, receive, send)
+            return
+        upload = _Upload(caller, limits)
+        self._uploads.add(upload)
+        try:
+            await self._admit(upload, scope, receive, send)
+        finally:
+            self._uploads.discard(upload)
+
+    def _refusal(self, scope: Scope, caller: Hashable, limits: UploadLimits) -> ProblemError | None:
+        try:
+            self._check(scope)
+        except BusyError as error:
+            return busy(error)
+        if self._is_crowded(caller):
+            return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
+        headers = dict(scope["headers"])
+        encoding = headers.get(b"content-encoding", b"identity")
+        if encoding.lower() != b"identity":
+            got = encoding.decode("latin-1")[:40]
+            return ProblemError(415, f"expected a body without Content-Encoding, got {got}")
+        length = headers.get(b"content-length", b"")
+        if length.isdigit() and int(length) > limits.max_bytes:
+            return _too_large(limits)
+        return None
+
+    def _is_crowded(self, caller: Hashable) -> bool:
+        """Whether all places are taken, or the caller has taken more than others may miss."""
+        own = [upload for upload in self._uploads if upload.caller == caller]
+        if len(own) >= math.ceil(CALLER_SHARE * self._max_open):
+            return not _make_room(own)
+        return len(self._uploads) >= self._max_open and not _make_room(self._uploads)
+
+    async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
+        refusal: ProblemError | None = None
+        started = False
+
+        async def counting_receive() -> Message:
+            nonlocal refusal
+            if upload.complete:
+                return await receive()
+            try:
+                message = await upload.next(receive)
+            except TimeoutError:
+                refusal = ProblemError(
+                    408,
+                    f"expected the whole upload in {upload.limits.timeout_s:g} seconds, "
+                    "without a pause",
+                    reason="slow_upload",
+                    headers={"Connection": "close"},
+                )
+                raise refusal from None
+            if upload.received > upload.limits.max_bytes:
+                refusal = _too_large(upload.limits)
+                raise refusal
+            return message
+
+        async def replacing_send(message: Message) -> None:
+            # The framework turns what is raised above into a 400 of its own.
+            nonlocal started
+            if refusal is None:
+                await send(message)
+            elif not started:
+                started = True
+                await problem_response(refusal)(scope, receive, send)
+
+        await self.app(scope, counting_receive, replacing_send)
+
+
+def _make_room(uploads: Iterable[_Upload]) -> bool:
+    """Give up the upload that has been silent for longest, if that is long enough."""
+    stalled = max(uploads, key=_Upload.silent_s, default=None)
+    if stalled is None or stalled.silent_s() < STALLED_S:
+        return False
+    stalled.give_up()
+    return True
+
+
+def _too_large(limits: UploadLimits) -> ProblemError:
+    return ProblemError(
+        413, f"expected a request of at most {limits.max_bytes} bytes", reason="too_many_bytes"
+    )

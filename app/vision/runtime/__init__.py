@@ -1,1 +1,0 @@
-"""Networks behind one small interface: arrays in, arrays out."""

@@ -1,0 +1,180 @@
+"""Draw every step of one photograph, to see where an answer comes from.
+
+    python -m scripts.debug_frame photo.jpg --out /tmp/steps
+
+Writes ``detections.png`` (boxes with scores, and the windows in which people are read) and, for
+each person from left to right, ``person-1.png``: the window as the landmark network saw it, the
+landmarks (bright where visible), the silhouette, and normalised; below, for each hypothesis, the
+silhouette of its entry and its skeleton on the photograph. Prints what was decided on the way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
+from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.estimator import Estimator
+from app.estimation.normalised_person import NormalisedPerson
+from app.estimation.upload import Upload, UploadError
+from app.settings import Settings
+from app.vision.people import Detection, PersonWindow
+from app.vision.person.landmarks import PIXELS
+from app.vision.person.window import cut_window, window_about, window_to_frame
+from index.rotations import RotatedQuery
+from index.skeleton import NATIVE
+from index.store import PoseIndex
+
+CELL_PX = 360
+"""Height of the pictures of a person."""
+
+Picture = NDArray[np.uint8]
+
+
+def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
+    """Boxes with their scores; windows as squares, the side of the head doubled."""
+    picture = frame.copy()
+    line = max(1, round(max(frame.shape) / 600))
+    for number, one in enumerate(found):
+        colour = PEOPLE[number % len(PEOPLE)]
+        box = one.box
+        corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
+        cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2 * line)
+        write_text(picture, f"{one.score:.2f}", (corners[0], corners[1] - 3), 10 * line, colour)
+        for window in one.windows:
+            corners = np.round(_corners(window)).astype(np.int32)
+            cv2.polylines(picture, [corners], True, colour, line)
+            cv2.line(picture, corners[0].tolist(), corners[1].tolist(), colour, 3 * line)
+    return picture
+
+
+def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
+    """The steps of one person, and below them the hypotheses."""
+    observed = person.observed
+    window = observed.next_window or window_about(observed.whole_box)
+    to_cell = np.asarray(cv2.invertAffineTransform(window_to_frame(window, CELL_PX)), np.float64)
+    photograph = cut_window(frame, window, CELL_PX)
+    cells = [_titled(cut_window(frame, window, PIXELS), "window")]
+    cells.append(_titled(_landmarks(photograph, to_cell, observed), "landmarks"))
+    if observed.silhouette is not None:
+        mask = observed.silhouette.mask(frame.shape)
+        cells.append(_titled(_warped(mask, to_cell), "silhouette"))
+        normalised = NormalisedPerson.of(observed.silhouette, observed.landmarks)
+        upright = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
+        title = f"128x48, rolled {normalised.roll_deg:.0f} deg"
+        cells.append(_titled(np.repeat(upright[..., None], 3, axis=2), title))
+        steps, cells = cells, []
+        for rank, placed in enumerate(person.hypotheses, start=1):
+            hypothesis = placed.hypothesis
+            entry = index.silhouette(hypothesis.entry)
+            entry = np.ascontiguousarray(entry[:, ::-1]) if hypothesis.mirrored else entry
+            rotation_deg = hypothesis.rotation_deg + normalised.roll_deg
+            query = RotatedQuery.of(normalised.silhouette, rotation_deg)
+            to_frame = normalised.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+            to_entry_cell = np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]]), np.float64)
+            cells.append(
+                _titled(_warped(entry, to_entry_cell), f"{rank}: entry {hypothesis.entry}")
+            )
+            skeleton = photograph.copy()
+            points = placed.points_2d[list(NATIVE.indices)]
+            draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
+            cells.append(_titled(skeleton, f"confidence {placed.confidence:.2f}"))
+        return _stacked(np.hstack(steps), np.hstack(cells))
+    return np.hstack(cells)
+
+
+def _stacked(above: Picture, below: Picture) -> Picture:
+    widest = max(above.shape[1], below.shape[1])
+    rows = [np.pad(one, ((0, 0), (0, widest - one.shape[1]), (0, 0))) for one in (above, below)]
+    return np.vstack(rows)
+
+
+def describe(number: int, person: Person) -> str:
+    """What was decided about a person, in lines of text."""
+    observed, posture = person.observed, person.posture
+    presence = "-" if observed.presence is None else f"{observed.presence:.2f}"
+    told = "-" if posture is None else f"{posture.label} ({posture.probability:.2f})"
+    lines = [
+        f"person {number}: box {observed.box.x:.0f} {observed.box.y:.0f} {observed.box.width:.0f} "
+        f"{observed.box.height:.0f}, detection score {observed.detection_score or 1:.2f}, "
+        f"presence {presence}, posture {told}",
+        "  rank  entry    distance  fused  outline px  moved mm  confidence  clip",
+    ]
+    for rank, placed in enumerate(person.hypotheses, start=1):
+        one = placed.hypothesis
+        lines.append(
+            f"  {rank:4d}  {one.entry:6d}  {one.distance:8.2f}  {placed.distance:5.2f}  "
+            f"{one.reprojection_error_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
+            f"{placed.confidence:10.2f}  {placed.label.clip}, frame {placed.label.frame}"
+        )
+    return "\n".join(lines)
+
+
+def _corners(window: PersonWindow) -> NDArray[np.float64]:
+    matrix = window_to_frame(window, 2)
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
+    return np.asarray(square @ matrix[:, :2].T + matrix[:, 2])
+
+
+def _landmarks(
+    photograph: Picture, to_cell: NDArray[np.float64], observed: ObservedPerson
+) -> Picture:
+    picture = photograph // 2
+    if observed.landmarks is None:
+        return picture
+    places = observed.landmarks.positions @ to_cell[:, :2].T + to_cell[:, 2]
+    for place, visibility in zip(places, observed.landmarks.visibility, strict=True):
+        colour = (0, round(255 * visibility), round(255 * (1 - visibility)))
+        cv2.circle(picture, np.round(place).astype(int).tolist(), 4, colour, -1)
+    return picture
+
+
+def _warped(mask: NDArray[np.generic], matrix: NDArray[np.float64]) -> Picture:
+    drawn = cv2.warpAffine(mask.astype(np.float32), matrix, (CELL_PX, CELL_PX))
+    return np.where(drawn[..., None] >= 0.5, OUTLINE, (30, 30, 30)).astype(np.uint8)
+
+
+def _titled(picture: Picture, title: str) -> Picture:
+    """A picture scaled to the height of a cell, with a line of text above and a gap beside it."""
+    width = round(CELL_PX * picture.shape[1] / picture.shape[0])
+    cell = np.asarray(cv2.resize(picture, (width, CELL_PX), interpolation=cv2.INTER_AREA), np.uint8)
+    framed = np.pad(cell, ((22, 0), (0, 8), (0, 0)))
+    write_text(framed, title, (2, 16), 11, OUTLINE)
+    return framed
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("photograph", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="folder, made if missing")
+    parser.add_argument("-n", type=int, default=3, help="hypotheses a person")
+    options = parser.parse_args()
+    try:
+        upload = Upload(options.photograph.read_bytes())
+        estimator = Estimator.load(Settings())
+        estimate = estimator.estimate(upload, options.n, lambda: None)
+        options.out.mkdir(parents=True, exist_ok=True)
+    except (OSError, UploadError) as error:
+        print(f"debug_frame: {error}", file=sys.stderr)
+        return 1
+    detections = estimator.detector.detect(estimate.frame)
+    pictures = {"detections.png": draw_detections(estimate.frame, detections)}
+    for number, person in enumerate(estimate.persons, start=1):
+        pictures[f"person-{number}.png"] = draw_person(estimate.frame, estimator.index, person)
+        print(describe(number, person))
+    for name, picture in pictures.items():
+        cv2.imwrite(str(options.out / name), picture)
+    print(", ".join(f"{stage} {spent:.0f} ms" for stage, spent in estimate.timings_ms.items()))
+    print(f"Written to {options.out}: {', '.join(pictures)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Clients and uses of the service, to start from."""
