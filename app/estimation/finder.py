@@ -190,4 +190,4 @@ def _apart(first: Reading, second: Reading) -> float:
     offsets = first.landmarks.positions - second.landmarks.positions
     weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3
     distance = float(weights @ np.linalg.norm(offsets, axis=1) / weights.sum())
-    return distance / (min(first.next_window.side, second.next_window.side) / 2.5)
+    return distance / min(first.body_px, second.body_px)

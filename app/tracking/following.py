@@ -19,6 +19,7 @@ from app.estimation.stopwatch import Stopwatch
 from app.tracking.track import Track
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import Reading
+from app.vision.person.reader import fuse
 from app.vision.person.silhouettes import silhouettes_of
 
 SEARCH_EVERY_S = 0.4
@@ -33,6 +34,13 @@ somebody has left."""
 
 MOST_DRIFT = 0.35
 """How far a window may be from the next: one that drifts farther has lost the body."""
+
+PLACED_FROM_PX = 200.0
+"""Size of a body from which MoveNet's keypoints place joints in a track's window too. It takes as
+long as the reading; smaller people's poses are averaged over more frames in its stead."""
+
+BODY_ROOM = 0.1
+"""Room about the landmarks in which a body is cut out, as a share of their box."""
 
 SAME_PERSON = 0.3
 """Overlap (IoU) of a detection with the place expected of a track, from which it is the track's."""
@@ -92,7 +100,7 @@ class PeopleFollower:
             readings = self._read_all(frame, wanted, owners, check, stopwatch)
         found, rows = _distinct(readings, wanted)
         boxes = [
-            found[i].landmarks.box() if wanted[row].score == 0 else wanted[row].box
+            _body_box(found[i]) if wanted[row].score == 0 else wanted[row].box
             for i, row in enumerate(rows)
         ]
         with stopwatch.stage("segment"):
@@ -130,8 +138,19 @@ class PeopleFollower:
         if one.score > 0 or owner is None:
             return self._finder.reader.read(frame, one.box, one.keypoints, one.windows)
         reading = self._finder.reader.network.read(frame, one.windows[0])
-        lost = reading.presence < LEAST_PRESENCE or reading.drift > MOST_DRIFT
-        return None if lost else reading
+        if reading.presence < LEAST_PRESENCE or reading.drift > MOST_DRIFT:
+            return None
+        if reading.body_px < PLACED_FROM_PX:
+            return reading
+        keypoints = self._finder.reader.keypoint_reader.read(frame, reading.landmarks.box())
+        return reading if keypoints is None else fuse(reading, keypoints)
+
+
+def _body_box(reading: Reading) -> Box:
+    """The box about a body, whose landmarks end short of the crown, hands and feet."""
+    box = reading.landmarks.box()
+    room = BODY_ROOM * max(box.width, box.height)
+    return Box(box.x - room, box.y - room, box.width + 2 * room, box.height + 2 * room)
 
 
 def _distinct(

@@ -1,10 +1,10 @@
 """Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
 
-Moving from one pose to another costs what the joints have to move. A hypothesis may stand for its
-twin, the same outline seen from behind: which way somebody is turned over time decides. The
-forward-backward algorithm weighs the states of the last frames by all frames so far. Poses near the
-most probable state are averaged by these weights, and a line is fitted to the averages of the last
-frames. Small people who are seen from the side keep the side that they show.
+Moving from one pose to another costs what the joints have to move, and facing another way than the
+person is turned over time costs as well. The forward-backward algorithm weighs the states of the
+last frames by all frames so far. Poses near the most probable state are averaged by these weights,
+and a line is fitted to the averages of the last frames. Small people who are seen from the side
+keep the side that they show.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from index.skeleton import (
     NATIVE,
     POINT_NAMES,
     POINTS,
-    exchange_sides,
     mean_joint_distance,
 )
 
@@ -59,9 +58,6 @@ jump, and motion counts more."""
 
 RATE = 10.0
 """Frames a second that other costs are given for."""
-
-TWIN_COST = 2.0
-"""Of a hypothesis's twin, which nothing in the frame speaks for."""
 
 TURN_WEIGHT = 1.0
 """Weight of the way somebody is turned over time."""
@@ -240,11 +236,9 @@ class PoseSmoother:
         if self._frames:
             log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
         shares = np.exp(log_evidence - log_evidence.max())
-        turn = self._turns.update(
-            timestamp, azimuth_deg(points_3d), shares / shares.sum(), sure, velocity
-        )
-        points_3d, points_2d, log_turned = self._read_by_turn(points_3d, points_2d, turn)
-        log_evidence = log_evidence + log_turned
+        azimuths_deg = azimuth_deg(points_3d)
+        turn = self._turns.update(timestamp, azimuths_deg, shares / shares.sum(), sure, velocity)
+        log_evidence = log_evidence + self._turn_weight * turn.log_likelihood(azimuths_deg)
         self._append(timestamp, points_3d, confidences, log_evidence)
         # The frame before stays, however long ago it was.
         while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > line_s:
@@ -256,7 +250,7 @@ class PoseSmoother:
         near = _weights_near_best(points_3d, log_probabilities)
         smoothed_3d, odds = self._smoothed(timestamp)
         upright = float(probabilities @ ~low)
-        if upright * (1 - sure) > 0.5 and self._turn_weight > 0:
+        if person.facing.evidence == "image" and upright * (1 - sure) > 0.5:
             smoothed_3d = _kept_beside(smoothed_3d, turn)
         agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
         features = odds, _log_odds(agreement)
@@ -309,22 +303,6 @@ class PoseSmoother:
             pose,
             points_2d=pose.points_2d + _Place.of(observed).minus(before),
             confidence=_probability(odds),
-        )
-
-    def _read_by_turn(
-        self, points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], turn: Turn
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """States as they are or as their twins, whichever is likelier, and its log likelihood."""
-        twins = _twins(points_3d)
-        log_turned = self._turn_weight * np.stack([
-            turn.log_likelihood(azimuth_deg(points)) for points in (points_3d, twins)
-        ])  # fmt: skip
-        log_turned[1] -= TWIN_COST
-        as_twin = log_turned[1] > log_turned[0]
-        return (
-            np.where(as_twin[:, None, None], twins, points_3d),
-            np.where(as_twin[:, None, None], exchange_sides(points_2d), points_2d),
-            log_turned.max(axis=0),
         )
 
     def _append(
@@ -388,13 +366,6 @@ def _px_per_m(
     return np.asarray(
         (metres * pixels).sum(axis=(-2, -1)) / np.maximum((metres**2).sum(axis=(-2, -1)), 1e-9)
     )
-
-
-def _twins(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Skeletons ``(N, 24, 3)`` of the same outline that face the other way."""
-    twins = exchange_sides(points_3d)
-    twins[..., 2] *= -1
-    return twins
 
 
 def _kept_beside(points_3d: NDArray[np.float64], turn: Turn) -> NDArray[np.float64]:

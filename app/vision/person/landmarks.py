@@ -29,6 +29,9 @@ from app.vision.tflite import TfliteNetwork
 PIXELS = 256
 """Side of the network's input and mask."""
 
+WINDOW_SIZES = 2.5
+"""Side of a window in sizes of the body."""
+
 _POINTS = 39
 _LANDMARKS = len(LANDMARK_NAMES)
 # Points beyond the landmarks: the centre of the circle about the body, and its point towards the
@@ -61,6 +64,11 @@ class Reading:
     probability: NDArray[np.float32]
     next_window: PersonWindow
     keypoints: ObservedKeypoints | None = None
+
+    @property
+    def body_px(self) -> float:
+        """Size of the body, in pixels of the frame."""
+        return self.next_window.side / WINDOW_SIZES
 
     @property
     def drift(self) -> float:

@@ -56,8 +56,6 @@ _LEAST_SCORE = 0.15
 _AT_BORDER = 0.05
 # From the hips to the feet, as a multiple of the trunk.
 _BODY_OF_TRUNK = 1.7
-# A window's side is this multiple of the body's size.
-_WINDOW_SIZES = 2.5
 
 
 def _keypoint_of(landmark: str) -> int:
@@ -188,7 +186,7 @@ def _agreement(reading: Reading, keypoints: ObservedKeypoints) -> float:
 
 def _apart(reading: Reading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
     """Distances ``(17,)`` between both networks' keypoints, in sizes of the body."""
-    size = reading.next_window.side / _WINDOW_SIZES
+    size = reading.body_px
     offsets = keypoints.positions - reading.landmarks.positions[COCO_ROWS]
     return np.asarray(np.linalg.norm(offsets, axis=1) / size)
 
@@ -213,7 +211,7 @@ def doubt_at_border(reading: Reading, frame_shape: tuple[int, ...]) -> Landmarks
     landmarks = reading.landmarks
     if reading.keypoints is None:
         return landmarks
-    reach = NEAR_BORDER * reading.next_window.side / _WINDOW_SIZES
+    reach = NEAR_BORDER * reading.body_px
     end = np.array([frame_shape[1], frame_shape[0]]) - 1
     near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
     seen = np.minimum(1.0, reading.keypoints.scores[_KEYPOINT_OF_LANDMARK] / SEEN_SCORE)
