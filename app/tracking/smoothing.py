@@ -1,9 +1,10 @@
 """Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
 
-Moving from one pose to another costs what the joints have to move, and people mostly walk
-forwards, so the way they go over the ground tells front from back. The forward-backward algorithm
-weighs the states of the last frames by all frames so far. Poses near the most probable state are
-averaged by these weights, and a line is fitted to the averages of the last frames.
+Moving from one pose to another costs what the joints have to move. A hypothesis may stand for its
+twin, the same outline seen from behind: which way somebody is turned over time decides. The
+forward-backward algorithm weighs the states of the last frames by all frames so far. Poses near the
+most probable state are averaged by these weights, and a line is fitted to the averages of the last
+frames. Small people who are seen from the side keep the side that they show.
 """
 
 from __future__ import annotations
@@ -15,12 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.estimates import ObservedPerson, Person
-from app.estimation.facing import Facing, azimuth_deg, faces_camera
+from app.estimation.facing import Facing, azimuth_deg
 from app.estimation.posture import vote_posture
 from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
-from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture, camera_up
-from index.skeleton import JOINTS, NATIVE, POINT_NAMES, POINTS, mean_joint_distance
+from app.tracking.turning import Turn, TurnFilter, going
+from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
+from index.skeleton import (
+    JOINTS,
+    NATIVE,
+    POINT_NAMES,
+    POINTS,
+    exchange_sides,
+    mean_joint_distance,
+)
 
 STATES = 12
 """Most hypotheses of a frame that are states; 30 are no better."""
@@ -49,9 +58,13 @@ SURE_PX = 256.0
 jump, and motion counts more."""
 
 RATE = 10.0
-DIRECTION_WEIGHT = 2.0
-SLOWEST_M_S, SURELY_M_S = 0.5, 1.0
-"""Speed from which the way somebody goes counts, and from which it counts in full."""
+"""Frames a second that other costs are given for."""
+
+TWIN_COST = 2.0
+"""Of a hypothesis's twin, which nothing in the frame speaks for."""
+
+TURN_WEIGHT = 1.0
+"""Weight of the way somebody is turned over time."""
 
 NEARBY_M = 0.25
 """Poses at this mean distance of their joints from the most probable one weigh 60 % of it."""
@@ -75,9 +88,9 @@ CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.46, 1.39, 0.39
 of the share of probability near it. Fitted by ``python -m scripts.evaluate tracking
 --fit-tracks``."""
 
-_LEFT, _RIGHT = (
-    [POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")]
-    for side in ("left", "right")
+_SHOULDERS, _HIPS = (
+    [POINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
+    for joint in ("shoulder", "hip")
 )
 
 
@@ -160,7 +173,7 @@ class PoseSmoother:
     ----------
     states : int
         See :data:`STATES`, as the others by their names.
-    cost_per_m, low_cost, direction_weight : float
+    cost_per_m, low_cost, turn_weight : float
     line_s : float
     """
 
@@ -170,14 +183,15 @@ class PoseSmoother:
         states: int = STATES,
         cost_per_m: float = COST_PER_M,
         low_cost: float = LOW_COST,
-        direction_weight: float = DIRECTION_WEIGHT,
+        turn_weight: float = TURN_WEIGHT,
         line_s: float = LINE_S,
     ) -> None:
         self._states = states
         self._cost_per_m = cost_per_m
         self._low_cost = low_cost
-        self._direction_weight = direction_weight
+        self._turn_weight = turn_weight
         self._ground = GroundMotion()
+        self._turns = TurnFilter()
         self._line_s = line_s
         self._frames: deque[_States] = deque(maxlen=MOST_LINE_FRAMES)
         self._last: tuple[SmoothedPose, _Place] | None = None
@@ -213,7 +227,7 @@ class PoseSmoother:
         )
         low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
         log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3)
-        line_s = self._line_s
+        line_s, sure = self._line_s, 0.0
         if person.facing.evidence == "image":
             sure = min(1.0, box.height / SURE_PX) ** 2
             line_s = sure * LANDMARK_LINE_S + (1 - sure) * line_s
@@ -225,10 +239,12 @@ class PoseSmoother:
             log_evidence = log_evidence - self._low_cost * low
         if self._frames:
             log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
-        going = min(1.0, (velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S))
-        if going > 0:
-            cosines = _cosines(points_3d, elevations_deg, velocity)
-            log_evidence = log_evidence + self._direction_weight * going * (cosines - 1) / 2
+        shares = np.exp(log_evidence - log_evidence.max())
+        turn = self._turns.update(
+            timestamp, azimuth_deg(points_3d), shares / shares.sum(), sure, velocity
+        )
+        points_3d, points_2d, log_turned = self._read_by_turn(points_3d, points_2d, turn)
+        log_evidence = log_evidence + log_turned
         self._append(timestamp, points_3d, confidences, log_evidence)
         # The frame before stays, however long ago it was.
         while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > line_s:
@@ -239,6 +255,9 @@ class PoseSmoother:
         probabilities /= probabilities.sum()
         near = _weights_near_best(points_3d, log_probabilities)
         smoothed_3d, odds = self._smoothed(timestamp)
+        upright = float(probabilities @ ~low)
+        if upright * (1 - sure) > 0.5 and self._turn_weight > 0:
+            smoothed_3d = _kept_beside(smoothed_3d, turn)
         agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
         features = odds, _log_odds(agreement)
         pose = SmoothedPose(
@@ -248,14 +267,16 @@ class PoseSmoother:
             hypotheses[int(probabilities.argmax())].hypothesis.entry,
         )
         self._last = pose, _Place.of(person.observed)
-        front = float(np.clip(probabilities @ faces_camera(azimuth_deg(points_3d)), 0, 1))
         votes = vote_posture(
             [_posture(placed.hypothesis.posture, velocity) for placed in hypotheses],
             probabilities.tolist(),
         )
         return Smoothed(
             pose,
-            Facing(front, "motion" if going > 0 else person.facing.evidence),
+            Facing(
+                turn.front_probability,
+                "motion" if going(velocity) > 0 else person.facing.evidence,
+            ),
             votes,
             velocity,
             self._ground.elevation_deg,
@@ -288,6 +309,22 @@ class PoseSmoother:
             pose,
             points_2d=pose.points_2d + _Place.of(observed).minus(before),
             confidence=_probability(odds),
+        )
+
+    def _read_by_turn(
+        self, points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], turn: Turn
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """States as they are or as their twins, whichever is likelier, and its log likelihood."""
+        twins = _twins(points_3d)
+        log_turned = self._turn_weight * np.stack([
+            turn.log_likelihood(azimuth_deg(points)) for points in (points_3d, twins)
+        ])  # fmt: skip
+        log_turned[1] -= TWIN_COST
+        as_twin = log_turned[1] > log_turned[0]
+        return (
+            np.where(as_twin[:, None, None], twins, points_3d),
+            np.where(as_twin[:, None, None], exchange_sides(points_2d), points_2d),
+            log_turned.max(axis=0),
         )
 
     def _append(
@@ -353,19 +390,29 @@ def _px_per_m(
     )
 
 
-def _cosines(
-    points_3d: NDArray[np.float64], elevations_deg: NDArray[np.float64], velocity: GroundVelocity
-) -> NDArray[np.float64]:
-    """Cosines ``(N,)`` of the angle between where skeletons face and where they go."""
-    to_left = (points_3d[:, _LEFT] - points_3d[:, _RIGHT]).sum(axis=1)
-    up = camera_up(elevations_deg)
-    forward = np.cross(to_left, up)
-    # Along the ground, away from the camera.
-    away = np.cross(np.array([1.0, 0.0, 0.0]), up)
-    facing = np.stack([forward[:, 0], -(forward * away).sum(axis=1)], axis=1)
-    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-    going = np.array([velocity.right, velocity.away]) / velocity.speed
-    return np.asarray(facing @ going)
+def _twins(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Skeletons ``(N, 24, 3)`` of the same outline that face the other way."""
+    twins = exchange_sides(points_3d)
+    twins[..., 2] *= -1
+    return twins
+
+
+def _kept_beside(points_3d: NDArray[np.float64], turn: Turn) -> NDArray[np.float64]:
+    """A skeleton ``(24, 3)`` turned no farther than needed to show the side that is seen."""
+    right, _, away = points_3d[_SHOULDERS[0]] - points_3d[_SHOULDERS[1]]
+    shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
+    return _turned(points_3d, turn.on_its_side(shoulders_deg) - shoulders_deg)
+
+
+def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+    """A skeleton ``(24, 3)`` turned about its trunk in the picture, the azimuth growing."""
+    axis = points_3d[_SHOULDERS].sum(axis=0) - points_3d[_HIPS].sum(axis=0)
+    axis[2] = 0
+    axis /= max(float(np.linalg.norm(axis)), 1e-9)
+    along = np.outer(points_3d @ axis, axis)
+    across = points_3d - along
+    angle = np.deg2rad(angle_deg)
+    return np.asarray(along + np.cos(angle) * across + np.sin(angle) * np.cross(across, axis))
 
 
 def _log_moves(
