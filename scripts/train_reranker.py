@@ -4,7 +4,7 @@
 
 It is written into the folder of the index, whose own files stay as they are. The clips that
 ``scripts.evaluate simulation`` asks for are kept from it, so that the experiment measures the
-network that ships. About 40 minutes on one core.
+network that ships. About an hour on one core.
 """
 
 from __future__ import annotations

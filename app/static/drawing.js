@@ -28,21 +28,33 @@ function bones(keypoints) {
   });
 }
 
+/** Probability below which a keypoint, or a whole pose, is drawn as unsure. */
+const SURE = 0.5;
+
+/** Whether a person's bone between two keypoints is unsure: the pose is, or an end is hardly seen. */
+function isUnsure({ confidence }, observed) {
+  const hidden = new Set((observed ?? []).filter((point) => point?.score < SURE).map(({ name }) => name));
+  return (...ends) => confidence < SURE || ends.some((name) => hidden.has(name));
+}
+
 /** A skeleton flat on a canvas; `place` takes a joint to canvas pixels; `plain` is a colour for all
- * bones. */
-export function drawFlat(context, joints, keypoints, place, width, plain = null) {
+ * bones; bones are dashed where `unsure` says so of the names of their ends. */
+export function drawFlat(context, joints, keypoints, place, width, plain = null, unsure = () => false) {
   context.lineCap = "round";
   for (const pass of ["edge", "bone"]) {
     for (const { parent, child, colour } of bones(keypoints)) {
       if (!joints[parent] || !joints[child]) continue;
       context.strokeStyle = pass === "edge" ? "rgb(0 0 0 / 0.75)" : plain ?? colour;
       context.lineWidth = pass === "edge" ? width * 1.8 : width;
+      const dashed = unsure(keypoints.names[parent], keypoints.names[child]);
+      context.setLineDash(dashed ? [0.5 * width, 3 * width] : []);
       context.beginPath();
       context.moveTo(...place(joints[parent]));
       context.lineTo(...place(joints[child]));
       context.stroke();
     }
   }
+  context.setLineDash([]);
 }
 
 /** Run lengths out of the string that pycocotools writes. */
@@ -112,7 +124,8 @@ function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, s
     if (shown.boxes) drawBox(context, found.box, personColour(number), chosen ? line * 2 : line);
     const pose = found.hypotheses[chosen ? hypothesis : 0];
     if (shown.skeleton && pose) {
-      drawFlat(context, pose.joints_2d, answer.keypoints, fromCorners, bone);
+      const unsure = isUnsure(pose, found.observed_keypoints);
+      drawFlat(context, pose.joints_2d, answer.keypoints, fromCorners, bone, null, unsure);
     }
     if (shown.observed) drawObserved(context, found.observed_keypoints, 0.8 * bone);
   });
@@ -184,13 +197,19 @@ export function drawTracks(canvas, { photo, answer, shown, chosen }) {
   const context = canvas.getContext("2d");
   context.drawImage(photo, 0, 0, width, height);
   const line = 1.6 / fitted(canvas, answer.image).scale;
-  for (const { box, track_id: id, pose, hypotheses } of answer.persons) {
+  for (const { box, track_id: id, pose, hypotheses, source, observed_keypoints: observed } of answer.persons) {
+    // Who is hidden at present is only expected there.
+    context.globalAlpha = source === "track" ? 0.4 : 1;
     const bone = boneWidth(box, line);
     if (shown.boxes) drawBox(context, box, personColour(id - 1), id === chosen ? 2 * line : line);
     const draw = (joints, plain) => drawFlat(context, joints, answer.keypoints, fromCorners, bone, plain);
     if (shown.raw && hypotheses.length) draw(hypotheses[0].joints_2d, shown.smoothed ? RAW : undefined);
-    if (shown.smoothed && pose) draw(pose.joints_2d);
+    if (shown.smoothed && pose) {
+      const unsure = isUnsure(pose, observed);
+      drawFlat(context, pose.joints_2d, answer.keypoints, fromCorners, bone, null, unsure);
+    }
   }
+  context.globalAlpha = 1;
   const labels = [];
   for (const { box, track_id: id } of answer.persons) {
     drawLabel(context, box, String(id), personColour(id - 1), line, labels);

@@ -268,7 +268,6 @@ export class SessionView {
       raw: ["raw", "both"].includes(skeletons),
     };
     $("alone").hidden = skeletons !== "both";
-    $("in-turn").hidden = !shown.raw;
     drawTracks($("live"), { photo, answer, shown, chosen: this.#chosen });
     const person = answer.persons.find(({ track_id: id }) => id === this.#chosen);
     const pose = skeletons === "raw" ? person?.hypotheses[0] : person?.pose;

@@ -58,7 +58,7 @@ class Course:
     seed : int
     """
 
-    passes: float = 7.0
+    passes: float = 16.0
     batch: int = 128
     rate: float = 2e-3
     decay: float = 0.02

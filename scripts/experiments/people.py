@@ -27,10 +27,14 @@ from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.vision.people import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
+from scripts.experiments.real_data import read_pennfudan
 from scripts.results import machine, revision
 
 COMMAND = "python -m scripts.evaluate people"
 HYPOTHESES = 7
+CUT_FROM_PX, SAME_PERSON = 180, 0.3
+"""Height of people who are cut off, and overlap (IoU) from which a box is theirs."""
+
 FALL_VIDEOS = (("video_3", 80, 90), ("video_5", 120, 135))
 """Videos, the frames before which everybody stands, and from which on somebody has fallen."""
 
@@ -60,6 +64,7 @@ def run(options: argparse.Namespace) -> None:
     rows = [
         *sport(estimator, real / "lsp"),
         *fallen(estimator, real / "falls"),
+        *cut_off(estimator, real / "pennfudan"),
         *leaning(estimator, real / "pose2sim"),
         *fall_videos(estimator, real / "falls"),
         *upfall(estimator, real / "upfall"),
@@ -175,6 +180,64 @@ def fallen(estimator: Estimator, folder: Path) -> list[Row]:
             (f"{len(files)} photographs of {what}", "somebody on the ground", f"{low:.1f} %")
         )
     return rows
+
+
+def cut_off(estimator: Estimator, folder: Path) -> list[Row]:
+    """Street people of every second photograph, cut off by its upper or lower border.
+
+    Truth is what the whole photograph shows of them; the others were looked at in development.
+    """
+    rows: list[tuple[str, bool, float, float, bool]] = []
+    for photograph in tqdm(read_pennfudan(folder)[1::2], desc="cut off"):
+        tallest = max(photograph.boxes, key=lambda box: box.height)
+        whole = _at(tallest, estimate(estimator, photograph.frame))
+        if tallest.height < CUT_FROM_PX or whole is None or whole.observed.landmarks is None:
+            continue
+        truth = whole.observed.landmarks.positions[_LANDMARKS]
+        for end, share in itertools.product(("head", "feet"), (0.2, 0.35, 0.5)):
+            missing = round(share * tallest.height)
+            top = round(tallest.y) + missing if end == "head" else 0
+            bottom = photograph.frame.shape[0] if end == "head" else round(tallest.bottom) - missing
+            frame = np.ascontiguousarray(photograph.frame[top:bottom])
+            box = Box(
+                tallest.x, max(tallest.y - top, -0.5), tallest.width, tallest.height - missing
+            )
+            name = f"{end}, {100 * share:.0f} %"
+            person = _at(box, estimate(estimator, frame))
+            if person is None or not person.hypotheses or person.observed.silhouette is None:
+                rows.append((name, False, np.nan, np.nan, False))
+                continue
+            apart = person.hypotheses[0].points_2d[_ROWS] + [0, top] - truth
+            right = np.linalg.norm(apart, axis=1) < 0.1 * tallest.height
+            inside = (truth[:, 1] > top) & (truth[:, 1] < bottom)
+            seen, unseen = (
+                float(right[k].mean()) if k.any() else np.nan for k in (inside, ~inside)
+            )
+            rows.append((name, True, seen, unseen, person.observed.silhouette.truncated))
+    told = []
+    for name in dict.fromkeys(row[0] for row in rows):
+        figures = np.array([row[1:] for row in rows if row[0] == name], np.float64)
+        found, seen, unseen = 100 * np.nanmean(figures[:, :3], axis=0)
+        flagged = 100 * figures[figures[:, 0] == 1, 3].mean()
+        what = (
+            f"{name} of the height missing: found / joints within a tenth: seen, unseen / flagged"
+        )
+        told.append(
+            (
+                f"{len(figures)} street people cut off by the border",
+                what,
+                f"{found:.0f} / {seen:.0f}, {unseen:.0f} / {flagged:.0f} %",
+            )
+        )
+    return told
+
+
+def _at(box: Box, people: tuple[Person, ...]) -> Person | None:
+    """Who is in a box."""
+    overlaps = [person.observed.box.iou(box) for person in people]
+    if max(overlaps, default=0.0) < SAME_PERSON:
+        return None
+    return people[int(np.argmax(overlaps))]
 
 
 def leaning(estimator: Estimator, folder: Path) -> list[Row]:
