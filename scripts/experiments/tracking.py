@@ -268,9 +268,8 @@ def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out
         "*Beyond the true motion*: how much more the joints move between frames than they truly "
         "do. ECE: expected calibration error of the confidence.",
         table(["sequences", "", *HEADER], rows),
-        "## What each part is worth\n\nAll sequences, smooth. Where more than two people are in "
-        "view, a live session searches for the poses of two a frame, in turn: the last lines are "
-        "for four and six.",
+        "## What each part is worth\n\nAll sequences, smooth. The last lines keep the pose of "
+        "the frame before, as sessions do for people who are hidden.",
         table(["", *HEADER], [[name, *_cells(values)] for name, values in variants.items()]),
         "## What limits it\n\nWhere nobody goes anywhere, nothing but the silhouette tells front "
         "from back: a track settles on the side that most frames prefer, which is the wrong one "
