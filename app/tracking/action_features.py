@@ -15,6 +15,10 @@ from index.skeleton import JOINT_NAMES, JOINTS, wrap_degrees
 RATE_HZ = 10.0
 """Of the poses that features are computed from."""
 
+SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
+"""Metres a second: on the spot, hardly going, going, and faster than people walk. A linear model
+tells from them that who goes steadily walks or runs."""
+
 _TRUNK = ("spine", "chest", "head")
 _LIMBS = ("elbow", "wrist", "knee", "ankle")
 _OUTWARD = {"left": np.array([1.0, 1.0, 1.0]), "right": np.array([-1.0, 1.0, 1.0])}
@@ -116,9 +120,10 @@ def _turning(at: dict[str, NDArray[np.float64]], left: NDArray[np.float64]) -> N
 
 
 def _travel(path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Metres a second, from start to end and from pose to pose."""
+    """Metres a second, from start to end, band by band, and from pose to pose."""
     steps = RATE_HZ * np.diff(path, axis=0)
+    speed = np.linalg.norm(steps.mean(axis=0))
     return np.array([
-        np.linalg.norm(steps.mean(axis=0)), np.linalg.norm(steps, axis=1).mean(),
-        *np.abs(steps).mean(axis=0), steps[:, 1].std(),
+        speed, *(np.clip(speed, low, high) - low for low, high in SPEED_BANDS),
+        np.linalg.norm(steps, axis=1).mean(), *np.abs(steps).mean(axis=0), steps[:, 1].std(),
     ])  # fmt: skip

@@ -17,8 +17,9 @@ SETTLING_S = 0.5
 BEGINS_FROM, ENDS_BELOW = 0.5, 0.2
 """Evidence at which something begins, and at which it ends."""
 
-MOST_STEP_S = 0.2
-"""A frame stands for no more than this, however long none came: a single one decides nothing."""
+MOST_STEP_S = 0.34
+"""A frame stands for no more than this, however long none came: a single one takes the evidence
+just short of where something begins."""
 
 DOWN_WITHIN_S = 4.0
 """From the last moment upright to the ground; who takes longer lay down."""

@@ -45,6 +45,10 @@ STILL_ACTIONS = ("lie", "sit", "stand")
 
 FRAME_RATES = (5, 6, 10, 15, 30)
 TEMPO = (0.8, 1.25)
+PACE_M_S, FASTEST_TEMPO = (0.7, 1.9), 2.0
+"""Speeds at which people walk, and how far a clip is sped up for it: half of the clips' walkers are
+slower than 0.65 m/s, on purpose."""
+ON_THE_SPOT_M_S = 0.25
 ELEVATIONS_DEG = (2.0, 40.0)
 ELEVATION_ERROR_DEG = (-4.0, 9.0)
 """Mean and deviation of what hypotheses take a camera's elevation for."""
@@ -171,7 +175,7 @@ def _pieces(motion: Motion, most: int) -> list[Motion]:
 
 def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
     """A motion as a camera by chance and its hypotheses would show it."""
-    tempo = generator.uniform(*TEMPO) * CLIP_FPS
+    tempo = _tempo(motion, generator) * CLIP_FPS
     rate = float(generator.choice(FRAME_RATES))
     frames = np.arange(0, len(motion.world) - 1, tempo / rate)
     before = frames.astype(int)
@@ -195,6 +199,15 @@ def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
         )
         for number in range(len(world))
     ]
+
+
+def _tempo(motion: Motion, generator: np.random.Generator) -> float:
+    """How much faster than recorded; walkers at the speeds at which people walk."""
+    path = motion.world[:, 0][:, [0, 2]]
+    speed = float(np.linalg.norm(path[-1] - path[0])) * CLIP_FPS / len(path)
+    if motion.action != "walk" or speed < ON_THE_SPOT_M_S:
+        return float(generator.uniform(*TEMPO))
+    return float(np.clip(generator.uniform(*PACE_M_S) / speed, TEMPO[0], FASTEST_TEMPO))
 
 
 def _wandering(count: int, rate: float, generator: np.random.Generator) -> NDArray[np.float64]:
