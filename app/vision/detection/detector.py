@@ -23,8 +23,8 @@ from app.vision.weights import fitted
 
 DetectorName = Literal["network", "hog"]
 
-MIN_SCORE = 0.2
-"""Default of the least probability reported."""
+MIN_SCORE, HOG_MIN_SCORE = 0.3, 0.2
+"""Defaults of the least probability reported, by the networks and by HOG alone."""
 
 SAME_PERSON = 0.4
 """Overlap (IoU) from which two boxes are one person: two people walking together reach 0.3."""
@@ -176,7 +176,9 @@ class HogDetector:
 
     name: DetectorName = "hog"
 
-    def __init__(self, *, min_person_px: float | None = None, min_score: float = MIN_SCORE) -> None:
+    def __init__(
+        self, *, min_person_px: float | None = None, min_score: float = HOG_MIN_SCORE
+    ) -> None:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
