@@ -66,7 +66,8 @@ def association_costs(
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
             away = _distance(expected, box) / max(_size(expected), _size(box))
-            growth = abs(math.log(_size(box) / _size(expected))) / math.log(_GROWTH)
+            # Who bends fast is smaller than expected, but not much smaller than just before.
+            growth = min(_growth(expected, box), _growth(track.motion.seen, box))
             followed = sighting.followed is track
             if not followed and (away > reach or growth > 1):
                 continue
@@ -83,6 +84,11 @@ def association_costs(
             )
             costs[row, column] = _FOLLOWED * cost if followed else cost
     return costs
+
+
+def _growth(before: Box, after: Box) -> float:
+    """How far two boxes differ in size; 1 is the most that one person's may."""
+    return abs(math.log(_size(after) / _size(before))) / math.log(_GROWTH)
 
 
 def _size(box: Box) -> float:

@@ -36,6 +36,8 @@ class MotionFilter:
         """Of the last correction, in seconds."""
         self.velocity = np.zeros(2)
         """Pixels a second, right and down."""
+        self.seen = box
+        """As it was last corrected by, before any smoothing."""
 
     def predict(self, timestamp: float) -> Box:
         """Box at a later time; it may lie outside the frame."""
@@ -64,6 +66,7 @@ class MotionFilter:
         self.velocity = self.velocity + gain * error
         self._size = self._size + _SIZE_GAIN * (growth if whole else np.maximum(growth, 0))
         self.timestamp = timestamp
+        self.seen = box
 
     def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
         travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))

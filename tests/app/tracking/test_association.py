@@ -70,6 +70,21 @@ class TestAssociate:
     def test_a_newcomer_is_nobody_yet(self) -> None:
         assert associate([walking(100, 0)], [sighting(400), sighting(101)], 1.1) == [None, 0]
 
+    def test_who_bends_fast_stays_the_same_person(self) -> None:
+        """Boxes of UP-Fall at six frames a second: the size expected lags behind."""
+        upright, bent, down = (
+            Box(317, 166, 70, 293),
+            Box(266, 266, 130, 195),
+            Box(253, 300, 157, 158),
+        )
+        seen = [Sighting(ObservedPerson(box, "detector", 0.9, None), None) for box in
+                (upright, bent, down)]  # fmt: skip
+        track = Track(seen[0], 0.0)
+        for number in range(1, 6):
+            track.see(seen[0], number / 6)
+        track.see(seen[1], 1.0)
+        assert associate([track], [seen[2]], 1 + 1 / 6) == [0]
+
     def test_nobody_grows_at_once(self) -> None:
         child = Sighting(ObservedPerson(Box(108, 140, 14, 40), "detector", 0.9, None), None)
         assert associate([walking(100, 0)], [child], 1.1) == [None]
