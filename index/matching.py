@@ -49,6 +49,10 @@ FIRST_HYPOTHESES = 7
 """Hypotheses are found in batches of this size, twice it, and so on, each after the one before, so
 that the first k of n are those that are found where k are asked for."""
 
+MAX_BATCH_GROWTH = 4
+"""A batch this many times as large as the number asked for that adds nothing is the last: somebody
+hardly seen may have few distinct poses, and looking for 50 took seconds."""
+
 CANDIDATES_PER_HYPOTHESIS = 20
 """Candidates of one kind for each hypothesis asked for, at least."""
 
@@ -161,7 +165,7 @@ def match(
     silhouette : (128, 48) uint8 array
         Normalised; 1 on the person, 0 elsewhere.
     n : int
-        Number of hypotheses; fewer are returned only where the index has fewer distinct poses.
+        Number of hypotheses; fewer are returned where few distinct poses fit.
     keypoints : Keypoints, optional
     roll_deg : float
         Roll of the camera in the silhouette and the keypoints: not 0 where they were rotated
@@ -188,7 +192,7 @@ def match(
             for row, hypothesis in enumerate(more.hypotheses)
             if mean_joint_distance(hypothesis.points_3d[None], known).min() >= DISTINCT_M
         ]
-        if not later and batch >= MAX_GROWTH * n:
+        if not later and batch >= MAX_BATCH_GROWTH * n:
             break
         farthest = found.hypotheses[-1].fused_distance
         found = Match(
