@@ -56,9 +56,9 @@ def fit_to_keypoints(
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
     for spread_px, share, iterations in STEPS:
         blurred = replace(keypoints, spread_px=spread_px)
-        exchanged = blurred.compare(placed, fitted).side_odds < 0
+        rows = _assigned(blurred, blurred.compare(placed, fitted).side_odds < 0)
         for _ in range(iterations):
-            moves = share * _pulls(blurred, placed, exchanged)
+            moves = share * _pulls(blurred, placed, rows)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
             moved = with_bones_of(points_3d, moved)
@@ -81,21 +81,29 @@ def _deepened(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> NDArray[n
     return moved
 
 
+def _assigned(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows ``(M, P)`` of each skeleton's points that the keypoints are about.
+
+    Left and right are exchanged where that is likelier, but not of the first skeleton where
+    landmarks come with their depth, since it follows them.
+    """
+    rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
+    if keypoints.limbs_3d is not None:
+        rows[0] = keypoints.rows
+    return rows
+
+
 def _pulls(
-    keypoints: Keypoints, points_normalised: NDArray[np.float64], exchanged: NDArray[np.bool_]
+    keypoints: Keypoints, points_normalised: NDArray[np.float64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Offsets ``(M, 24, 2)`` to the keypoints; left and right exchanged where that is likelier.
+    """Offsets ``(M, 24, 2)`` to the keypoints from the points in ``rows`` ``(M, P)``.
 
     Where landmarks come with their depth, the first skeleton follows them however far they are.
     """
-    rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
-    follows = keypoints.limbs_3d is not None
-    if follows:
-        rows[0] = keypoints.rows
     skeletons = np.arange(len(points_normalised))[:, None]
     offsets = keypoints.positions - points_normalised[skeletons, rows]
     trust = keypoints.trust(offsets)
-    if follows:
+    if keypoints.limbs_3d is not None:
         trust[0] = keypoints.scores
     pulls = np.zeros_like(points_normalised)
     pulls[skeletons, rows] = trust[..., None] * offsets

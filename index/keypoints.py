@@ -162,13 +162,12 @@ class Keypoints:
         """Log likelihoods ``(K,)`` in the picture and pulls ``(K, P, 2)``, sides as they are."""
         offsets = self.positions - points[:, list(self.rows)]
         mass = self._mass(offsets)
-        trust = mass / (mass + DOUBT)
-        return np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1), trust[..., None] * offsets
+        log_likelihood = np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1)
+        return log_likelihood, _trust(mass)[..., None] * offsets
 
     def trust(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far keypoints are believed ``(K, P)`` at offsets ``(K, P, 2)``, 0 to 1."""
-        mass = self._mass(offsets)
-        return np.asarray(mass / (mass + DOUBT))
+        return _trust(self._mass(offsets))
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         squares = (offsets**2).sum(axis=-1)
@@ -183,3 +182,7 @@ class Keypoints:
         squares = (self.limb_offsets(points_3d) ** 2).sum(axis=-1)
         mass = self.limb_scores * np.exp(-squares / (2 * SPREAD_M**2))
         return np.asarray(LIMB_WEIGHT * np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1))
+
+
+def _trust(mass: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(mass / (mass + DOUBT))

@@ -24,12 +24,12 @@ from app.estimation.estimator import Estimator
 from app.estimation.normalised_person import NormalisedPerson
 from app.estimation.upload import Upload, UploadError
 from app.settings import Settings
-from app.vision.people import Detection, PersonWindow
+from app.vision.people import Detection
 from app.vision.person.landmarks import PIXELS
-from app.vision.person.window import cut_window, window_about, window_to_frame
-from index.rotations import RotatedQuery
+from app.vision.person.window import cut_window, window_about, window_corners, window_to_frame
 from index.skeleton import NATIVE
 from index.store import PoseIndex
+from scripts.entry_pictures import placed_entry
 
 CELL_PX = 360
 """Height of the pictures of a person."""
@@ -48,7 +48,7 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
         cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2 * line)
         write_text(picture, f"{one.score:.2f}", (corners[0], corners[1] - 3), 10 * line, colour)
         for window in one.windows:
-            corners = np.round(_corners(window)).astype(np.int32)
+            corners = np.round(window_corners(window)).astype(np.int32)
             cv2.polylines(picture, [corners], True, colour, line)
             cv2.line(picture, corners[0].tolist(), corners[1].tolist(), colour, 3 * line)
     return picture
@@ -72,11 +72,7 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
         steps, cells = cells, []
         for rank, placed in enumerate(person.hypotheses, start=1):
             hypothesis = placed.hypothesis
-            entry = index.silhouette(hypothesis.entry)
-            entry = np.ascontiguousarray(entry[:, ::-1]) if hypothesis.mirrored else entry
-            rotation_deg = hypothesis.rotation_deg + normalised.roll_deg
-            query = RotatedQuery.of(normalised.silhouette, rotation_deg)
-            to_frame = normalised.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+            entry, to_frame = placed_entry(index, normalised, hypothesis)
             to_entry_cell = np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]]), np.float64)
             cells.append(
                 _titled(_warped(entry, to_entry_cell), f"{rank}: entry {hypothesis.entry}")
@@ -114,12 +110,6 @@ def describe(number: int, person: Person) -> str:
             f"{placed.confidence:10.2f}  {placed.label.clip}, frame {placed.label.frame}"
         )
     return "\n".join(lines)
-
-
-def _corners(window: PersonWindow) -> NDArray[np.float64]:
-    matrix = window_to_frame(window, 2)
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
-    return np.asarray(square @ matrix[:, :2].T + matrix[:, 2])
 
 
 def _landmarks(

@@ -30,8 +30,8 @@ from app.estimation.stopwatch import Stopwatch
 from app.estimation.upload import Upload
 from app.settings import Settings
 from app.vision.people import Box
-from index.rotations import RotatedQuery
 from index.skeleton import NATIVE
+from scripts.entry_pictures import placed_entry
 from scripts.experiments.real import CAMERAS
 from scripts.experiments.real_data import encode_png, read_pose2sim, read_vtest
 from scripts.experiments.rotation import rotate_box
@@ -119,10 +119,7 @@ def _nearest(
     hypothesis, silhouette = person.hypotheses[0].hypothesis, person.observed.silhouette
     assert silhouette is not None
     normalised = NormalisedPerson.of(silhouette, None)
-    entry = estimator.index.silhouette(hypothesis.entry)
-    entry = np.ascontiguousarray(entry[:, ::-1]) if hypothesis.mirrored else entry
-    query = RotatedQuery.of(normalised.silhouette, hypothesis.rotation_deg + normalised.roll_deg)
-    matrix = normalised.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+    entry, matrix = placed_entry(estimator.index, normalised, hypothesis)
     rows, columns = frame_shape[:2]
     return np.asarray(cv2.warpAffine(entry.astype(np.float32), matrix, (columns, rows)) >= 0.5)
 

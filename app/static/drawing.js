@@ -202,12 +202,11 @@ export function drawTracks(canvas, { photo, answer, shown, chosen }) {
     context.globalAlpha = source === "track" ? 0.4 : 1;
     const bone = boneWidth(box, line);
     if (shown.boxes) drawBox(context, box, personColour(id - 1), id === chosen ? 2 * line : line);
-    const draw = (joints, plain) => drawFlat(context, joints, answer.keypoints, fromCorners, bone, plain);
+    const draw = (joints, plain, unsure) => {
+      drawFlat(context, joints, answer.keypoints, fromCorners, bone, plain, unsure);
+    };
     if (shown.raw && hypotheses.length) draw(hypotheses[0].joints_2d, shown.smoothed ? RAW : undefined);
-    if (shown.smoothed && pose) {
-      const unsure = isUnsure(pose, observed);
-      drawFlat(context, pose.joints_2d, answer.keypoints, fromCorners, bone, null, unsure);
-    }
+    if (shown.smoothed && pose) draw(pose.joints_2d, undefined, isUnsure(pose, observed));
   }
   context.globalAlpha = 1;
   const labels = [];

@@ -25,6 +25,7 @@ from app.vision.people import (
 )
 from app.vision.person.landmarks import LandmarkNetwork, Reading
 from app.vision.person.window import window_about, window_of_circle
+from app.vision.segmentation.truncation import ends_at_border
 
 SURE = 0.85
 """Quality from which a reading is taken without trying another window."""
@@ -52,8 +53,6 @@ _COMPARED = [
     i for i, name in enumerate(COCO_NAMES) if name == "nose" or not name.endswith(("eye", "ear"))
 ]
 _LEAST_SCORE = 0.15
-# Distance of a box from the frame's border, as a share of its longer side, at which it ends there.
-_AT_BORDER = 0.05
 # From the hips to the feet, as a multiple of the trunk.
 _BODY_OF_TRUNK = 1.7
 
@@ -149,9 +148,7 @@ def window_beyond_border(
 
     The other windows hold what is seen of it, in which the network reads a small whole body.
     """
-    height, width = frame_shape[:2]
-    gaps = (box.x, box.y, width - 1 - box.right, height - 1 - box.bottom)
-    if keypoints is None or min(gaps) > _AT_BORDER * max(box.width, box.height):
+    if keypoints is None or not ends_at_border(box, frame_shape):
         return []
     head, shoulders, hips, ankles = (
         _middle(keypoints, part, SEEN_SCORE) for part in ("nose", "shoulder", "hip", "ankle")

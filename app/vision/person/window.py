@@ -51,14 +51,17 @@ def window_to_frame(window: PersonWindow, pixels: int) -> NDArray[np.float64]:
     return np.column_stack([linear, offset])
 
 
+def window_corners(window: PersonWindow) -> NDArray[np.float64]:
+    """Corners ``(4, 2)`` in the frame, clockwise from the one above the head on the left."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
+    matrix = window_to_frame(window, 2)
+    return np.asarray(corners @ matrix[:, :2].T + matrix[:, 2])
+
+
 def window_drift(window: PersonWindow, other: PersonWindow) -> float:
     """Mean distance between the corners of two windows, as a share of the first one's side."""
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
-    own, theirs = (
-        corners @ matrix[:, :2].T + matrix[:, 2]
-        for matrix in (window_to_frame(window, 2), window_to_frame(other, 2))
-    )
-    return float(np.linalg.norm(own - theirs, axis=1).mean() / window.side)
+    apart = window_corners(window) - window_corners(other)
+    return float(np.linalg.norm(apart, axis=1).mean() / window.side)
 
 
 def cut_window(frame: NDArray[np.uint8], window: PersonWindow, pixels: int) -> NDArray[np.uint8]:

@@ -86,11 +86,16 @@ def end_beyond_border(box: Box, keypoints: ObservedKeypoints, frame_shape: tuple
     frame_shape : tuple of int
         Height and width first.
     """
-    near = min(_gaps(box, frame_shape)) <= _NEAR_UNSEEN * max(box.width, box.height)
     height, width = frame_shape[:2]
     inside = ((keypoints.positions > -0.5) & (keypoints.positions < [width, height])).all(axis=1)
     seen = inside & (keypoints.scores >= _LEAST_SCORE)
-    return near and not (seen[_HEAD].any() and seen[_FEET].any())
+    whole = seen[_HEAD].any() and seen[_FEET].any()
+    return ends_at_border(box, frame_shape) and not whole
+
+
+def ends_at_border(box: Box, frame_shape: tuple[int, ...]) -> bool:
+    """Whether the box of somebody ends so near the frame's edge that it may cut them."""
+    return min(_gaps(box, frame_shape)) <= _NEAR_UNSEEN * max(box.width, box.height)
 
 
 def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, float]:

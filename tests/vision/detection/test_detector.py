@@ -179,6 +179,7 @@ def test_candidates_are_judged_by_all(detector: NetworkDetector, street: NDArray
     candidates, scores = detector.candidates(street)
     assert scores.shape == (len(candidates), 3)
     assert [one.score for one in candidates] == scores[:, 0].tolist()
+    assert (np.diff(scores[:, 0]) <= 0).all()
     assert [bool(one.windows) for one in candidates] == (scores[:, 2] > 0).tolist()
     probabilities = detection_probability(scores)
     judged = {one.box: score for one, score in zip(candidates, probabilities, strict=True)}
