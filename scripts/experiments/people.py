@@ -81,24 +81,14 @@ def run(options: argparse.Namespace) -> None:
     print(table)
 
 
-def estimate(
-    estimator: Estimator, frame: NDArray[np.uint8], box: Box | None = None
-) -> tuple[Person, ...]:
-    """The people of a frame, or the one in a box."""
-    boxes = None if box is None else (box,)
-    upload = Upload(_encoded(frame), boxes=boxes)
+def estimate(estimator: Estimator, content: bytes, box: Box | None = None) -> tuple[Person, ...]:
+    """The people of an encoded photograph, or the one in a box."""
+    upload = Upload(content, boxes=None if box is None else (box,))
     return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
 
 
 def _encoded(frame: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
-
-
-def _read(file: Path) -> NDArray[np.uint8]:
-    picture = cv2.imread(str(file))
-    if picture is None:
-        raise FileNotFoundError(f"expected a picture, cannot read {file}")
-    return np.asarray(picture, np.uint8)
 
 
 def frames_of(video: Path) -> Iterator[NDArray[np.uint8]]:
@@ -136,7 +126,7 @@ def sport(estimator: Estimator, folder: Path) -> list[Row]:
             [LIMBS.index(f"{s}_{p}") for s in ("left", "right") for p in ("hip", "shoulder")]
         ]
         best = (0.0, 0.0, 0.0)
-        for person in estimate(estimator, _read(folder / one["image"])):
+        for person in estimate(estimator, (folder / one["image"]).read_bytes()):
             box = person.observed.box
             centre = middle.mean(axis=0)
             near = (box.x - 5 <= centre[0] <= box.right + 5) and (
@@ -172,7 +162,7 @@ def fallen(estimator: Estimator, folder: Path) -> list[Row]:
     rows = []
     for kind, what in (("fall", "people who fell"), ("not-fall", "people who did not")):
         files = sorted((folder / kind).glob("*.jpg"))
-        people = [estimate(estimator, _read(file)) for file in tqdm(files, desc=kind)]
+        people = [estimate(estimator, file.read_bytes()) for file in tqdm(files, desc=kind)]
         found = 100 * np.mean([bool(one) for one in people])
         low = 100 * np.mean([any(map(grounded, one)) for one in people])
         rows.append((f"{len(files)} photographs of {what}", "somebody found", f"{found:.1f} %"))
@@ -190,7 +180,7 @@ def cut_off(estimator: Estimator, folder: Path) -> list[Row]:
     rows: list[tuple[str, bool, float, float, bool]] = []
     for photograph in tqdm(read_pennfudan(folder)[1::2], desc="cut off"):
         tallest = max(photograph.boxes, key=lambda box: box.height)
-        whole = _at(tallest, estimate(estimator, photograph.frame))
+        whole = _at(tallest, estimate(estimator, _encoded(photograph.frame)))
         if tallest.height < CUT_FROM_PX or whole is None or whole.observed.landmarks is None:
             continue
         truth = whole.observed.landmarks.positions[_LANDMARKS]
@@ -203,7 +193,7 @@ def cut_off(estimator: Estimator, folder: Path) -> list[Row]:
                 tallest.x, max(tallest.y - top, -0.5), tallest.width, tallest.height - missing
             )
             name = f"{end}, {100 * share:.0f} %"
-            person = _at(box, estimate(estimator, frame))
+            person = _at(box, estimate(estimator, _encoded(frame)))
             if person is None or not person.hypotheses or person.observed.silhouette is None:
                 rows.append((name, False, np.nan, np.nan, False))
                 continue
@@ -254,7 +244,7 @@ def leaning(estimator: Estimator, folder: Path) -> list[Row]:
             truth = truths[number][order]
             if number % 4 == 0:
                 box = _padded(places[number])
-                (person,) = estimate(estimator, frame, box)
+                (person,) = estimate(estimator, _encoded(frame), box)
                 errors = [_error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses]
                 single.append((errors[0], min(errors)))
                 told.append(grounded(person))
