@@ -254,7 +254,8 @@ function measured({ box, source, detection_score: score, silhouette, observed_ke
   const sure = towards ? facing.front_probability : 1 - facing.front_probability;
   return [
     ["Faces", `${towards ? "the camera" : "away"}, ${percent(sure)} sure (${FACING_FROM[facing.evidence]})`],
-    ["Posture", `${posture.label.replace("_", " ")}, ${percent(posture.probability)} of the poses’ confidence`],
+    ["Posture", posture.label.replace("_", " ")
+      + (posture.label === "unclear" ? "" : `, ${percent(posture.probability)} sure`)],
     ["Size", `${Math.round(box.width)} × ${Math.round(box.height)} px, silhouette ${silhouette.area_px.toLocaleString("en")} px`
       + (silhouette.truncated ? ", cut off" : "")],
     ["Keypoints", seen ? `${seen.filter(Boolean).length} of ${seen.length} seen` : "not read"],
