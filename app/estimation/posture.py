@@ -31,6 +31,10 @@ GROUPS: tuple[tuple[Posture, ...], ...] = (
 CLEAR_FROM = 0.5
 """Probability from which a posture is told."""
 
+BENT_FROM_DEG, BENT_SLOPE_DEG = 45.0, 5.0
+"""Bend of the straighter knee from which legs do not stand, and how surely it tells. Thighs that
+point at the camera look like those of somebody who stands; of who walks, one knee is straight."""
+
 _LEAST_SHARE = 0.02
 
 
@@ -103,7 +107,9 @@ def estimate_posture(
         Probability that there is a person at all.
     """
     if landmarks is not None:
-        votes = with_grounded(votes, grounded_probability(landmarks))
+        votes = with_grounded(
+            with_bent_legs(votes, landmarks, presence), grounded_probability(landmarks)
+        )
     return posture_of(votes, presence)
 
 
@@ -135,6 +141,33 @@ def log_odds(share: float) -> float:
     """Log odds of a share, finite."""
     clipped = min(max(share, 1e-3), 1 - 1e-3)
     return float(np.log(clipped / (1 - clipped)))
+
+
+def with_bent_legs(
+    votes: NDArray[np.float64], landmarks: Landmarks, presence: float
+) -> NDArray[np.float64]:
+    """Votes ``(10,)`` without those for straight legs, as far as both knees are seen to be bent.
+
+    Where no vote is for bent legs, it stays open whether they sit or crouch.
+    """
+    upright, between = (np.array([p in group for p in POSTURES]) for group in GROUPS[1:])
+    taken = presence * bent_probability(landmarks) * votes[upright].sum()
+    shares = np.where(between, votes, 0.0)
+    if shares.sum() < _LEAST_SHARE:
+        shares[[POSTURES.index("sitting"), POSTURES.index("crouching")]] += _LEAST_SHARE
+    kept = np.where(upright, 1 - presence * bent_probability(landmarks), 1.0)
+    return np.asarray(kept * votes + taken * shares / shares.sum())
+
+
+def bent_probability(landmarks: Landmarks) -> float:
+    """Probability that both knees are bent; 0 where a leg is not seen."""
+    hips, knees, ankles = (landmarks.metres[rows] for rows in (_HIPS, _KNEES, _ANKLES))
+    if landmarks.visibility[[*_HIPS, *_KNEES, *_ANKLES]].min() < 0.5:
+        return 0.0
+    cosines = [_unit(knee - hip) @ _unit(ankle - knee)
+               for hip, knee, ankle in zip(hips, knees, ankles, strict=True)]  # fmt: skip
+    straighter_deg = np.rad2deg(np.arccos(np.clip(max(cosines), -1, 1)))
+    return float(1 / (1 + np.exp((BENT_FROM_DEG - straighter_deg) / BENT_SLOPE_DEG)))
 
 
 def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.measures import Measured, ground_path
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import Smoothed
-from index.posture import camera_up
+from index.posture import POSTURES, Posture, camera_up
 
 WINDOW_S, LEAST_S = 3.0, 1.0
 """Seconds of motion that are looked at, and from which an action is told."""
@@ -31,6 +31,24 @@ MOST_GAP_S = 1.0
 
 LEAST_SHARE = 0.02
 """Of the hypotheses' votes, for actions that no hypothesis shows."""
+
+CLEAR_FROM = 0.5
+"""Probability from which an action is told."""
+
+SHOWN_BY: dict[str, tuple[Posture, ...]] = {
+    "lie": ("lying", "crawling"),
+    "sit": ("sitting",),
+    "squat": ("crouching", "kneeling", "sitting", "bending"),
+    "jump": ("standing", "arms_raised", "bending", "crouching", "running"),
+    "walk": ("walking",),
+    "run": ("running", "walking"),
+}
+"""Postures in which an action is seen; the others are done on the spot, upright."""
+
+ON_THE_SPOT: tuple[Posture, ...] = ("standing", "arms_raised", "bending")
+
+LEAST_POSTURE = 0.1
+"""What a posture that contradicts an action leaves of its probability: it may be a moment's."""
 
 MODEL = Path(__file__).parent / "weights" / "actions.json"
 
@@ -117,7 +135,11 @@ class ActionRecogniser:
         self._told_at = -math.inf
 
     def update(
-        self, timestamp: float, person: Person, smoothed: Smoothed
+        self,
+        timestamp: float,
+        person: Person,
+        smoothed: Smoothed,
+        postures: NDArray[np.float64] | None = None,
     ) -> RecognisedAction | None:
         """Take in a frame of the track.
 
@@ -129,11 +151,13 @@ class ActionRecogniser:
             With at least one hypothesis.
         smoothed : Smoothed
             The track's pose at this frame.
+        postures : (10,) float64 array, optional
+            Shares of the track's postures, where they are surer than its motion: with landmarks.
 
         Returns
         -------
         RecognisedAction or None
-            None until the person was seen for a second.
+            None until the person was seen for a second, and where no action is likely.
         """
         if self._seen and timestamp - self._seen[-1][0].timestamp > MOST_GAP_S:
             self._seen.clear()
@@ -144,15 +168,30 @@ class ActionRecogniser:
             self._seen.popleft()
         if timestamp - self._seen[0][0].timestamp < LEAST_S:
             return None
-        if self._told is not None and timestamp - self._told_at < EVERY_S:
+        if timestamp - self._told_at < EVERY_S:
             return self._told
         features = window_features([measured for measured, _ in self._seen])
         votes = np.mean([votes for _, votes in self._seen], axis=0)
         probabilities = self._model.probabilities(features, votes)
+        if postures is not None:
+            probabilities = probabilities * posture_factors(self._model.actions, postures)
+            probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
         self._told_at = timestamp
-        self._told = RecognisedAction(self._model.actions[best], float(probabilities[best]))
+        self._told = None
+        if probabilities[best] >= CLEAR_FROM:
+            self._told = RecognisedAction(self._model.actions[best], float(probabilities[best]))
         return self._told
+
+
+def posture_factors(actions: Sequence[str], postures: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How well shares ``(10,)`` of postures go with each action, ``(A,)``."""
+    return np.array([
+        LEAST_POSTURE + sum(
+            postures[POSTURES.index(posture)] for posture in SHOWN_BY.get(action, ON_THE_SPOT)
+        )
+        for action in actions
+    ])  # fmt: skip
 
 
 def window_features(measured: Sequence[Measured]) -> NDArray[np.float64]:

@@ -56,7 +56,7 @@ class PeopleFollower:
 
     def __init__(self, finder: PeopleFinder) -> None:
         self._finder = finder
-        self._searched_at = -math.inf
+        self._searched_at = self._read_at = -math.inf
 
     def find(
         self,
@@ -89,15 +89,28 @@ class PeopleFollower:
             if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
         ]
         readings: list[Reading | None] = []
-        if timestamp - self._searched_at < SEARCH_EVERY_S and len(followed) == len(tracks) > 0:
+        lost = {track for track in tracks if track.seen_at < self._read_at}
+        unread = any(
+            track.next_window is None and timestamp - track.seen_at <= FOLLOWED_FOR_S
+            for track in tracks
+        )
+        if timestamp - self._searched_at < SEARCH_EVERY_S and followed and not unread:
             wanted, owners = _assign((), followed)
             readings = self._read_all(frame, wanted, owners, check, stopwatch)
+            lost |= {
+                owner
+                for owner, reading in zip(owners, readings, strict=True)
+                if owner is not None and reading is None
+            }
         if not readings or None in readings:
             with stopwatch.stage("detect"):
-                detections = self._finder.detector.detect(frame)[: self._finder.max_persons]
+                detections = self._finder.detector.detect(
+                    frame, [track.motion.seen for track in tracks if track in lost]
+                )[: self._finder.max_persons]
             self._searched_at = timestamp
             wanted, owners = _assign(detections, followed)
             readings = self._read_all(frame, wanted, owners, check, stopwatch)
+        self._read_at = timestamp
         found, rows = _distinct(readings, wanted)
         boxes = [
             _body_box(found[i]) if wanted[row].score == 0 else wanted[row].box

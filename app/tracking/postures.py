@@ -7,7 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, grounded_probability, posture_of, with_grounded
+from app.estimation.posture import (
+    EstimatedPosture,
+    grounded_probability,
+    posture_of,
+    with_bent_legs,
+    with_grounded,
+)
 from app.vision.people import Box, Landmarks
 
 SETTLING_S = 0.4
@@ -67,7 +73,7 @@ class PostureFilter:
         if landmarks is not None:
             # Of somebody whom the network does not make out, the box is all that is seen.
             lies = presence * grounded_probability(landmarks) + (1 - presence) * wide(box)
-            shares = with_grounded(votes, lies)
+            shares = with_grounded(with_bent_legs(votes, landmarks, presence), lies)
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:

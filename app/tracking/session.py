@@ -24,6 +24,7 @@ from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.people import Box
+from app.vision.segmentation.truncation import ends_at_border
 from index.matching import FIRST_HYPOTHESES
 
 LEAST_STEP_S = 1e-3
@@ -35,9 +36,12 @@ LONGEST_GAP_S = 10.0
 FORGOTTEN_AFTER_S = 0.5
 """How long a track lives that nobody is seen of."""
 
-HIDDEN_FOR_S, HIDDEN_FROM = 2.0, 0.5
-"""How long somebody is expected who is hidden behind another one, and what share of them has to
-be."""
+EXPECTED_FOR_S = 2.0
+"""How long somebody is expected who is hidden behind another one, or who vanished within the
+picture."""
+
+HIDDEN_FROM = 0.5
+"""Share of somebody that another one has to cover to hide them."""
 
 
 class LateFrameError(ValueError):
@@ -263,8 +267,10 @@ class CameraSession:
     def _forget_unseen(self, timestamp: float) -> None:
         kept = []
         for track in self._tracks:
-            hidden = track.track_id is not None and self._hidden(track, timestamp) is not None
-            longest = HIDDEN_FOR_S if hidden else FORGOTTEN_AFTER_S
+            expected = track.track_id is not None and (
+                self._hidden(track, timestamp) is not None or self._vanished(track)
+            )
+            longest = EXPECTED_FOR_S if expected else FORGOTTEN_AFTER_S
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
@@ -274,9 +280,9 @@ class CameraSession:
     def _hidden(self, track: Track, timestamp: float) -> Box | None:
         """Where somebody is expected who is hidden behind another one; None if nobody hides them.
 
-        Who has been hidden for longer than :data:`HIDDEN_FOR_S` is not expected any more.
+        Who has been hidden for longer than :data:`EXPECTED_FOR_S` is not expected any more.
         """
-        if self._size is None or timestamp - track.seen_at > HIDDEN_FOR_S:
+        if self._size is None or timestamp - track.seen_at > EXPECTED_FOR_S:
             return None
         box = track.motion.predict(timestamp).clip(self._size[1], self._size[0])
         hides = [
@@ -287,6 +293,14 @@ class CameraSession:
         if box and any(other.intersection(box) >= HIDDEN_FROM * box.area for other in hides):
             return box
         return None
+
+    def _vanished(self, track: Track) -> bool:
+        """Whether somebody is no longer seen whom the detector saw last, away from the border."""
+        return (
+            self._size is not None
+            and track.next_window is not None
+            and not ends_at_border(track.motion.seen, self._size)
+        )
 
     def _with_poses(
         self,

@@ -43,7 +43,14 @@ from scripts.experiments.action_model import (
     read_motions,
     windows_of,
 )
-from scripts.experiments.sequences import CLIP_FPS, FPS, Filmed, film_stretch, unbroken_stretches
+from scripts.experiments.sequences import (
+    CLIP_FPS,
+    FPS,
+    Filmed,
+    film,
+    film_stretch,
+    unbroken_stretches,
+)
 
 LEFT_OUT_TOGETHER = (
     ("13",),
@@ -51,6 +58,7 @@ LEFT_OUT_TOGETHER = (
     ("131", "m2m", "dm"),
     ("01", "02", "86", "unknown"),
     ("03", "05", "07", "09", "16", "17", "49"),
+    ("11", "64", "85", "127", "135", "141"),
 )
 """Subjects who are taken out of the index at a time; 13 and 14 do the same exercises."""
 
@@ -70,6 +78,10 @@ RECORDED_FALLS = {"m2m_Death01": 1, "dm_getup_faceup": -1}
 """Clips, played forwards or backwards, each filmed by :data:`CAMERAS_OF_RECORDED` cameras."""
 
 CAMERAS_OF_RECORDED = 4
+
+OTHER_FPS = 5
+ACROBATICS = ("breakdance", "cartwheel", "fall", "flip", "roll")
+"""Actions in which people throw themselves down, so that a fall told is hardly false."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +129,23 @@ def make_tracks(shared: Path, index: PoseIndex, seed: int = 3) -> list[Track]:
     generator = np.random.default_rng(seed)
     films = film_actions(motion, segments, subjects, avatars, generator)
     films += film_falls(motion, segments, subjects, avatars, generator)
+    return _match_unseen(index, films, subjects)
+
+
+def make_others(shared: Path, index: PoseIndex, seed: int = 4) -> list[Track]:
+    """Film all motion but falls and :data:`ACROBATICS`, and match it."""
+    motion = shared / "mocap"
+    segments = read_manifest(motion)
+    subjects = {segment.clip: segment.subject for segment in segments}
+    avatars = make_avatars(HELD_OUT_AVATARS, shared / "garments")
+    poses, _ = read_poses(motion, [s for s in segments if s.action not in ACROBATICS])
+    return _match_unseen(index, film(poses, subjects, avatars, seed, fps=OTHER_FPS), subjects)
+
+
+def _match_unseen(
+    index: PoseIndex, films: Sequence[Filmed], subjects: dict[str, str]
+) -> list[Track]:
+    """Match films by an index that does not hold their subjects."""
     tracks: list[Track] = []
     with tqdm(total=sum(map(len, films)), desc="matching", unit="frame") as bar:
         for left_out in LEFT_OUT_TOGETHER:
@@ -202,8 +231,7 @@ def film_falls(
     return [
         film_stretch(
             clip, FALL, subjects[clip.name],
-            np.arange(0, len(clip.rotations), CLIP_FPS // FPS),
-            avatars[number % len(avatars)], generator,
+            np.arange(len(clip.rotations)), avatars[number % len(avatars)], generator,
         )
         for number, clip in enumerate(clips)
     ]  # fmt: skip

@@ -29,6 +29,10 @@ MIN_SCORE, HOG_MIN_SCORE = 0.3, 0.2
 SAME_PERSON = 0.4
 """Overlap (IoU) from which two boxes are one person: two people walking together reach 0.3."""
 
+LOST_ODDS = 1.0
+"""Log odds that somebody is where a person was seen a moment ago: people do not vanish. Who falls
+is blurred, then lies as detectors hardly know people."""
+
 # People at least this high as shown are best found in the overview, smaller ones in the tiles,
 # which tell apart two people walking together.
 _LARGE_PX = 96
@@ -50,13 +54,15 @@ class Detector(Protocol):
 
     name: DetectorName
 
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
+    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
         """Find the people.
 
         Parameters
         ----------
         frame : (H, W, 3) uint8 array
             BGR.
+        lost : sequence of Box
+            Where somebody was seen a moment ago who was not seen to leave.
 
         Returns
         -------
@@ -101,10 +107,15 @@ class NetworkDetector:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
+    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
         detections, scores = self.candidates(frame)
-        probabilities = detection_probability(scores).tolist()
+        odds = detection_odds(scores)
+        for box in lost:
+            near = [i for i, one in enumerate(detections) if _is_near(one.box, box)]
+            if near:
+                odds[max(near, key=lambda i: odds[i])] += LOST_ODDS
+        probabilities = sigmoid(odds).tolist()
         found = [
             replace(detection, score=probability)
             for detection, probability in zip(detections, probabilities, strict=True)
@@ -182,7 +193,7 @@ class HogDetector:
         self._min_person_px = _checked(min_person_px, min_score)
         self._min_score = min_score
 
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
+    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
         height, width = frame.shape[:2]
         boxes, margins = self.people(frame)
@@ -231,11 +242,11 @@ def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, N
     return averaged(boxes, margins + 0.1, kept), margins[kept]
 
 
-def detection_probability(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probability ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
+def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
     constants = fitted("detection")
     weights = np.array([constants[name] for name in ("movenet", "hog", "pose_detection")])
-    return sigmoid(detection_features(scores) @ weights + constants["offset"])
+    return np.asarray(detection_features(scores) @ weights + constants["offset"])
 
 
 def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -268,6 +279,16 @@ def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:
     if cut_by_tile:
         return None
     return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
+
+
+def _is_near(box: Box, lost: Box) -> bool:
+    """Whether somebody who was lost may be in a box: where they stood, or on the ground beside."""
+    return box.intersection(_where_they_may_lie(lost)) >= 0.5 * box.area
+
+
+def _where_they_may_lie(box: Box) -> Box:
+    room = max(box.width, box.height) / 2
+    return Box(box.x - room, box.y, box.width + 2 * room, box.height + room / 2)
 
 
 def _is_about(window: PersonWindow, box: Box) -> bool:

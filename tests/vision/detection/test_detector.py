@@ -15,13 +15,13 @@ from app.vision.detection.detector import (
     Detector,
     HogDetector,
     NetworkDetector,
-    detection_probability,
+    detection_odds,
     hog_people,
     logit,
-    sigmoid,
 )
 from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.keypoints.movenet import MoveNet
+from app.vision.odds import sigmoid
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import LandmarkNetwork
 from scripts.experiments.rotation import rotate_box
@@ -181,7 +181,7 @@ def test_candidates_are_judged_by_all(detector: NetworkDetector, street: NDArray
     assert [one.score for one in candidates] == scores[:, 0].tolist()
     assert (np.diff(scores[:, 0]) <= 0).all()
     assert [bool(one.windows) for one in candidates] == (scores[:, 2] > 0).tolist()
-    probabilities = detection_probability(scores)
+    probabilities = sigmoid(detection_odds(scores))
     judged = {one.box: score for one, score in zip(candidates, probabilities, strict=True)}
     found = detector.detect(street)
     assert found
@@ -221,7 +221,7 @@ def test_impossible_limits_are_refused(networks: Networks) -> None:
 
 
 def probability(score: float, margin: float, body: float) -> float:
-    return float(detection_probability(np.array([[score, margin, body]]))[0])
+    return float(sigmoid(detection_odds(np.array([[score, margin, body]])))[0])
 
 
 @given(score=st.floats(0, 1), margin=st.floats(-5, 5), body=st.floats(0, 1), more=st.floats(0, 2))
