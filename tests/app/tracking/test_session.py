@@ -183,24 +183,19 @@ def test_who_is_no_longer_seen_is_gone_within_half_a_second(session: CameraSessi
     assert session.track_ids == ()
 
 
-def test_a_frame_of_a_session_is_read_as_a_photograph_is(loaded: Estimator) -> None:
-    content = draw((0, 60), (1, 180))
-    tracked = CameraSession(loaded).process(Upload(content), 0.0, 3, lambda: None)
-    alone = loaded.estimate(Upload(content), 3, lambda: None)
-    for one, other in zip(tracked.persons, alone.persons, strict=True):
-        assert one.person.observed.box == other.observed.box
-        for mine, theirs in zip(one.person.hypotheses, other.hypotheses, strict=True):
-            assert mine.hypothesis.entry == theirs.hypothesis.entry
-            np.testing.assert_allclose(mine.points_2d, theirs.points_2d, atol=1e-9)
-            assert mine.confidence == pytest.approx(theirs.confidence)
-
-
-def test_one_who_stands_still_stays_known(session: CameraSession) -> None:
-    time = learn(session)
-    for step in range(80):
-        result = send(session, time + step, (0, 100))
-        assert ids(result) == [1], step
-        time += 0.0
+@pytest.mark.parametrize("fps", [1, 2, 5, 10, 15, 30])
+@pytest.mark.parametrize("speed", [0, 64, -64])
+def test_at_any_frame_rate_one_keeps_an_identity_and_finite_poses(
+    session: CameraSession, fps: int, speed: int
+) -> None:
+    """Who stands still, and who walks 1.2 m/s."""
+    for frame in range(min(20, 3 * fps + 1)):
+        left = round((20 if speed >= 0 else 270) + speed * frame / fps)
+        result = send(session, frame / fps, (0, left))
+        assert ids(result) == [1]
+        pose = result.persons[0].pose
+        assert pose is not None
+        assert np.isfinite(pose.points_3d).all() and np.isfinite(pose.points_2d).all()
 
 
 def test_who_is_there_from_the_start_is_known_at_once(session: CameraSession) -> None:
@@ -225,14 +220,13 @@ def test_two_who_cross_keep_their_identities(session: CameraSession) -> None:
 
 
 def test_identities_are_never_used_again(session: CameraSession) -> None:
-    time = learn(session)
-    seen = set()
+    time, seen = 0.0, set()
     for _ in range(3):
-        for step in range(15):
-            seen |= set(ids(send(session, time + step / 10, (2, 50 + 4 * step))))
-        for step in range(15, 45):
-            send(session, time + step / 10)
-        time += 4.5
+        for step in range(20):
+            # Half a second, and then one and a half in which nobody is there.
+            people = [(2, 50 + 4 * step)] if step < 5 else []
+            seen |= set(ids(send(session, time + step / 10, *people)))
+        time += 2
     assert seen == {1, 2, 3}
 
 
@@ -346,20 +340,9 @@ def test_the_caller_may_say_who_is_there(session: CameraSession, kind: str) -> N
     assert [ids(result) for result in results].count([1]) >= 3
 
 
-def test_memory_is_bounded(session: CameraSession) -> None:
-    """However many people come and go."""
+def test_however_many_people_come_and_go_few_are_remembered(session: CameraSession) -> None:
     rng = np.random.default_rng(0)
-    sizes = []
-    for step in range(60):
+    for step in range(40):
         lefts = rng.integers(0, COLUMNS - 30, 3)
-        people = [(colour, int(left)) for colour, left in enumerate(lefts)]
-        send(session, step / 2, *people)
-        sizes.append(session.memory_bytes)
+        send(session, step / 2, *((colour, int(left)) for colour, left in enumerate(lefts)))
     assert len(session.track_ids) <= 8
-    assert max(sizes) <= 8 * 2000
-
-
-def test_at_most_the_hypotheses_asked_for(session: CameraSession) -> None:
-    result = send(session, 0.0, (0, 50))
-    hypotheses = result.persons[0].person.hypotheses
-    assert len(hypotheses) == 3
