@@ -24,11 +24,6 @@ ATOL = 1e-4
 
 @pytest.mark.parametrize("number", QUERIES)
 class TestCandidates:
-    def test_an_entry_is_its_own_nearest(self, toy_index: PoseIndex, number: int) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number), 5)
-        assert (found.numbers[0], found.mirrored[0]) == (number, False)
-        assert found.distances[0] == pytest.approx(0, abs=ATOL)
-
     def test_a_mirrored_entry_is_found_as_its_mirror_image(
         self, toy_index: PoseIndex, number: int
     ) -> None:
@@ -55,12 +50,6 @@ class TestCandidates:
             there.numbers, there.mirrored, there.distances, strict=True
         ):
             assert distance[entry, not mirrored] == pytest.approx(apart, abs=ATOL)
-
-    def test_ascend_and_come_once(self, toy_index: PoseIndex, number: int) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number), 100)
-        assert len(found) == 100
-        assert (np.diff(found.distances) >= 0).all()
-        assert len(set(zip(found.numbers, found.mirrored, strict=True))) == 100
 
     def test_points_are_those_of_the_entries(self, toy_index: PoseIndex, number: int) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number), 40)

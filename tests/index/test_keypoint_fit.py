@@ -100,17 +100,6 @@ def test_sides_that_are_exchanged_are_fitted_as_they_are_meant(toy_index: PoseIn
     assert_allclose(fitted, points_3d, atol=1e-9)
 
 
-def test_several_at_once_are_fitted_as_each(toy_index: PoseIndex) -> None:
-    keypoints = keypoints_of(toy_index.entry(40).points_normalised)
-    points_3d, placed = toy_index.points(NUMBERS)
-    together = fit_to_keypoints(keypoints, points_3d, placed)
-    for row in range(0, len(NUMBERS), 5):
-        one = slice(row, row + 1)
-        alone = fit_to_keypoints(keypoints, points_3d[one], placed[one])
-        assert_allclose(together[0][one], alone[0], atol=1e-9)
-        assert_allclose(together[1][one], alone[1], atol=1e-9)
-
-
 def in_depth(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> Keypoints:
     """The same keypoints with the limbs of a pose, seen well."""
     limbs = points_3d[list(ROWS)]
