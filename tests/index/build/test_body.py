@@ -26,7 +26,6 @@ from index.build.body import (
 )
 from index.build.motion import Clip, read_clip
 from index.build.poses import Poses
-from index.build.render import skin
 from index.build.rig import MotionError
 from index.skeleton import JOINT_NAMES, NATIVE
 
@@ -154,25 +153,6 @@ def test_unknown_joint_is_named(zero_clip: Clip, avatars: list[Avatar]) -> None:
         retarget(replace(zero_clip, bones=bones), avatars[0])
 
 
-def test_skin_moves_every_vertex_with_its_bone(poses: Poses, avatars: list[Avatar]) -> None:
-    avatar, clip = avatars[0], poses.clips[0]
-    transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[5][None])[0]
-    posed = skin(avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32))
-    owner = transforms[avatar.influences[:, 0]]
-    expected = np.einsum("vij,vj->vi", owner[..., :3], avatar.vertices) + owner[..., 3]
-    assert_allclose(posed, expected, atol=1e-5)
-
-
-def test_skin_blends_linearly() -> None:
-    vertices = np.array([[1.0, 0, 0]], np.float32)
-    influences = np.array([[0, 1, 0, 0, 0, 0, 0, 0]], np.int32)
-    weights = np.array([[0.75, 0.25, 0, 0, 0, 0, 0, 0]], np.float32)
-    transforms = np.zeros((2, 3, 4), np.float32)
-    transforms[:, :, :3] = np.eye(3)
-    transforms[1, :, 3] = (0, 4, 8)
-    assert_allclose(skin(vertices, influences, weights, transforms), [[1, 1, 2]])
-
-
 def test_strongest_keeps_the_largest_shares() -> None:
     weights = np.random.default_rng(0).random((6, 12)).astype(np.float32)
     influences, shares = strongest(weights)
@@ -195,8 +175,3 @@ def test_compact_drops_unused_vertices_only(avatars: list[Avatar]) -> None:
     small = compact(padded)
     assert_array_equal(small.vertices[small.triangles], avatar.vertices[avatar.triangles])
     assert len(small.vertices) == len(avatar.vertices)
-
-
-def test_avatar_checks_its_shapes(avatars: list[Avatar]) -> None:
-    with pytest.raises(ValueError, match=r"expected face of shape \(5, 3\), got \(4, 3\)"):
-        replace(avatars[0], face=np.zeros((4, 3)))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
-from index.build import learn as module
 from index.build.body import Avatar
 from index.build.learn import (
     Recipe,
@@ -68,29 +66,6 @@ def test_scatter_of_lower_orders_is_a_part_of_that_of_higher_ones(simulation: Si
     assert part.recipe == few.recipe
     assert_allclose(part.total, few.total, atol=1e-4 * np.abs(few.total).max())
     assert_allclose(part.within, few.within, atol=1e-4 * np.abs(few.within).max())
-
-
-def test_total_scatter_is_that_of_all_silhouettes_and_their_mirror_images(
-    simulation: Simulation,
-) -> None:
-    recipe = Recipe(6, 4)
-    silhouettes = simulation.silhouettes(slice(None))
-    both = np.concatenate([silhouettes, silhouettes[:, :, ::-1]])
-    expected = np.cov(recipe.block(both).astype(np.float64), rowvar=False, bias=True)
-    total = measure_scatter(simulation, 3, recipe).total
-    # Odd and even moments do not vary together, which the descriptor relies on, not this matrix.
-    odd = np.arange(len(total)) % 4 % 2 == 1
-    alike = odd[:, None] == odd
-    assert_allclose(total[alike], expected[alike], atol=1e-6 * np.abs(expected).max())
-
-
-def test_blocks_do_not_matter(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = measure_scatter(simulation, 3, Recipe(6, 4))
-    monkeypatch.setattr(module, "BLOCK", 50)
-    blocks = measure_scatter(simulation, 3, Recipe(6, 4))
-    for name in ("total", "within"):
-        expected = getattr(whole, name)
-        assert_allclose(getattr(blocks, name), expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_a_recipe_says_what_the_descriptor_is_made_of(simulation: Simulation) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from index.build import shard_files
 from index.build import simulate as module
@@ -20,7 +19,6 @@ from index.build.shard_files import (
     Task,
     code_version,
     name_of,
-    read_avatars,
     write_avatars,
 )
 from index.build.simulate import Simulation, simulate
@@ -94,14 +92,6 @@ class TestResume:
         assert (len(first.files), len(second.files)) == (2, 4)
         assert not set(first.files) & set(second.files)
         assert_same(resumed, drawn(some, avatars))
-
-    def test_nothing_is_drawn_twice(
-        self, some: Poses, avatars: list[Avatar], tmp_path: Path
-    ) -> None:
-        drawn(some, avatars, folder=tmp_path)
-        workers = Noted()
-        drawn(some, avatars, workers=workers, folder=tmp_path)
-        assert workers.files == []
 
     def test_other_inputs_are_other_files(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -201,14 +191,3 @@ def test_code_version_is_that_of_the_sources(
     source = tmp_path / "index" / "build" / "render.py"
     source.write_text(source.read_text() + "\n")
     assert code_version.__wrapped__() != code_version()
-
-
-def test_avatars_come_back_as_they_were(avatars: list[Avatar], tmp_path: Path) -> None:
-    file = write_avatars(avatars, tmp_path)
-    for read, written in zip(read_avatars(file), avatars, strict=True):
-        for field in dataclasses.fields(Avatar):
-            one, other = getattr(read, field.name), getattr(written, field.name)
-            assert type(one) is type(other)
-            assert_array_equal(one, other)
-            if isinstance(one, np.ndarray):
-                assert one.dtype == other.dtype
