@@ -17,8 +17,6 @@ from app.vision.detection.detector import (
     NetworkDetector,
     detection_probability,
     hog_people,
-    logit,
-    sigmoid,
 )
 from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.keypoints.movenet import MoveNet
@@ -60,16 +58,6 @@ def test_walkers_are_found_and_nobody_else(
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
     for one in found:
         assert max(one.box.iou(person) for person in (*walkers, *far_walkers)) > 0.4
-
-
-def test_the_network_is_surer_of_walkers_than_of_who_is_far_away(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    scores = [
-        max(one.score for one in detector.detect(street) if one.box.iou(box) > 0.5)
-        for box in walkers
-    ]
-    assert min(scores) > 0.75
 
 
 def test_a_large_frame_is_searched_at_reduced_size(
@@ -175,20 +163,6 @@ def test_who_is_less_sure_than_asked_is_left_out(
         assert make(1.0).detect(street) == []
 
 
-def test_candidates_are_judged_by_all(detector: NetworkDetector, street: NDArray[np.uint8]) -> None:
-    candidates, scores = detector.candidates(street)
-    assert scores.shape == (len(candidates), 3)
-    assert [one.score for one in candidates] == scores[:, 0].tolist()
-    assert (np.diff(scores[:, 0]) <= 0).all()
-    assert [bool(one.windows) for one in candidates] == (scores[:, 2] > 0).tolist()
-    probabilities = detection_probability(scores)
-    judged = {one.box: score for one, score in zip(candidates, probabilities, strict=True)}
-    found = detector.detect(street)
-    assert found
-    for one in found:
-        assert one.score == judged[one.box]
-
-
 class SeesNobody(PoseDetection):
     """Sees nobody, so that MoveNet is on its own."""
 
@@ -233,20 +207,6 @@ def test_each_opinion_makes_the_others_no_less_sure(
     assert probability(score, margin + more, body) >= found
     assert probability(min(1, score + more), margin, body) >= found
     assert probability(score, margin, min(1, body + more)) >= found
-
-
-@given(score=st.floats(0, 1), margin=st.floats(-5, 5))
-def test_hog_never_lowers_a_score(score: float, margin: float) -> None:
-    """Who lies or sits looks to it like a wall: that says nothing."""
-    assert probability(score, margin, 0.0) >= probability(score, 0.0, 0.0)
-    if margin <= 0:
-        assert probability(score, margin, 0.0) == probability(score, 0.0, 0.0)
-
-
-@given(probability=st.floats(0.0002, 0.9998))
-def test_odds_and_probabilities_are_inverse(probability: float) -> None:
-    scores = np.array([probability])
-    assert sigmoid(logit(scores)) == pytest.approx(scores)
 
 
 def test_hog_gives_one_box_a_person(street: NDArray[np.uint8], walkers: list[Box]) -> None:

@@ -84,18 +84,6 @@ class TestPublishedGraph:
             atol = 1e-3 if number < 4 else 0.05  # As above.
             assert_allclose(person.keypoints.scores, scores, atol=atol)
 
-    def test_its_people_are_the_walkers(
-        self,
-        published: NDArray[np.float64],
-        street: NDArray[np.uint8],
-        walkers: list[Box],
-    ) -> None:
-        height, width = street.shape[:2]
-        top, left, bottom, right = (published[:3, 51:55] * (height, width, height, width)).T - 0.5
-        boxes = [Box(*sides) for sides in zip(left, top, right - left, bottom - top, strict=True)]
-        for walker in walkers:
-            assert max(walker.iou(box) for box in boxes) > 0.6
-
 
 def test_more_people_than_the_published_graph_gives(
     movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
@@ -173,11 +161,6 @@ def test_a_frame_of_nobody_holds_nobody(
     assert all(one.score < 0.1 for one in found)
 
 
-def test_noise_is_nobody(movenet: MoveNet) -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (256, 192, 3)).astype(np.uint8)
-    assert all(one.score < 0.1 for one in movenet.people(noise))
-
-
 def test_threads_agree(movenet: MoveNet, street: NDArray[np.uint8]) -> None:
     parts = [street, street[:200], street[:, 100:]] * 3
     expected = [[one.box for one in movenet.people(part)] for part in parts]
@@ -242,17 +225,6 @@ def test_what_heads_show_is_decoded(seed: int, count: int) -> None:
         seen = one.keypoints.scores > LEAST_KEYPOINT_SCORE
         assert one.score == pytest.approx(score * one.keypoints.scores[seen].mean(), rel=1e-4)
     assert len(decode(heads_of(people), 1.01)) == 0
-
-
-def test_boxes_end_with_the_picture() -> None:
-    rows, columns = CELL_PX * CELLS[0], CELL_PX * CELLS[1]
-    points = np.full((KEYPOINTS, 2), 10.0)
-    (one,) = decode(heads_of([(Box(-30, -30, 90, 90), points, 0.9)]), 0.05)
-    assert one.box == Box(-0.5, -0.5, 60.5, 60.5)
-    far = np.array([columns - 8.0, rows - 8.0])
-    box = Box(far[0] - 30, far[1] - 30, 60, 60)
-    (other,) = decode(heads_of([(box, points * 0 + far, 0.9)]), 0.05)
-    assert (other.box.right, other.box.bottom) == (columns - 0.5, rows - 0.5)
 
 
 def test_a_keypoint_that_another_claims_is_taken_by_who_is_nearer() -> None:

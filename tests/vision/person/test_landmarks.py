@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
-import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -124,18 +123,6 @@ def test_in_a_turned_street_the_landmarks_are_turned(
     assert there.drift == pytest.approx(here.drift, abs=0.05)
 
 
-@NUMBERS
-def test_in_a_larger_photograph_the_landmarks_are_the_same(
-    landmark_network: LandmarkNetwork, street: NDArray[np.uint8], walkers: list[Box], number: int
-) -> None:
-    """Ten times as large, a window is averaged before it is sampled."""
-    large = cv2.resize(street, None, fx=10, fy=10, interpolation=cv2.INTER_CUBIC)
-    here = read(landmark_network, street, walkers[number]).landmarks
-    there = read(landmark_network, large, walkers[number].scaled(10)).landmarks
-    small = (there.positions + 0.5) / 10 - 0.5
-    assert apart(here.positions, small, walkers[number].height) < LARGER_WITHIN
-
-
 def test_nobody_is_in_an_empty_window(
     landmark_network: LandmarkNetwork, street: NDArray[np.uint8]
 ) -> None:
@@ -147,19 +134,6 @@ def test_nobody_is_in_an_empty_window(
         reading = landmark_network.read(blank, window)
         assert reading.presence < 0.5
         assert np.isfinite(reading.landmarks.positions).all()
-
-
-@NUMBERS
-def test_the_window_after_a_right_one_stays(
-    landmark_network: LandmarkNetwork, street: NDArray[np.uint8], walkers: list[Box], number: int
-) -> None:
-    """Where the network looks next is about the same body, and is then kept."""
-    reading = read(landmark_network, street, walkers[number])
-    for _ in range(3):
-        reading = landmark_network.read(street, reading.next_window)
-        assert reading.presence > 0.9
-    assert reading.drift < 0.1
-    assert reading.landmarks.box().iou(walkers[number]) > 0.5
 
 
 def test_threads_agree(
