@@ -14,7 +14,7 @@ from app.estimation.posture import EstimatedPosture, vote_posture
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.actions import ActionModel, ActionRecogniser, shipped_model, window_features
 from app.tracking.ground import STILL
-from app.tracking.measures import Measured, ground_path
+from app.tracking.measures import Measured
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import Smoothed
 from app.vision.people import Box
@@ -114,13 +114,6 @@ def test_features_do_not_change_with_the_frame_rate() -> None:
     coarse, fine = window_features(measured(10)), window_features(measured(30))
     assert np.abs(coarse - fine).max() < 0.25
     assert np.abs(coarse - fine).mean() < 0.02
-
-
-def test_a_raised_camera_sees_steps_towards_it() -> None:
-    rise = PX_PER_M * np.array([[0.0, 0.0], [0.0, -0.5]])
-    np.testing.assert_allclose(ground_path(rise, PX_PER_M, 30.0)[1], [0.0, -1.0])
-    # From the level the picture does not tell.
-    assert abs(ground_path(rise, PX_PER_M, 0.0)[1, 1]) < 2
 
 
 def test_an_action_is_told_after_a_second(undecided: ActionModel) -> None:

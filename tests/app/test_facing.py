@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from app.estimation.facing import azimuth_deg, front_share
+from app.estimation.facing import azimuth_deg
 from index.landmark_search import rotate_clockwise
 from index.skeleton import camera_rotation
 
@@ -27,9 +27,3 @@ def test_azimuth_does_not_change_as_the_picture_is_rotated(angle: float) -> None
     bodies = np.random.default_rng(0).normal(size=(20, 24, 3))
     rotated = azimuth_deg(rotate_clockwise(bodies, angle))
     assert_allclose((rotated - azimuth_deg(bodies) + 180) % 360, 180, atol=1e-6)
-
-
-def test_front_share_is_that_of_the_confidence() -> None:
-    azimuths, confidences = np.array([0.0, 60.0, 120.0, 180.0]), np.array([0.5, 0.1, 0.2, 0.2])
-    assert front_share(azimuths, confidences) == pytest.approx(0.6)
-    assert front_share(azimuths, np.zeros(4)) == pytest.approx(0.5)

@@ -15,7 +15,7 @@ from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.landmark_search import rotate_clockwise
 from index.matching import match
-from index.rotations import rotate_silhouette, usual_rotations
+from index.rotations import rotate_silhouette
 from index.skeleton import LIMBS, POINT_NAMES
 from index.store import PoseIndex
 
@@ -190,45 +190,6 @@ class TestMatched:
         corner = np.array([126, 86])
         mask[86 : 86 + 128, 126 : 126 + 48] = index.silhouette(number)
         return mask, index.entry(number).points_normalised + corner
-
-    @WIDE_DEG
-    def test_by_the_silhouette_alone_the_pose_follows_the_picture(
-        self, tiny_index: PoseIndex, angle: float
-    ) -> None:
-        asked = 0
-        # Whose axis is vertical: this index was not rolled.
-        for number in (0, 12, 24, 36, 48):
-            mask, points = self.drawn(tiny_index, number)
-            one = NormalisedPerson.of(silhouette_of(mask, angle), None)
-            if len(usual_rotations(one.silhouette, one.roll_deg)) == 3:
-                continue
-            asked += 1
-            gap_px, gap_m = self.nearest(tiny_index, number, one, points, angle)
-            assert gap_px < 4
-            assert gap_m < 0.15
-        assert asked >= 3
-
-    def nearest(
-        self,
-        index: PoseIndex,
-        number: int,
-        one: NormalisedPerson,
-        points: NDArray[np.float64],
-        angle: float,
-    ) -> tuple[float, float]:
-        """How near the best of five comes to the rotated entry: pixels of the frame, metres."""
-        found = match(index, one.silhouette, 5, roll_deg=one.roll_deg).hypotheses[:5]
-        wanted = moved(points, about_centre(angle))
-        body = rotate_clockwise(index.entry(number).points_3d, angle)
-        return min(
-            (
-                float(
-                    np.linalg.norm(one.points_in_frame(h.points_normalised) - wanted, axis=1).mean()
-                ),
-                float(np.linalg.norm(h.points_3d - body, axis=1).mean()),
-            )
-            for h in found
-        )
 
     @ANY_DEG
     def test_with_keypoints_whichever_way_up(self, tiny_index: PoseIndex, angle: float) -> None:

@@ -226,23 +226,6 @@ def test_how_far_a_skeleton_was_moved_is_told(client: TestClient, photo: Photo) 
     assert compared >= 3
 
 
-def test_by_the_silhouette_alone_nothing_of_the_photograph_is_told(client: TestClient) -> None:
-    seen, unseen = (
-        post(client, {"frame": STREET}, evidence=evidence)["persons"]
-        for evidence in ("photograph", "silhouette")
-    )
-    assert [one["box"] for one in unseen] == [one["box"] for one in seen]
-    assert [one["silhouette"] for one in unseen] == [one["silhouette"] for one in seen]
-    for person in unseen:
-        assert person["observed_keypoints"] is None
-        assert person["facing"]["evidence"] == "none"
-        for hypothesis in person["hypotheses"]:
-            # This index has no network that would re-rank.
-            assert hypothesis["distance"] == pytest.approx(
-                hypothesis["silhouette_distance"], rel=1e-3
-            )
-
-
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
 def test_a_mask_may_come_without_its_photograph(
     client: TestClient, photo: Photo, evidence: str
@@ -304,18 +287,6 @@ def test_an_empty_street_has_no_persons(client: TestClient) -> None:
     answer = client.post("/pose", files={"frame": frame, "mask": empty}).json()
     assert answer["persons"] == []
     assert answer["image"] == {"width": 320, "height": 240}
-
-
-def test_by_the_silhouette_alone_the_facing_is_that_of_the_hypotheses(
-    client: TestClient, photo: Photo
-) -> None:
-    person = ask(client, photo)["persons"][0]
-    weights = np.array([h["confidence"] for h in person["hypotheses"]])
-    front = np.cos(np.deg2rad([h["camera"]["azimuth_deg"] for h in person["hypotheses"]])) > 0
-    assert person["facing"]["evidence"] == "none"
-    assert person["facing"]["front_probability"] == pytest.approx(
-        (weights * front).sum() / weights.sum(), abs=1e-3
-    )
 
 
 COLUMNS = np.arange(320)

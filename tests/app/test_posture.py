@@ -59,11 +59,6 @@ def test_confidence_decides_rather_than_numbers() -> None:
     assert share(votes, "walking") == pytest.approx(0.4)
 
 
-def test_hypotheses_without_confidence_vote_alike() -> None:
-    votes = vote_posture(["sitting", "kneeling"], [0.0, 0.0])
-    assert share(votes, "sitting") == share(votes, "kneeling") == pytest.approx(0.5)
-
-
 @given(
     weights=st.lists(st.floats(0, 1), min_size=len(POSTURES), max_size=len(POSTURES)),
     probability=st.floats(0, 1),

@@ -103,7 +103,7 @@ def test_the_keypoints_among_landmarks_have_their_names() -> None:
         *((PersonWindow, bad, "positive finite size")
           for bad in ((0, 0, 0, 0), (0, 0, -1, 0), (np.nan, 0, 1, 0), (0, 0, 1, np.inf))),
         (Detection, (Box(0, 0, 1, 1), 1.5), "0 to 1"),
-        *((ObservedKeypoints, (np.zeros((rows, 2)), np.zeros(scores)), "expected positions of shape")
+        *((ObservedKeypoints, (np.zeros((rows, 2)), np.zeros(scores)), "positions of shape")
           for rows, scores in ((16, 17), (17, 16), (0, 0))),
         *((Landmarks, (np.zeros((rows, 2)), np.zeros(scores), np.zeros((depths, 3))),
            "expected arrays of shapes")

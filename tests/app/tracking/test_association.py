@@ -72,13 +72,8 @@ class TestAssociate:
 
     def test_who_bends_fast_stays_the_same_person(self) -> None:
         """Boxes of UP-Fall at six frames a second: the size expected lags behind."""
-        upright, bent, down = (
-            Box(317, 166, 70, 293),
-            Box(266, 266, 130, 195),
-            Box(253, 300, 157, 158),
-        )
-        seen = [Sighting(ObservedPerson(box, "detector", 0.9, None), None) for box in
-                (upright, bent, down)]  # fmt: skip
+        boxes = Box(317, 166, 70, 293), Box(266, 266, 130, 195), Box(253, 300, 157, 158)
+        seen = [Sighting(ObservedPerson(box, "detector", 0.9, None), None) for box in boxes]
         track = Track(seen[0], 0.0)
         for number in range(1, 6):
             track.see(seen[0], number / 6)
@@ -95,12 +90,8 @@ class TestAssociate:
 
     def test_clothes_tell_who_is_who_where_places_do_not(self) -> None:
         tracks = [walking(100, 0, RED), walking(110, 0, BLUE)]
-        assert associate(
-            tracks, [sighting(103, appearance=BLUE), sighting(107, appearance=RED)], 1.1
-        ) == [
-            1,
-            0,
-        ]
+        seen = [sighting(103, appearance=BLUE), sighting(107, appearance=RED)]
+        assert associate(tracks, seen, 1.1) == [1, 0]
 
     def test_two_who_cross_keep_their_identities(self) -> None:
         tracks = [walking(100, 60), walking(160, -60)]

@@ -113,14 +113,6 @@ def test_noise_is_smoothed_away() -> None:
     assert np.abs(np.diff(smooth, axis=0)).mean() < 0.7 * np.abs(np.diff(raw, axis=0)).mean()
 
 
-def test_more_confident_hypotheses_make_a_more_confident_pose() -> None:
-    sure, unsure = (
-        follow([person_of([seen_from(0.0)], [confidence])] * 4)[-1].pose.confidence
-        for confidence in (0.9, 0.2)
-    )
-    assert 0 < unsure < sure < 1
-
-
 def test_without_hypotheses_there_is_no_pose() -> None:
     person = person_of([seen_from(0.0)], [0.5])
     hidden = Person(person.observed, None, None, ())
