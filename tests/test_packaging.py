@@ -88,7 +88,7 @@ def test_make_clean_leaves_nothing_that_git_does_not_track(tmp_path: Path) -> No
     for file in ("Makefile", ".gitignore"):
         shutil.copy(ROOT / file, tmp_path)
     for pattern in (ROOT / ".gitignore").read_text().split():
-        folder = tmp_path / pattern.strip("/").replace("*", "some")
+        folder = tmp_path / pattern.strip("/").replace("*", "a" if pattern[0] == "*" else "")
         folder.mkdir()
         (folder / "file").touch()
     kept = tmp_path / "tests" / "mine.txt"  # Not tracked yet, and nobody's to delete.
