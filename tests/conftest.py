@@ -76,11 +76,7 @@ def stick_figure(rng: np.random.Generator) -> NDArray[np.float64]:
 def _swing(forward: float, aside: float) -> NDArray[np.float64]:
     """Unit vector of a limb that hangs, swung forward and aside by angles in radians."""
     return np.array(
-        [
-            np.sin(aside) * np.cos(forward),
-            -np.cos(aside) * np.cos(forward),
-            np.sin(forward),
-        ]
+        [np.sin(aside) * np.cos(forward), -np.cos(aside) * np.cos(forward), np.sin(forward)]
     )
 
 

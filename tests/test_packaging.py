@@ -56,8 +56,7 @@ def test_nobody_kills_it_while_it_finishes_what_runs(file: str | Path, pattern: 
 
 
 @pytest.mark.parametrize(
-    ("file", "pattern"),
-    [("compose.yaml", r"mem_limit: (\d+)m"), (UNIT, r"MemoryMax=(\d+)M")],
+    ("file", "pattern"), [("compose.yaml", r"mem_limit: (\d+)m"), (UNIT, r"MemoryMax=(\d+)M")]
 )
 def test_the_uploads_that_are_taken_fit_the_memory_limit(file: str | Path, pattern: str) -> None:
     found = re.search(pattern, (ROOT / file).read_text())

@@ -9,12 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from descriptor.descriptor import (
-    Descriptor,
-    DiagonalDescriptor,
-    DiscriminantDescriptor,
-    restore,
-)
+from descriptor.descriptor import Descriptor, DiagonalDescriptor, DiscriminantDescriptor, restore
 
 
 def discriminant(p2: tuple[float, ...] = (0.5,)) -> DiscriminantDescriptor:

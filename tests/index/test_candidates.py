@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.candidates import (
-    Candidates,
-    compare_entries,
-    find_candidates,
-    find_candidates_of_each,
-)
+from index.candidates import Candidates, compare_entries, find_candidates, find_candidates_of_each
 from index.skeleton import POINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 

@@ -9,10 +9,7 @@ import pytest
 
 from app.vision.people import Box
 from scripts.load.benchmark import interleaved, read_street, sender
-from scripts.load.benchmark_cases import (
-    Street,
-    without_people,
-)
+from scripts.load.benchmark_cases import Street, without_people
 from scripts.load.benchmark_report import Measured, Row, report
 from scripts.load.client import Call, Client
 

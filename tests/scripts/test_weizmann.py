@@ -12,13 +12,7 @@ from scipy.io import savemat
 from app.estimation.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
 from index.store import PoseIndex
-from scripts.experiments.weizmann import (
-    Film,
-    Pixels,
-    Recording,
-    leave_one_person_out,
-    read_films,
-)
+from scripts.experiments.weizmann import Film, Pixels, Recording, leave_one_person_out, read_films
 from scripts.experiments.weizmann_report import in_frames, watch
 
 FRAMES = 6

@@ -7,13 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.body import Avatar
-from index.build.learn import (
-    Recipe,
-    discriminate,
-    learn_descriptor,
-    measure_scatter,
-    view_joints,
-)
+from index.build.learn import Recipe, discriminate, learn_descriptor, measure_scatter, view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.skeleton import JOINTS

@@ -14,13 +14,7 @@ from index.build import shard_files
 from index.build import simulate as module
 from index.build.body import Avatar
 from index.build.poses import Poses, merged
-from index.build.shard_files import (
-    ShardError,
-    Task,
-    code_version,
-    name_of,
-    write_avatars,
-)
+from index.build.shard_files import ShardError, Task, code_version, name_of, write_avatars
 from index.build.simulate import Simulation, simulate
 from index.build.workers import Result, Threads
 from index.build.workers import Task as AnyTask

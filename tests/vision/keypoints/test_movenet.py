@@ -177,9 +177,7 @@ def test_another_network_is_refused() -> None:
 CELLS = (40, 48)
 
 
-def heads_of(
-    people: list[tuple[Box, NDArray[np.float64], float]],
-) -> list[NDArray[np.float32]]:
+def heads_of(people: list[tuple[Box, NDArray[np.float64], float]]) -> list[NDArray[np.float32]]:
     """Heads that show people of given boxes, keypoints ``(17, 2)`` in pixels, and scores."""
     heads = [np.zeros((*CELLS, channels), np.float32) for channels in (1, 2, 2, 34, 17, 34)]
     centres, sizes, offsets, guesses, heatmaps, places = heads
