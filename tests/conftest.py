@@ -156,19 +156,7 @@ def tiny_index(index_path: Path) -> PoseIndex:
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph of one known entry.
-
-    Parameters
-    ----------
-    entry : int
-        The entry that was photographed.
-    frame : (240, 320, 3) uint8 array
-        BGR.
-    mask : (240, 320) uint8 array
-        1 on the person.
-    joints_2d : (19, 2) float64 array
-        Where the native joints are, in pixels.
-    """
+    """A frame (240, 320, 3) of a known entry, the mask of the person, and where joints are."""
 
     entry: int
     frame: NDArray[np.uint8]

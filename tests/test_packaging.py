@@ -34,17 +34,6 @@ def test_what_the_dockerfile_copies_is_there_and_not_ignored() -> None:
         assert source in allowed, f"{source} does not reach the build: see .dockerignore"
 
 
-def test_the_container_takes_the_extras_that_compose_names() -> None:
-    assert "EXTRAS: ${EXTRAS:-}" in (ROOT / "compose.yaml").read_text()
-    (asked,) = re.findall(
-        r"pip install --no-cache-dir -c constraints.txt (\S+)$", DOCKERFILE, re.MULTILINE
-    )
-    for extras, expected in (("", "."), ("milvus", ".[milvus]")):
-        command = ["sh", "-c", f"echo {asked}"]
-        shell = subprocess.run(command, env={"EXTRAS": extras}, capture_output=True, text=True)
-        assert shell.stdout.strip() == expected
-
-
 @pytest.mark.parametrize(
     ("file", "pattern"),
     [("compose.yaml", r"stop_grace_period: (\d+)s"), (UNIT, r"TimeoutStopSec=(\d+)")],

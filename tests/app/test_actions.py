@@ -137,15 +137,6 @@ def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:
     assert all(answer is None for answer in answers[15:25]) and answers[-1] is not None
 
 
-def test_the_shipped_model_answers_with_probabilities() -> None:
-    model = shipped_model()
-    assert {"walk", "run", "sit", "stand", "lie"} <= set(model.actions)
-    features = action_features(swinging(3), UP, path_of(swinging(3)))
-    probabilities = model.probabilities(features, np.full(len(model.actions), 0.1))
-    assert probabilities.shape == (len(model.actions),)
-    assert probabilities.sum() == pytest.approx(1) and (probabilities > 0).all()
-
-
 def test_the_shipped_model_knows_a_body_that_stands_still() -> None:
     pose = np.repeat(swinging(0.1), 30, axis=0)
     pose[:, 6:8] = pose[:, 5:6] + np.array([[0.02, -0.28, 0], [0.02, -0.54, 0]])

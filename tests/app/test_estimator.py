@@ -19,14 +19,14 @@ from app.vision.person.reader import PersonReader
 from index.landmark_search import rotate_clockwise
 from index.posture import LOW
 from scripts.experiments.rotation import rotate_box, rotate_points
-from tests.conftest import ROOT, Photo, png
+from tests.conftest import WALKERS, Photo, png
 
 WALKER = Box(135, 162, 40, 105)
 
 
 @pytest.fixture(scope="module")
 def street() -> NDArray[np.uint8]:
-    return cv2.imread(str(ROOT / "tests" / "data" / "walkers.jpg"))
+    return cv2.imread(str(WALKERS))
 
 
 @pytest.fixture(scope="module")

@@ -42,14 +42,7 @@ class Clock:
 class Client:
     """Someone who sends a frame, waits for the answer, and sends the next.
 
-    Parameters
-    ----------
-    caller : hashable
-    takes_s : float
-        That a thread takes for a frame.
-    kind : str
-    obeys : bool
-        Whether it comes back when it was told to, not at once.
+    Who obeys comes back when told to, others at once.
     """
 
     caller: Hashable
@@ -61,7 +54,6 @@ class Client:
 
     @property
     def sender(self) -> Sender:
-        """As which it appears."""
         return Sender(self.caller, id(self))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.settings import Settings
-from app.work.executor import Executor
+from app.work.executor import Executor, map_serially
 from index.skeleton import NATIVE
 from index.store import PoseIndex
 from scripts.experiments.rotation import rotate_points
@@ -84,6 +84,19 @@ def persons(
     return sorted(answer, key=lambda person: person["box"]["x"])
 
 
+@pytest.mark.parametrize("media_type", ["image/jpeg", "IMAGE/JPEG", "image/png"])
+@pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
+def test_a_photograph_may_be_the_body(client: TestClient, path: str, media_type: str) -> None:
+    """As cameras and ``curl --data-binary`` send it."""
+    raw = client.post(path, content=STREET, headers={"content-type": media_type})
+    form = client.post(path, files={"frame": STREET})
+    assert raw.status_code == form.status_code == 200
+    if path == "/pose":
+        assert raw.json()["persons"] == form.json()["persons"] != []
+    else:
+        assert raw.content == form.content
+
+
 @pytest.mark.parametrize("sent", SENT)
 @pytest.mark.parametrize("n", [1, 7, 30])
 def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str, n: int) -> None:
@@ -93,14 +106,14 @@ def test_every_processor_gives_the_same_answer(processors: list[Client], sent: s
 
 
 def test_one_thread_gives_what_two_give(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
+    settings: Settings, tiny_index: PoseIndex, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One for each pass of a network and one for the people of a frame, or two."""
     answers = []
     executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
-    for threads, options in ((1, ()), (2, (executor.map,))):
+    for threads, map_parts in ((1, map_serially), (2, executor.map)):
         monkeypatch.setattr("app.estimation.networks.available_cores", lambda t=threads: t)
-        estimator = Estimator.load(settings, *options)
+        estimator = Estimator.load(settings, map_parts, tiny_index)
         people = estimator.estimate(Upload(STREET), 7, lambda: None).persons
         answers.append([(h.hypothesis.entry, h.distance, *h.points_2d.ravel())
                         for person in people for h in person.hypotheses])  # fmt: skip

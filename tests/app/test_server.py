@@ -147,9 +147,3 @@ def test_a_server_speaks_of_problems_where_there_is_no_request(server: Server) -
         answer = connection.makefile("rb").read()
     assert answer.startswith(b"HTTP/1.1 501 ")
     assert b"application/problem+json" in answer
-
-
-def test_a_too_large_upload_is_told_so(index_path: Path) -> None:
-    with running_server(index_path, POSE_MAX_UPLOAD_BYTES="100000") as running:
-        response = httpx.post(f"{running.url}/pose", files={"frame": b"x" * 3_000_000})
-        assert response.status_code == 413

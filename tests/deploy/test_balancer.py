@@ -172,10 +172,6 @@ class TestPassing:
         # What the client says of itself is not believed.
         assert services["client"] == balancers["client"] == "127.0.0.1"
 
-    def test_a_request_keeps_the_id_that_it_brings(self, client: httpx.Client) -> None:
-        answer = client.get("/index", headers={"X-Request-ID": "mine-1"})
-        assert answer.headers["x-request-id"] == "mine-1"
-
     def test_what_the_service_refuses_early_is_told(self, client: httpx.Client) -> None:
         large = {"frame": b"x" * (17 * 1024**2)}
         check_problem(client.post("/pose", files=large), 413)

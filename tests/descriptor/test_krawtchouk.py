@@ -41,13 +41,6 @@ def test_halves_are_symmetric_or_antisymmetric() -> None:
     assert_allclose(polynomials[:, ::-1], polynomials * parity[:, None], atol=1e-12)
 
 
-def test_are_shared_and_read_only() -> None:
-    polynomials = weighted_polynomials(4, 16, 0.5)
-    assert weighted_polynomials(4, 16, 0.5) is polynomials
-    with pytest.raises(ValueError, match="read-only"):
-        polynomials[0, 0] = 1
-
-
 @pytest.mark.parametrize("orders", [0, 17])
 def test_refuses_orders_beyond_the_samples(orders: int) -> None:
     with pytest.raises(ValueError, match=f"expected 1 to 16 orders for 16 samples, got {orders}"):

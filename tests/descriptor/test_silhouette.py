@@ -147,14 +147,6 @@ def test_placement_maps_the_bounding_box_into_the_middle_of_the_frame(mask: Mask
     assert min(WIDTH - (right - left), HEIGHT - (bottom - top)) == pytest.approx(0, abs=1e-9)
 
 
-def test_pixels_land_where_the_placement_says() -> None:
-    mask = smooth_person(400)
-    silhouette, placement = normalise(mask)
-    ys, xs = np.nonzero(cv2.erode(silhouette, np.ones((3, 3), np.uint8)))
-    back = np.rint(placement.to_image(np.stack([xs, ys], axis=1))).astype(int)
-    assert mask[back[:, 1], back[:, 0]].all()
-
-
 @given(mask=masks())
 def test_is_never_empty(mask: Mask) -> None:
     assert normalise(mask)[0].any()

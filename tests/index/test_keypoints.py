@@ -55,16 +55,6 @@ def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
     assert own[1] < own[0]
 
 
-@given(seed=seeds, other=seeds)
-def test_exchanging_the_sides_of_a_skeleton_turns_the_odds_over(seed: int, other: int) -> None:
-    points = skeleton(other)
-    agreement = shown(skeleton(seed)).compare(np.stack([points, exchange_sides(points)]), NO_DEPTH)
-    assert agreement.side_odds[0] == pytest.approx(-agreement.side_odds[1])
-    assert agreement.log_likelihood[0] == pytest.approx(agreement.log_likelihood[1])
-    if abs(agreement.side_odds[0]) > 1e-9:  # Else either may pull.
-        assert_allclose(agreement.pulls[0], agreement.pulls[1])
-
-
 @given(seed=seeds)
 def test_the_skeleton_shown_is_likelier_than_its_twin(seed: int) -> None:
     points = skeleton(seed)

@@ -15,7 +15,6 @@ from index.confidence import RIGHT_BELOW_PX
 from index.landmark_search import rotate_clockwise
 from index.matching import DISTINCT_M, FIRST_HYPOTHESES, Hypothesis, match
 from index.posture import Posture
-from index.rotations import rotate_silhouette
 from index.skeleton import JOINTS, POINTS, mean_joint_distance, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 
@@ -167,38 +166,6 @@ class TestRolledQueries:
             assert apart(there.points_3d, here.points_3d) < 0.03
             frame = np.array(silhouette.shape[::-1]) - 1
             assert apart(frame - there.points_normalised, here.points_normalised) < 1
-
-    def test_mirrored_silhouette_gives_mirrored_answers(self, ground_index: PoseIndex) -> None:
-        for number in rolled_entries(ground_index):
-            roll_deg, silhouette = roll_of(ground_index, number), ground_index.silhouette(number)
-            here = best(ground_index, silhouette, roll_deg)
-            there = best(ground_index, silhouette[:, ::-1], -roll_deg)
-            assert there.entry == here.entry
-            assert there.mirrored != here.mirrored
-            assert there.posture == here.posture
-            assert there.confidence == pytest.approx(here.confidence, abs=1e-3)
-            assert_allclose(there.points_3d, mirror_3d(here.points_3d), atol=1e-3)
-            assert_allclose(
-                there.points_normalised, mirror_normalised(here.points_normalised), atol=0.05
-            )
-
-    @pytest.mark.parametrize("off", [-2.0, 2.0])
-    def test_the_skeleton_in_the_picture_does_not_depend_on_the_roll(
-        self, ground_index: PoseIndex, off: float
-    ) -> None:
-        """Rotated to stand a little differently, the best answer is among the first again."""
-        gaps_m, gaps_px = [], []
-        for number in rolled_entries(ground_index):
-            roll_deg, silhouette = roll_of(ground_index, number), ground_index.silhouette(number)
-            here = best(ground_index, silhouette, roll_deg)
-            other, to_silhouette = rotate_silhouette(silhouette, off)
-            found = match(ground_index, other, 7, roll_deg=roll_deg + off).hypotheses[:7]
-            there = min(found, key=lambda one: apart(one.points_3d, here.points_3d))
-            back = there.points_normalised @ to_silhouette[:, :2].T + to_silhouette[:, 2]
-            gaps_m.append(apart(there.points_3d, here.points_3d))
-            gaps_px.append(apart(back, here.points_normalised))
-        assert np.median(gaps_m) < 0.1
-        assert np.median(gaps_px) < 4
 
 
 class TestPostures:

@@ -143,24 +143,6 @@ def test_mirrored_queries_give_mirrored_answers(toy_index: PoseIndex, number: in
     assert there[0].posture == here[0].posture
 
 
-@pytest.mark.parametrize("n", [1, 7, 50])
-def test_hypotheses_are_as_many_as_asked_finite_and_distinct(toy_index: PoseIndex, n: int) -> None:
-    keypoints = keypoints_of_entry(toy_index, 9, score=0.3)
-    found = match(toy_index, toy_index.silhouette(9), n, keypoints).hypotheses
-    assert len(found) >= min(n, 40)
-    joints = np.stack([h.points_3d[:JOINTS] for h in found])
-    apart = np.linalg.norm(joints[:, None] - joints[None], axis=-1).mean(axis=-1)
-    assert apart[~np.eye(len(found), dtype=bool)].min() > 0.01
-    distances = [h.fused_distance for h in found]
-    assert distances == sorted(distances)
-    for hypothesis in found:
-        assert hypothesis.points_3d.shape == (POINTS, 3)
-        assert np.isfinite(hypothesis.points_3d).all()
-        assert np.isfinite(hypothesis.points_normalised).all()
-        assert 0 <= hypothesis.confidence <= 1
-        assert hypothesis.adjusted_m >= 0
-
-
 def same(one: Hypothesis, other: Hypothesis) -> bool:
     """All of them, to the last bit."""
     return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))

@@ -128,20 +128,6 @@ def test_a_query_between_known_poses_lands_between_them(where: float) -> None:
     assert_allclose(modes.points_3d[0, wrist], (start + where * step)[wrist], atol=0.02)
 
 
-@pytest.mark.parametrize("number", range(0, 576, 61))
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_a_query_that_is_an_entry_gets_its_pose(
-    toy_index: PoseIndex, number: int, mirrored: bool
-) -> None:
-    silhouette = toy_index.silhouette(number)[:, :: -1 if mirrored else 1]
-    modes = find_modes(find_candidates(toy_index, silhouette, 200), 5)
-    (best,) = modes.nearest(1).points_3d
-    entry = toy_index.entry(number, mirrored=mirrored)
-    apart = np.linalg.norm(best[:JOINTS] - entry.points_3d[:JOINTS], axis=-1)
-    # Far less than what makes poses distinct: the entry outweighs all others.
-    assert apart.mean() < DISTINCT_M / 4
-
-
 @pytest.mark.parametrize("count", [1, 4, 12, 30])
 def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_next(
     toy_index: PoseIndex, count: int
@@ -149,6 +135,12 @@ def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_ne
     for number in range(0, 576, 23):
         found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
         assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
+
+
+def test_modes_check_their_shapes() -> None:
+    modes = find_modes(candidates_of(np.zeros(2), np.ones((1, 2)), some_pose()[None]), 1)
+    with pytest.raises(ValueError, match="expected arrays of shapes"):
+        replace(modes, votes=np.ones(2))
 
 
 class TestWithBonesOf:

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.silhouette import normalise
 from index.silhouettes import Silhouettes
-from index.skeleton import camera_rotation, mirror_3d, mirror_normalised
+from index.skeleton import camera_rotation, mirror_3d
 from index.store import PoseIndex
 
 
@@ -82,17 +82,6 @@ class TestSearch:
 
 
 class TestEntries:
-    def test_labels(self, toy_index: PoseIndex) -> None:
-        entries = [toy_index.entry(number) for number in range(len(toy_index))]
-        first = entries[0]
-        assert (first.clip, first.action, first.frame) == ("greet", "wave", 2)
-        assert {(e.clip, e.action) for e in entries} == {("greet", "wave"), ("stroll", "walk")}
-        assert {e.subject for e in entries} == {"slim", "broad"}
-        # Each pose is seen by twelve cameras.
-        assert [e.frame for e in entries[:36:12]] == [2, 3, 4]
-        assert not any(e.mirrored for e in entries)
-        assert [e.number for e in entries] == list(range(len(toy_index)))
-
     @pytest.mark.parametrize("number", [0, 100, 575])
     def test_mirror_image_is_the_mirrored_body_seen_by_its_camera(
         self, toy_index: PoseIndex, number: int
@@ -103,18 +92,6 @@ class TestEntries:
         # Azimuths are wrapped to 0..360 in float64: 1e-13 degrees are lost.
         assert_allclose(entry.points_3d, mirror_3d(body) @ rotation.T, atol=1e-9)
         assert 0 <= entry.azimuth_deg < 360
-
-    @pytest.mark.parametrize("number", [0, 100, 575])
-    def test_mirror_image_has_the_labels_and_the_mirrored_points(
-        self, toy_index: PoseIndex, number: int
-    ) -> None:
-        entry, image = (toy_index.entry(number, mirrored=m) for m in (False, True))
-        assert (entry.mirrored, image.mirrored) == (False, True)
-        for field in ("number", "action", "clip", "subject", "frame", "elevation_deg",
-                      "distance_m"):  # fmt: skip
-            assert getattr(entry, field) == getattr(image, field)
-        assert_array_equal(image.points_3d, mirror_3d(entry.points_3d))
-        assert_array_equal(image.points_normalised, mirror_normalised(entry.points_normalised))
 
     @pytest.mark.parametrize("azimuth", [0.0, -0.0, 1e-20, 360.0, 359.99998])
     def test_azimuth_of_a_mirror_image_stays_below_360(

@@ -96,14 +96,6 @@ class TestRanking:
 
 
 class TestMatch:
-    @pytest.mark.parametrize("number", QUERIES)
-    def test_distances_ascend(self, reranked: PoseIndex, number: int) -> None:
-        found = match(reranked, reranked.silhouette(number), 7).hypotheses
-        assert len(found) >= 7
-        distances = [hypothesis.fused_distance for hypothesis in found]
-        assert distances == sorted(distances)
-        assert np.isfinite(distances).all()
-
     def test_keypoints_are_matched_without_the_network(
         self, toy_index: PoseIndex, reranked: PoseIndex
     ) -> None:

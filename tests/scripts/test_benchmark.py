@@ -10,7 +10,6 @@ import pytest
 from app.vision.people import Box
 from scripts.load.benchmark import interleaved, read_street, sender
 from scripts.load.benchmark_cases import Street, without_people
-from scripts.load.benchmark_report import Measured, Row, report
 from scripts.load.client import Call, Client
 
 BOX = Box(40, 20, 30, 90)
@@ -54,22 +53,6 @@ def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPat
     assert sent == ["/a", "/b", "/a"]
     with pytest.raises(RuntimeError, match="got 422: no such thing"):
         send()
-
-
-def test_the_page_has_ratios_to_the_yardstick_beside_those_wanted() -> None:
-    rows = [
-        Row("nobody", [60.0, 30.0, 40.0], "0", 75, 0.6),
-        Row("walkers", [200.0] * 3, "4, 3", 120),
-    ]
-    measured = Measured(Row("HOG", [100.0, 90.0, 80.0]), rows, 0.07, "sticks", 1.5, 250.4, 270.0)
-    page = report(measured, "make bench", ["the moon (it is far)"])
-    assert [line for line in page.splitlines() if line.startswith("| ")][1:] == [
-        "| HOG |  | 82.0 ms | 90.0 ms |  | 1.000 |  |",
-        "| nobody | 0 | 32.0 ms | 40.0 ms | 75 ms | 0.444 | 0.60 |",
-        "| walkers | 4, 3 | 200.0 ms | 200.0 ms | 120 ms | 2.222 |  |",
-    ]
-    for said in ("`make bench`, revision", "Machine: ", "7% of", "250 MB", "Left out: the moon"):
-        assert said in page
 
 
 def test_without_the_video_it_says_what_is_left_out(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from scripts.experiments.contour import contour_faults, disturb, disturb_all
+from scripts.experiments.contour import contour_faults, disturb
 
 RADIUS = 20
 
@@ -24,16 +24,6 @@ def disc() -> NDArray[np.uint8]:
 def ring(disc: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The same with a hole."""
     return np.asarray(cv2.circle(disc.copy(), (24, 64), RADIUS // 2, 0, cv2.FILLED), np.uint8)
-
-
-def test_equal_seeds_make_equal_noise_and_every_silhouette_has_its_own(
-    disc: NDArray[np.uint8],
-) -> None:
-    pair = np.stack([disc, disc])
-    one, other = disturb_all(pair, 2.0, 5), disturb_all(pair, 2.0, 5)
-    assert_array_equal(one, other)
-    assert (one[0] != one[1]).any()
-    assert (one != disturb_all(pair, 2.0, 6)).any()
 
 
 def test_noise_moves_the_outline_as_far_as_its_deviation_says(disc: NDArray[np.uint8]) -> None:

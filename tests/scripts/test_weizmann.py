@@ -12,7 +12,7 @@ from scipy.io import savemat
 from app.estimation.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
 from index.store import PoseIndex
-from scripts.experiments.weizmann import Film, Pixels, Recording, leave_one_person_out, read_films
+from scripts.experiments.weizmann import Film, Recording, leave_one_person_out, read_films
 from scripts.experiments.weizmann_report import in_frames, watch
 
 FRAMES = 6
@@ -88,20 +88,6 @@ def test_nobody_is_recognised_by_their_own_frames(file: Path) -> None:
     wave2 = recognition.actions.index("wave2")
     assert (recognition.answer[recognition.truth == wave2] != wave2).all()
     assert recognition.right < 1
-
-
-def test_order_tells_actions_of_the_same_frames_apart(file: Path) -> None:
-    frames = np.concatenate([r.silhouettes[:1] for r in read_recordings(file)[:6]])
-    recordings = [
-        Recording(person, action, frames[::step])
-        for person in ("daria", "lena")
-        for action, step in (("run", 1), ("walk", -1))
-    ]
-    by_frame, in_order = (
-        leave_one_person_out(recordings, Pixels(), mirrored=False, frames=n) for n in (1, 3)
-    )
-    assert by_frame.right == 0.5
-    assert in_order.right == 1 and (in_order.lead == 1).all()
 
 
 def test_films_are_watched_as_by_a_camera(estimator: Estimator, tiny_index: PoseIndex) -> None:

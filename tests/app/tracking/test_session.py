@@ -138,27 +138,6 @@ def learn(session: CameraSession, start: float = 0.0) -> float:
     return start + 2.0
 
 
-def test_a_walker_keeps_an_identity_and_leaves(session: CameraSession) -> None:
-    time = learn(session)
-    events = []
-    for step in range(40):
-        result = send(session, time + step / 10, (0, 10 + 7 * step))
-        events += result.events
-        if step > 20:
-            assert ids(result) == [1]
-    for step in range(40, 65):
-        result = send(session, time + step / 10)
-        events += result.events
-    # The landmarks of a rectangle may lie.
-    seen = [event for event in events if event.event in ("entered", "left")]
-    assert [(e.event, e.track_id, e.state) for e in seen] == [
-        ("entered", 1, "instant"),
-        ("left", 1, "instant"),
-    ]
-    assert result.persons == ()
-    assert session.track_ids == ()
-
-
 def test_everybody_is_read_on_every_frame_and_the_whole_frame_searched_every_so_often(
     session: CameraSession, detector: ColourDetector
 ) -> None:

@@ -82,14 +82,6 @@ class Registry(CameraSessions):
         return [summary.camera_id for summary in self.summaries(caller)]
 
 
-def test_a_camera_starts_new_and_stays_warm() -> None:
-    registry = Registry()
-    assert [registry.send("yard") for _ in range(3)] == ["new", "warm", "warm"]
-    assert registry.send("gate") == "new"
-    assert registry.cameras() == ["gate", "yard"]
-    assert (registry.began, registry.ended) == (2, [])
-
-
 def test_a_summary_tells_of_the_last_frame() -> None:
     registry = Registry()
     registry.send("yard")
@@ -136,15 +128,6 @@ def test_idle_sessions_end() -> None:
     assert registry.send("gate") == "new"
 
 
-def test_callers_do_not_see_one_another() -> None:
-    registry = Registry()
-    assert [registry.send("yard", caller) for caller in (0, 1)] == ["new", "new"]
-    assert registry.cameras(0) == registry.cameras(1) == ["yard"]
-    assert registry.cameras(2) == []
-    registry.forget(CameraKey(0, "yard"))
-    assert registry.send("yard", 1) == "warm"
-
-
 def test_who_has_most_sessions_makes_room() -> None:
     registry = Registry(max_sessions=3)
     registry.send("yard", caller=1)
@@ -188,11 +171,3 @@ def test_what_is_forgotten_starts_afresh_even_if_at_work() -> None:
     assert registry.cameras() == []
     assert registry.send("yard") == "new"
     assert registry.ended == ["forgotten"]
-
-
-def test_unknown_cameras_are_told() -> None:
-    registry = Registry()
-    with pytest.raises(KeyError):
-        registry.summary(CameraKey(0, "yard"))
-    with pytest.raises(KeyError):
-        registry.forget(CameraKey(0, "yard"))

@@ -59,11 +59,6 @@ def test_rotation_between_refuses_opposite_directions() -> None:
         rotation_between(np.array([0.0, 1, 0]), np.array([0.0, -2, 0]))
 
 
-@given(degrees=st.floats(-179, 179))
-def test_facing_yaw_of_an_upright_pelvis(degrees: float) -> None:
-    assert np.rad2deg(facing_yaw(yaw_matrix(degrees)[None]))[0] == pytest.approx(degrees)
-
-
 @given(degrees=st.floats(-179, 179), tilt=st.floats(-80, 80))
 def test_facing_yaw_ignores_bending_over(degrees: float, tilt: float) -> None:
     angle = np.deg2rad(tilt)
@@ -175,3 +170,8 @@ def test_compact_drops_unused_vertices_only(avatars: list[Avatar]) -> None:
     small = compact(padded)
     assert_array_equal(small.vertices[small.triangles], avatar.vertices[avatar.triangles])
     assert len(small.vertices) == len(avatar.vertices)
+
+
+def test_avatar_checks_its_shapes(avatars: list[Avatar]) -> None:
+    with pytest.raises(ValueError, match=r"expected face of shape \(5, 3\), got \(4, 3\)"):
+        replace(avatars[0], face=np.zeros((4, 3)))

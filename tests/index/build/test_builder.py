@@ -235,35 +235,3 @@ def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> 
     assert set(one.actions) == {"basketball", "jump", "walk"} | laid_down
     for file in (tmp_path / "one").iterdir():
         assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [("manifest", "line 2 of"), ("clip", "jump_train_1"), ("empty", "lists no segment")],
-)
-def test_bad_input_is_one_sentence_and_leaves_nothing(
-    small_mocap: Path, tmp_path: Path, spoil: str, message: str
-) -> None:
-    manifest = small_mocap / "manifest.csv"
-    lines = manifest.read_text().splitlines()
-    if spoil == "manifest":
-        manifest.write_text("\n".join([lines[0], "x,1,walk,9,3,30,", *lines[1:]]))
-    elif spoil == "empty":
-        manifest.write_text(lines[0] + "\n")
-    else:
-        folder = small_mocap / "bvh"
-        real = folder.resolve()
-        folder.unlink()
-        folder.mkdir()
-        for file in real.glob("*_train_*.bvh"):
-            (folder / file.name).write_bytes(file.read_bytes())
-        (folder / "03_02.bvh").write_bytes((real / "03_02.bvh").read_bytes())
-        (folder / "jump_train_1.bvh").write_text("HIERARCHY\n")
-    process = build(small_mocap, tmp_path / "out" / "artefact")
-    _, complaint = process.communicate(timeout=300)
-    assert process.returncode == 1
-    assert complaint.count("\n") == 1
-    assert complaint.startswith("build_index: ")
-    assert message in complaint
-    assert not (tmp_path / "out").exists()

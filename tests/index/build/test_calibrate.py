@@ -95,3 +95,8 @@ def test_missing_hypotheses_have_no_posture(ground_index: PoseIndex, queries: Qu
     missing = ~np.isfinite(few.error_px)
     assert missing.any() and not missing.all()
     assert_array_equal(few.postures == -1, missing)
+
+
+def test_answers_to_some_queries(trial: Trial) -> None:
+    right = trial.right[:, 0]
+    assert_array_equal(trial.take(right).error_m, trial.error_m[right])

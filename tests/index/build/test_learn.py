@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.body import Avatar
-from index.build.learn import Recipe, discriminate, learn_descriptor, measure_scatter, view_joints
+from index.build.learn import Recipe, learn_descriptor, measure_scatter, view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.skeleton import JOINTS
@@ -60,12 +60,3 @@ def test_scatter_of_lower_orders_is_a_part_of_that_of_higher_ones(simulation: Si
     assert part.recipe == few.recipe
     assert_allclose(part.total, few.total, atol=1e-4 * np.abs(few.total).max())
     assert_allclose(part.within, few.within, atol=1e-4 * np.abs(few.within).max())
-
-
-def test_a_recipe_says_what_the_descriptor_is_made_of(simulation: Simulation) -> None:
-    recipe = Recipe(10, 6, p2=(0.1, 0.95), dimension=16, regularisation=0.1)
-    descriptor = learn_descriptor(simulation, 3, recipe)
-    assert descriptor.projection.shape == (16, 2 * 10 * 6)
-    assert descriptor.p2 == recipe.p2
-    again = discriminate(measure_scatter(simulation, 3, recipe), 16, 0.1)
-    assert_array_equal(again.projection, descriptor.projection)

@@ -74,6 +74,12 @@ class TestSpeeds:
         file = write_clip(tmp_path / "away.bvh", walking(40), (0.4, climb, 0.3))
         assert_allclose(read_clip(file).speeds, np.full(40, 15 * METRES_PER_UNIT), rtol=1e-3)
 
+    def test_of_a_single_frame_is_zero(
+        self, tmp_path: Path, write_clip: Write, walking: Walk
+    ) -> None:
+        file = write_clip(tmp_path / "still.bvh", walking(1), (1.0, 1.0, 1.0))
+        assert_allclose(read_clip(file).speeds, [0.0])
+
     def test_follow_who_stops(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
         file = write_clip(tmp_path / "stops.bvh", walking(60), (0.0, 0.0, 1.0))
         head, motion = file.read_text().split("0.0333333\n")

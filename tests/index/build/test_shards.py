@@ -65,12 +65,6 @@ def test_same_bytes_in_shards_of_any_size(
     assert len(workers.files) == -(-22 // size)
 
 
-def test_other_seeds_of_bodies_are_other_cameras(some: Poses, avatars: list[Avatar]) -> None:
-    """The test above could not fail otherwise."""
-    entries = drawn(some, avatars).entries
-    assert len(np.unique(entries["azimuth_deg"])) > 0.99 * len(entries)
-
-
 class TestResume:
     @pytest.fixture(autouse=True)
     def _small_shards(self, monkeypatch: pytest.MonkeyPatch) -> None:

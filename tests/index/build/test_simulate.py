@@ -11,12 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build.body import Avatar
-from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, VIEW_DTYPE, sample_views
+from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 from index.build.learn import view_joints
 from index.build.poses import Poses, joints_of, merged
-from index.build.shard import most_foreshortened
 from index.build.simulate import Simulation, simulate
-from index.skeleton import JOINT_NAMES, camera_rotation
+from index.skeleton import JOINT_NAMES
 
 
 def assert_same(one: Simulation, other: Simulation) -> None:
@@ -91,15 +90,6 @@ class TestWideBodies:
         assert inside[rolled(ground_simulation)].mean() > 0.97
         assert inside.mean() > 0.97
 
-    def test_fill_the_frame(self, ground_simulation: Simulation) -> None:
-        silhouettes = ground_simulation.silhouettes(rolled(ground_simulation))
-        high = silhouettes.any(axis=2)
-        broad = silhouettes.any(axis=1)
-        filled = (high[:, 0] & high[:, -1]) | (broad[:, 0] & broad[:, -1])
-        assert filled.mean() > 0.9
-        # Lying, they were at most 48 rows high.
-        assert np.median(high.sum(axis=1)) > 100
-
 
 def test_cameras_look_down_on_who_lies(
     ground_simulation: Simulation, laid: Poses, avatars: list[Avatar]
@@ -117,25 +107,6 @@ def alignment(simulation: Simulation, row: int) -> float:
     joints_3d, _ = view_joints(simulation)
     trunk = joints_3d[row, JOINT_NAMES.index("neck")] - joints_3d[row, 0]
     return float(abs(trunk[2]) / np.linalg.norm(trunk))
-
-
-def test_most_foreshortened_are_those_that_look_along_the_trunk(avatars: list[Avatar]) -> None:
-    points = np.zeros((24, 3))
-    points[JOINT_NAMES.index("neck")] = (0.0, 0.0, -0.5)
-    cameras = np.zeros(8, VIEW_DTYPE)
-    cameras["azimuth_deg"] = np.arange(0, 360, 45)
-    chosen = most_foreshortened(cameras, points, 2)
-    assert chosen["azimuth_deg"].tolist() == [0, 180]
-    cameras = sample_views(30, np.random.default_rng(0), GROUND_ELEVATIONS_DEG)
-    chosen = most_foreshortened(cameras, points, 10)
-    # In the order given, and the rest looks less along it.
-    assert [camera in chosen for camera in cameras].count(True) == 10
-    assert_array_equal(chosen, cameras[np.isin(cameras, chosen)])
-
-    def along(views: np.ndarray) -> np.ndarray:
-        return np.abs(camera_rotation(views["azimuth_deg"], views["elevation_deg"])[:, 2, 2])
-
-    assert along(chosen).min() >= along(cameras[~np.isin(cameras, chosen)]).max()
 
 
 def test_only_new_leaves_out_views_across_who_lies(

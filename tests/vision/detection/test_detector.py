@@ -22,7 +22,6 @@ from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.keypoints.movenet import MoveNet
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import LandmarkNetwork
-from scripts.experiments.rotation import rotate_box
 
 Networks = tuple[MoveNet, PoseDetection, LandmarkNetwork]
 
@@ -114,29 +113,6 @@ def test_one_person_across_two_tiles_is_one(
     found = [one.box for one in detector.detect(frame)]
     expected = moved(walkers[1], x - left, 200 - top)
     assert [box.iou(expected) > 0.6 for box in found] == [True]
-
-
-@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
-def test_somebody_who_lies_is_found_with_the_window_that_sets_them_upright(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], quarter_turns: int
-) -> None:
-    """A walker who fills much of the frame, turned by quarters."""
-    box = walkers[2]
-    left, top = round(box.x + box.width / 2) - 75, round(box.y) - 30
-    cut = street[top : top + 150, left : left + 150]
-    large = cv2.resize(cut, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    lying = np.ascontiguousarray(np.rot90(large, quarter_turns))
-    truth = rotate_box(moved(box, -left, -top).scaled(2), large.shape, quarter_turns)
-    found = detector.detect(lying)
-    about = [
-        window
-        for one in found
-        for window in one.windows
-        if truth.x < window.x < truth.right and truth.y < window.y < truth.bottom
-    ]
-    assert about, f"expected a window about the body, got {found}"
-    off = about[0].roll_deg + 90 * quarter_turns
-    assert abs((off + 180) % 360 - 180) < 30
 
 
 def told(found: list[Detection]) -> list[tuple[Box, float]]:

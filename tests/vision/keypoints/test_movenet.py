@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -21,15 +20,8 @@ from app.vision.keypoints.movenet import (
     PersonInPicture,
     decode,
 )
-from app.vision.people import COCO_NAMES, Box
-from app.vision.tflite import NetworkError
-from app.vision.weights import network_path
+from app.vision.people import Box
 from tests.conftest import ROOT
-
-OTHER_SIDE = [
-    COCO_NAMES.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
-    for name in COCO_NAMES
-]
 
 
 def corners(box: Box) -> list[float]:
@@ -100,24 +92,6 @@ def test_more_people_than_the_published_graph_gives(
     assert sum(one.score > 0.3 for one in found) >= 12
 
 
-def test_a_mirrored_picture_has_mirrored_people(
-    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    width = street.shape[1]
-    here, there = movenet.people(street), movenet.people(np.ascontiguousarray(street[:, ::-1]))
-    for walker in walkers:
-        one = about(here, walker)
-        mirrored = Box(width - 1 - one.box.right, one.box.y, one.box.width, one.box.height)
-        other = about(there, mirrored)
-        # Half a cell: nothing makes the network itself symmetric.
-        assert_allclose(corners(other.box), corners(mirrored), atol=3)
-        back = other.keypoints.positions * (-1, 1) + (width - 1, 0)
-        exchanged = np.linalg.norm(back[OTHER_SIDE] - one.keypoints.positions, axis=1)
-        as_they_are = np.linalg.norm(back - one.keypoints.positions, axis=1)
-        assert np.median(exchanged) < 2
-        assert np.median(as_they_are) > 2 * np.median(exchanged)
-
-
 @pytest.mark.parametrize(("x", "y"), [(32, 0), (0, 32), (16, 8), (5, 3)])
 def test_people_move_with_the_picture(
     movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], x: int, y: int
@@ -150,28 +124,6 @@ def test_sides_that_are_no_multiples_of_32_change_nothing(
     for one, other in zip(padded, whole, strict=True):
         assert_array_equal(one.keypoints.positions, other.keypoints.positions)
         assert one.box == other.box
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (33, 65), (298, 320), (20, 600)])
-@pytest.mark.parametrize("level", [0, 90, 255])
-def test_a_frame_of_nobody_holds_nobody(
-    movenet: MoveNet, shape: tuple[int, int], level: int
-) -> None:
-    found = movenet.people(np.full((*shape, 3), level, np.uint8))
-    assert all(one.score < 0.1 for one in found)
-
-
-def test_threads_agree(movenet: MoveNet, street: NDArray[np.uint8]) -> None:
-    parts = [street, street[:200], street[:, 100:]] * 3
-    expected = [[one.box for one in movenet.people(part)] for part in parts]
-    with ThreadPoolExecutor(4) as pool:
-        for found, wanted in zip(pool.map(movenet.people, parts), expected, strict=True):
-            assert [one.box for one in found] == wanted
-
-
-def test_another_network_is_refused() -> None:
-    with pytest.raises(NetworkError, match="expected"):
-        MoveNet(network_path("pose_detection"))
 
 
 CELLS = (40, 48)

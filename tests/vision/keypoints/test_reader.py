@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from app.vision.keypoints.reader import LONG_PX, ROOM, SHORT_PX, KeypointReader, keypoint_window
 from app.vision.people import COCO_NAMES, Box
-from app.vision.resampling import resize
 
 sides, places = st.floats(1, 900), st.floats(-300, 900)
 
@@ -61,18 +60,6 @@ def test_the_right_one_of_two_neighbours_is_read(
         seen = reader.read(street, box)
         assert seen is not None
         assert box.x < np.median(seen.positions[:, 0]) < box.right
-
-
-def test_a_picture_of_another_size_has_the_same_keypoints(
-    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    large = resize(street, 3 * street.shape[1], 3 * street.shape[0])
-    for box in walkers:
-        here, there = reader.read(street, box), reader.read(large, box.scaled(3))
-        assert here is not None and there is not None
-        apart = np.linalg.norm(there.scaled(1 / 3).positions - here.positions, axis=1)
-        # What is resized twice is blurred: a fiftieth of the person's height.
-        assert np.median(apart) < 2
 
 
 @pytest.mark.parametrize("level", [0, 127, 255])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
-import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, example, given
@@ -205,35 +202,3 @@ def test_walkers_are_cut_out(
         assert one is not None and one.segmenter == "network" and not one.truncated
         assert one.box.iou(box) > 0.7
         assert 0.25 < one.area_px / box.area < 0.75
-
-
-def test_walkers_in_a_mirrored_street_have_mirrored_silhouettes(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    width = street.shape[1]
-    mirrored = [Box(width - 1 - b.right, b.y, b.width, b.height) for b in walkers]
-    there = own(person_reader, np.ascontiguousarray(street[:, ::-1]), mirrored)
-    for one, other in zip(own(person_reader, street, walkers), there, strict=True):
-        assert iou(mask_of(one, street.shape), mask_of(other, street.shape)[:, ::-1]) > 0.85
-
-
-@pytest.mark.parametrize("factor", [2, 5])
-def test_a_larger_frame_has_the_same_silhouettes(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box], factor: int
-) -> None:
-    """Five times as large, a walker is drawn at less than the frame's resolution."""
-    large = cv2.resize(street, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-    found = own(person_reader, large, [box.scaled(factor) for box in walkers])
-    for one, other in zip(own(person_reader, street, walkers), found, strict=True):
-        same = np.kron(mask_of(one, street.shape), np.ones((factor, factor), bool))
-        assert iou(same, mask_of(other, large.shape)) > 0.85
-
-
-def test_threads_agree(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    expected = own(person_reader, street, walkers)
-    with ThreadPoolExecutor(4) as pool:
-        for found in pool.map(lambda _: own(person_reader, street, walkers), range(4)):
-            for one, other in zip(found, expected, strict=True):
-                assert (mask_of(one, street.shape) == mask_of(other, street.shape)).all()

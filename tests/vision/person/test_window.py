@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from app.vision.people import PersonWindow
-from app.vision.person.window import (
-    ROOM,
-    cut_window,
-    window_drift,
-    window_of_circle,
-    window_to_frame,
-)
+from app.vision.person.window import ROOM, cut_window, window_of_circle, window_to_frame
 
 places, sides, rolls = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
 windows = st.builds(PersonWindow, places, places, sides, rolls)
@@ -69,15 +63,6 @@ def test_the_window_of_a_circle_has_its_point_above_the_middle(
     assert (window.x, window.y) == (x, y)
     assert window.side == pytest.approx(2 * ROOM * radius)
     assert window.roll_deg == pytest.approx(roll_deg, abs=1e-6)
-
-
-@given(window=windows, other=windows, x=places, y=places)
-def test_drift_is_none_without_a_move_and_does_not_depend_on_the_place(
-    window: PersonWindow, other: PersonWindow, x: float, y: float
-) -> None:
-    assert window_drift(window, window) == 0
-    there = [PersonWindow(one.x + x, one.y + y, one.side, one.roll_deg) for one in (window, other)]
-    assert window_drift(*there) == pytest.approx(window_drift(window, other), abs=1e-9)
 
 
 FRAME = np.random.default_rng(5).integers(1, 256, (90, 120, 3), np.uint8)

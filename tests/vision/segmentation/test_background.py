@@ -104,3 +104,11 @@ def test_thin_frames_are_not_even_compared(
     segmenter = BackgroundSegmenter(scene, min_person_px=50)
     monkeypatch.delattr("app.vision.segmentation.background.foreground")
     assert segmenter.detect(255 - scene) == []
+
+
+def test_the_smallest_wanted_person_is_found_in_a_frame_of_that_height() -> None:
+    scene = np.full((40, 60, 3), 90, np.uint8)
+    frame = scene.copy()
+    frame[:, 20:32] = 200
+    (found,) = BackgroundSegmenter(scene, min_person_px=50).detect(frame)
+    assert found.box.height == 40
