@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +42,9 @@ property_settings.load_profile("untimed")
 ROOT = Path(__file__).resolve().parent.parent
 PIXELS_PER_METRE = 100.0
 CANVAS = 256
+WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
+"""A street with three walkers, and two people far away."""
+
 CAMERA_DISTANCE_M = 4.0
 CALIBRATION = Calibration(tuple(0.3 if name == "log_votes" else -0.3 for name in FEATURES), 1.0)
 """Surer where a hypothesis is near, fits well and many candidates agree on it."""
@@ -72,11 +76,7 @@ def stick_figure(rng: np.random.Generator) -> NDArray[np.float64]:
 def _swing(forward: float, aside: float) -> NDArray[np.float64]:
     """Unit vector of a limb that hangs, swung forward and aside by angles in radians."""
     return np.array(
-        [
-            np.sin(aside) * np.cos(forward),
-            -np.cos(aside) * np.cos(forward),
-            np.sin(forward),
-        ]
+        [np.sin(aside) * np.cos(forward), -np.cos(aside) * np.cos(forward), np.sin(forward)]
     )
 
 
@@ -135,6 +135,12 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
 
 
 @pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """Coroutines of tests run where the service does."""
+    return "asyncio"
+
+
+@pytest.fixture(scope="session")
 def index_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the tiny index."""
     path = tmp_path_factory.mktemp("index") / "sticks"
@@ -150,19 +156,7 @@ def tiny_index(index_path: Path) -> PoseIndex:
 
 @dataclass(frozen=True)
 class Photo:
-    """A photograph of one known entry.
-
-    Parameters
-    ----------
-    entry : int
-        The entry that was photographed.
-    frame : (240, 320, 3) uint8 array
-        BGR.
-    mask : (240, 320) uint8 array
-        1 on the person.
-    joints_2d : (19, 2) float64 array
-        Where the native joints are, in pixels.
-    """
+    """A frame (240, 320, 3) of a known entry, the mask of the person, and where joints are."""
 
     entry: int
     frame: NDArray[np.uint8]
@@ -178,6 +172,11 @@ class Photo:
     def mask_png(self) -> bytes:
         """The mask, encoded."""
         return png(self.mask)
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """Frame and mask as parts of a form."""
+        return {"frame": self.frame_png, "mask": self.mask_png}
 
 
 def png(picture: NDArray[np.generic]) -> bytes:
@@ -272,15 +271,24 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Resp
         time.sleep(0.02)
 
 
+@contextmanager
+def running_server(
+    index: Path | None, timeout_s: float = 60, **environment: str
+) -> Iterator[Server]:
+    """Start a server as :func:`start_server` does, wait until it is ready, and end it."""
+    running = start_server(index, **environment)
+    try:
+        wait_until(f"{running.url}/readyz", timeout_s=timeout_s)
+        yield running
+    finally:
+        assert running.stop() == 0
+
+
 @pytest.fixture(scope="session")
 def server(index_path: Path) -> Iterator[Server]:
     """A server process over the tiny index, ready."""
-    running = start_server(index_path)
-    try:
-        wait_until(f"{running.url}/readyz")
+    with running_server(index_path) as running:
         yield running
-    finally:
-        running.stop()
 
 
 @pytest.fixture(scope="session")

@@ -87,19 +87,6 @@ def test_imports_lead_downward(path: str) -> None:
         assert layer <= below, f"{path} imports {other}, which is in a layer above"
 
 
-def test_imports_are_seen() -> None:
-    """The test above could not fail otherwise."""
-    assert {"index/matching.py", "app/estimation/normalised_person.py"} <= imported_files(
-        ROOT / "app/estimation/hypotheses.py"
-    )
-    assert "app/api/schemas.py" in imported_files(ROOT / "app/api/replies.py")
-    layers = table()
-    assert layer_of("app/main.py", layers) == 0
-    assert layer_of("app/routes/pose.py", layers) == 1
-    assert layer_of("app/vision/decoding/decode.py", layers) == layers["app/vision/"]
-    assert layers["app/routes/"] < layers["app/vision/"] < layers["index/"] < layers["descriptor/"]
-
-
 def test_vision_knows_nothing_but_images() -> None:
     vision = [path for path in MODULES if path.startswith("app/vision/")]
     for path in vision:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import tomllib
 
-import pytest
-
 from app.main import create_app
 from app.settings import Settings
 from tests.conftest import ROOT
@@ -22,14 +20,6 @@ def test_the_licence_is_apache_2_everywhere() -> None:
     assert create_app(Settings()).openapi()["info"]["license"]["identifier"] == "Apache-2.0"
     assert 'image.licenses="Apache-2.0"' in (ROOT / "Dockerfile").read_text()
     assert "(LICENSE)" in (ROOT / "README.md").read_text()
-
-
-@pytest.mark.parametrize(
-    "whose",
-    ["NSF\nEIA-0196217", "Anny", "MakeHuman", "MediaPipe", "OpenCV", "Pose2Sim", "PETS 2009"],
-)
-def test_whose_work_it_rests_on_is_told(whose: str) -> None:
-    assert whose in NOTICE
 
 
 def test_every_network_that_ships_is_told() -> None:

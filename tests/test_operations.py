@@ -62,11 +62,6 @@ def test_every_field_of_a_log_line_is_described(
     assert fields <= names(part("Logs"))
 
 
-def test_named_files_exist() -> None:
-    for name in ("compose.yaml", "deploy/silhouette-pose.service"):
-        assert (ROOT / name).exists()
-
-
 def test_nothing_is_said_of_settings_and_scripts_that_are_gone() -> None:
     unit = (ROOT / "deploy" / "silhouette-pose.service").read_text()
     for text in (TEXT, unit, (ROOT / "compose.yaml").read_text()):

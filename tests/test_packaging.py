@@ -34,27 +34,6 @@ def test_what_the_dockerfile_copies_is_there_and_not_ignored() -> None:
         assert source in allowed, f"{source} does not reach the build: see .dockerignore"
 
 
-def test_the_container_takes_the_extras_that_compose_names() -> None:
-    assert "EXTRAS: ${EXTRAS:-}" in (ROOT / "compose.yaml").read_text()
-    (asked,) = re.findall(
-        r"pip install --no-cache-dir -c constraints.txt (\S+)$", DOCKERFILE, re.MULTILINE
-    )
-    for extras, expected in (("", "."), ("milvus", ".[milvus]")):
-        command = ["sh", "-c", f"echo {asked}"]
-        shell = subprocess.run(command, env={"EXTRAS": extras}, capture_output=True, text=True)
-        assert shell.stdout.strip() == expected
-
-
-def test_the_container_is_no_root_and_checks_its_health() -> None:
-    final = DOCKERFILE.split("\nFROM ")[-1]
-    assert re.search(r"^USER \d+:\d+$", final, re.MULTILINE)
-    assert "HEALTHCHECK" in final
-    assert "/readyz" in final
-    compose = (ROOT / "compose.yaml").read_text()
-    assert "read_only: true" in compose
-    assert "cap_drop: [ALL]" in compose
-
-
 @pytest.mark.parametrize(
     ("file", "pattern"),
     [("compose.yaml", r"stop_grace_period: (\d+)s"), (UNIT, r"TimeoutStopSec=(\d+)")],
@@ -66,8 +45,7 @@ def test_nobody_kills_it_while_it_finishes_what_runs(file: str | Path, pattern: 
 
 
 @pytest.mark.parametrize(
-    ("file", "pattern"),
-    [("compose.yaml", r"mem_limit: (\d+)m"), (UNIT, r"MemoryMax=(\d+)M")],
+    ("file", "pattern"), [("compose.yaml", r"mem_limit: (\d+)m"), (UNIT, r"MemoryMax=(\d+)M")]
 )
 def test_the_uploads_that_are_taken_fit_the_memory_limit(file: str | Path, pattern: str) -> None:
     found = re.search(pattern, (ROOT / file).read_text())
@@ -92,47 +70,21 @@ def test_the_unit_is_sound(tmp_path: Path) -> None:
 
 
 # What make's targets and `pip install .` leave behind, by the pattern that hides it from git.
-LEFTOVERS = {
-    "__pycache__/": ("app/__pycache__/a.pyc", "tests/app/__pycache__/a.pyc"),
-    "*.egg-info/": ("silhouette_pose.egg-info/PKG-INFO",),
-    ".venv*/": (".venv/.stamp", ".venv-dev/.stamp", ".venv-build/bin/python"),
-    ".mypy_cache/": (".mypy_cache/a",),
-    ".pytest_cache/": (".pytest_cache/a",),
-    ".ruff_cache/": (".ruff_cache/a",),
-    ".hypothesis/": (".hypothesis/a",),
-    "/build/": ("build/lib/app/a.py",),
-    "dist/": ("dist/a.whl",),
-}
 
 
 def test_make_clean_leaves_nothing_that_git_does_not_track(tmp_path: Path) -> None:
     for file in ("Makefile", ".gitignore"):
         shutil.copy(ROOT / file, tmp_path)
-    for file in (file for files in LEFTOVERS.values() for file in files):
-        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / file).touch()
+    for pattern in (ROOT / ".gitignore").read_text().split():
+        folder = tmp_path / pattern.strip("/").replace("*", "a" if pattern[0] == "*" else "")
+        folder.mkdir()
+        (folder / "file").touch()
     kept = tmp_path / "tests" / "mine.txt"  # Not tracked yet, and nobody's to delete.
+    kept.parent.mkdir()
     kept.touch()
     subprocess.run(["make", "-C", str(tmp_path), "clean"], capture_output=True, check=True)
     left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert left == {"Makefile", ".gitignore", "tests/mine.txt"}
-
-
-def test_make_clean_is_tried_with_all_that_git_ignores() -> None:
-    assert set((ROOT / ".gitignore").read_text().splitlines()) == set(LEFTOVERS)
-
-
-def test_make_says_in_a_line_what_it_sets_up() -> None:
-    planned = subprocess.run(
-        ["make", "--no-print-directory", "-n", "-W", "pyproject.toml", "run"],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    assert planned.startswith('echo "Once: setting up .venv ')
-    recipe = (
-        (ROOT / "Makefile").read_text().split("$(RUN)/.stamp: pyproject.toml constraints.txt\n")[1]
-    )
-    commands = recipe.split("\n\n")[0].splitlines()
-    assert all(command.startswith("\t@") for command in commands)
 
 
 def test_what_was_tested_is_what_is_installed() -> None:

@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from index.store import DEFAULT_PATH
-from tests.conftest import ROOT, Server, start_server, wait_until
+from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
 
 README = ROOT / "README.md"
 SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
@@ -121,7 +121,7 @@ def resembles(shown: object, answered: object, path: str = "reply") -> None:
 
 def test_the_reply_is_the_one_shown(service: Server) -> None:
     shown = json.loads(re.findall(r"^```json\n(.*?)^```", README.read_text(), re.M | re.S)[0])
-    with (ROOT / "tests" / "data" / "walkers.jpg").open("rb") as frame:
+    with WALKERS.open("rb") as frame:
         answer = httpx.post(f"{service.url}/pose", params={"n": 7}, files={"frame": frame})
     resembles(shown, answer.json())
 

@@ -16,10 +16,9 @@ import pytest
 from app.serving.version import VERSION
 from app.vision.weights import MODELS
 from index.store import DEFAULT_PATH
-from tests.conftest import ROOT, Server, start_server, wait_until
+from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
 
 pytestmark = pytest.mark.slow
-WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 
 
 def run(*command: str | Path) -> str:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import PlacedHypothesis
 from app.estimation.facing import Facing, azimuth_deg, faces_camera, front_share
 from app.vision.odds import sigmoid
 from app.vision.weights import fitted
@@ -140,22 +139,6 @@ def nearest_of_both_facings(
         order.remove(following)
         chosen.append(following)
     return chosen
-
-
-def keep_nearest(hypotheses: Sequence[PlacedHypothesis], n: int) -> tuple[PlacedHypothesis, ...]:
-    """The nearest ``n``, a few of which face the opposite way; see :func:`nearest_of_both_facings`.
-
-    Parameters
-    ----------
-    hypotheses : sequence of PlacedHypothesis
-        Nearest first.
-    n : int
-    """
-    if not hypotheses:
-        return ()
-    azimuths = _azimuths([placed.hypothesis for placed in hypotheses])
-    distances = np.array([placed.distance for placed in hypotheses])
-    return tuple(hypotheses[i] for i in nearest_of_both_facings(azimuths, distances, n))
 
 
 def _azimuths(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:

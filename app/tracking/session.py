@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from app.estimation.estimates import Evidence, ObservedPerson, Scene
 from app.estimation.estimator import Estimator
 from app.estimation.finder import Check
-from app.estimation.reranking import keep_nearest
 from app.estimation.stopwatch import Stopwatch
 from app.estimation.upload import Upload
 from app.tracking.appearance import appearance_histogram
@@ -323,7 +322,7 @@ class CameraSession:
                 else track.carry(observed, timestamp)
             )
             self._events += track.take_events()
-            shown = replace(result.person, hypotheses=keep_nearest(result.person.hypotheses, n))
+            shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
             tracked.append(replace(result, person=shown))
         return tuple(tracked)
 

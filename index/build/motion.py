@@ -170,7 +170,7 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
         raise MotionError(f"the clip {file} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # pybvh raises IndexError and others on malformed text
         raise MotionError(f"the clip {file} is malformed: {_at_line(file, error)}") from error
-    if not np.isfinite(bvh.joint_angles).all():
+    if not (np.isfinite(bvh.joint_angles).all() and np.isfinite(bvh.root_pos).all()):
         raise MotionError(
             f"the clip {file} is malformed: a channel holds a value that is not finite"
         )

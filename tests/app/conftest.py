@@ -1,14 +1,31 @@
-"""The debug page in headless Chromium."""
+"""Applications with other settings, and the debug page in headless Chromium."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from fastapi.testclient import TestClient
 
+from app.estimation.estimator import Estimator
+from app.main import create_app
+from app.settings import Settings
 from tests.conftest import Server
+
+Serving = Callable[..., TestClient]
+
+
+@pytest.fixture(scope="session")
+def serving(settings: Settings, estimator: Estimator) -> Serving:
+    """Makes a client of an application over the tiny index, some of whose settings are changed."""
+
+    def make(**changed: object) -> TestClient:
+        return TestClient(create_app(settings.model_copy(update=changed), estimator))
+
+    return make
+
 
 FLAGS = [
     "--no-sandbox",

@@ -14,12 +14,10 @@ from app.estimation.estimator import Estimator
 from app.http.access_log import AccessLogMiddleware
 from app.http.metrics import Metrics
 from app.http.route_table import RouteTable
-from app.main import create_app
 from app.serving.logs import JsonFormatter
-from app.settings import Settings
-from tests.app.test_errors import check_problem
-from tests.app.test_metrics import sample
+from tests.app.conftest import Serving
 from tests.conftest import Photo
+from tests.support.service import check_problem, sample
 
 
 def test_logs_are_json_with_the_request_id_and_no_content(
@@ -47,8 +45,7 @@ def test_a_request_id_that_could_forge_logs_is_replaced(client: TestClient) -> N
 
 
 def test_an_unhandled_error_is_a_problem_with_an_id_that_the_log_knows(
-    settings: Settings,
-    estimator: Estimator,
+    serving: Serving,
     photo: Photo,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -56,9 +53,9 @@ def test_an_unhandled_error_is_a_problem_with_an_id_that_the_log_knows(
     def fail(*_: object) -> None:
         raise RuntimeError("secret")
 
-    monkeypatch.setattr(estimator, "estimate", fail)
+    monkeypatch.setattr(Estimator, "estimate", fail)
     caplog.handler.setFormatter(JsonFormatter())
-    with TestClient(create_app(settings, estimator)) as client:
+    with serving() as client:
         response = client.post(
             "/pose", files={"frame": photo.frame_png}, headers={"X-Request-ID": "camera-7.43"}
         )

@@ -14,7 +14,7 @@ from app.estimation.posture import EstimatedPosture, vote_posture
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.actions import ActionModel, ActionRecogniser, shipped_model, window_features
 from app.tracking.ground import STILL
-from app.tracking.measures import Measured, ground_path
+from app.tracking.measures import Measured
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import Smoothed
 from app.vision.people import Box
@@ -116,13 +116,6 @@ def test_features_do_not_change_with_the_frame_rate() -> None:
     assert np.abs(coarse - fine).mean() < 0.02
 
 
-def test_a_raised_camera_sees_steps_towards_it() -> None:
-    rise = PX_PER_M * np.array([[0.0, 0.0], [0.0, -0.5]])
-    np.testing.assert_allclose(ground_path(rise, PX_PER_M, 30.0)[1], [0.0, -1.0])
-    # From the level the picture does not tell.
-    assert abs(ground_path(rise, PX_PER_M, 0.0)[1, 1]) < 2
-
-
 def test_an_action_is_told_after_a_second(undecided: ActionModel) -> None:
     answers = recognise(undecided, [frame / RATE_HZ for frame in range(20)])
     assert [answer is None for answer in answers] == [True] * 10 + [False] * 10
@@ -142,15 +135,6 @@ def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:
     answers = recognise(undecided, times)
     assert answers[14] is not None
     assert all(answer is None for answer in answers[15:25]) and answers[-1] is not None
-
-
-def test_the_shipped_model_answers_with_probabilities() -> None:
-    model = shipped_model()
-    assert {"walk", "run", "sit", "stand", "lie"} <= set(model.actions)
-    features = action_features(swinging(3), UP, path_of(swinging(3)))
-    probabilities = model.probabilities(features, np.full(len(model.actions), 0.1))
-    assert probabilities.shape == (len(model.actions),)
-    assert probabilities.sum() == pytest.approx(1) and (probabilities > 0).all()
 
 
 def test_the_shipped_model_knows_a_body_that_stands_still() -> None:

@@ -8,17 +8,16 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message, Receive, Scope, Send
 
-from app.estimation.estimator import Estimator
-from app.main import create_app
 from app.settings import Settings
+from tests.app.conftest import Serving
 from tests.conftest import Photo
+from tests.support.service import check_problem
 
 
 @pytest.fixture
-def locked(settings: Settings, estimator: Estimator, monkeypatch: pytest.MonkeyPatch) -> TestClient:
+def locked(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> TestClient:
     monkeypatch.setenv("POSE_API_KEYS", "first, second")
-    keys = Settings().api_keys
-    return TestClient(create_app(settings.model_copy(update={"api_keys": keys}), estimator))
+    return serving(api_keys=Settings().api_keys)
 
 
 @pytest.mark.parametrize("key", ["first", "second"])
@@ -45,8 +44,7 @@ def test_anything_else_does_not(locked: TestClient, headers: dict[str, str], pho
         locked.post("/pose", files={"frame": photo.frame_png}, headers=headers),
         locked.post("/v1/vision/detection", files={"image": photo.frame_png}, headers=headers),
     ):
-        assert response.status_code == 401
-        assert response.headers["content-type"] == "application/problem+json"
+        check_problem(response, 401)
         assert response.headers["www-authenticate"] == "Bearer"
         assert "first" not in response.text
 

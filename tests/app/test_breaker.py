@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
@@ -18,14 +21,14 @@ from app.serving import loading
 from app.serving.breaker import CircuitBreaker, GuardedNeighbours
 from app.serving.runtime import Runtime
 from app.settings import Settings
-from index.artefact import load_index
+from index.artefact import load_index, save_index
 from index.milvus_address import MilvusAddress
 from index.neighbours import FailureReason, Neighbours, UnavailableError
 from index.store import PoseIndex
 from index.verified_files import ArtefactError
-from tests.app.test_errors import check_problem
-from tests.app.test_metrics import sample
+from tests.app.conftest import Serving
 from tests.conftest import Photo
+from tests.support.service import check_problem, eventually, sample, send
 from tests.videos import write_video
 
 
@@ -54,51 +57,40 @@ def flaky(tiny_index: PoseIndex) -> Flaky:
     return Flaky(tiny_index.neighbours)
 
 
-class TestCircuitBreaker:
-    def test_it_opens_after_failures_in_a_row_and_asks_no_more(self, flaky: Flaky) -> None:
-        reasons: list[FailureReason] = []
-        breaker = CircuitBreaker(reasons.append, open_after=3)
-        guarded = GuardedNeighbours(flaky, breaker)
-        query = np.zeros((1, 48), np.float32)
-        for failing in (True, True, False, True, True, True):
-            assert not breaker.is_open
-            flaky.failing = failing
-            if failing:
-                with pytest.raises(UnavailableError):
-                    guarded.search(query, 1)
-            else:
+@given(failing=st.lists(st.booleans(), max_size=12), open_after=st.integers(1, 4))
+def test_after_so_many_failures_in_a_row_nothing_is_asked_until_a_search_succeeds(
+    tiny_index: PoseIndex, failing: list[bool], open_after: int
+) -> None:
+    flaky, reasons = Flaky(tiny_index.neighbours), list[FailureReason]()
+    breaker = CircuitBreaker(reasons.append, open_after)
+    guarded = GuardedNeighbours(flaky, breaker)
+    query = np.zeros((1, 48), np.float32)
+    in_a_row = 0
+    for flaky.failing in failing:
+        opened, asked = in_a_row >= open_after, flaky.asked
+        assert breaker.is_open == opened
+        if flaky.failing or opened:
+            with pytest.raises(UnavailableError, match="cannot be reached"):
                 guarded.search(query, 1)
-        assert breaker.is_open
-        assert reasons == ["unreachable"] * 5
-        asked = flaky.asked
-        with pytest.raises(UnavailableError, match="cannot be reached"):
-            guarded.search(query, 1)
-        assert flaky.asked == asked
-        assert len(reasons) == 5
-
-    def test_a_search_that_succeeds_closes_it(self, flaky: Flaky) -> None:
-        breaker = CircuitBreaker(open_after=1)
-        guarded = GuardedNeighbours(flaky, breaker)
-        query = np.zeros((1, 48), np.float32)
-        flaky.failing = True
-        with pytest.raises(UnavailableError):
-            guarded.search(query, 1)
-        flaky.failing = False
-        guarded.search_anyway(query, 1)
-        assert not breaker.is_open
-        assert guarded.search(query, 2)[1].shape == (1, 2)
-        assert len(guarded) == len(flaky)
+        else:
+            assert guarded.search(query, 2)[1].shape == (1, 2)
+        assert flaky.asked == asked + (not opened)
+        in_a_row = in_a_row + (not opened) if flaky.failing or opened else 0
+    assert set(reasons) <= {"unreachable"}
+    flaky.failing = False
+    guarded.search_anyway(query, 1)
+    assert not breaker.is_open
 
 
 @pytest.fixture
 def client(
-    settings: Settings, estimator: Estimator, index_path: Path, flaky: Flaky
+    serving: Serving, estimator: Estimator, index_path: Path, flaky: Flaky
 ) -> Iterator[TestClient]:
     """A client of an application whose search is flaky."""
-    app = create_app(settings, estimator)
-    guarded = GuardedNeighbours(flaky, app.state.runtime.breaker)
-    app.state.runtime.estimator = estimator.with_index(load_index(index_path, guarded))
-    with TestClient(app, raise_server_exceptions=False) as client:
+    with serving() as client:
+        runtime: Runtime = client.app.state.runtime  # type: ignore[attr-defined]
+        guarded = GuardedNeighbours(flaky, runtime.breaker)
+        runtime.estimator = estimator.with_index(load_index(index_path, guarded))
         yield client
 
 
@@ -106,13 +98,11 @@ class TestService:
     def test_all_that_searches_is_refused_and_all_else_goes_on(
         self, client: TestClient, flaky: Flaky, photo: Photo
     ) -> None:
-        files = {"frame": photo.frame_png, "mask": photo.mask_png}
         flaky.failing = True
         for path in ("/pose", "/pose/overlay", "/cameras/yard/frames", "/pose"):
-            response = client.post(path, files=files)
-            check_problem(response, 503)
-            assert int(response.headers["retry-after"]) >= 1
-            assert response.json()["detail"].startswith("the index cannot be searched at present")
+            response = client.post(path, files=photo.files)
+            detail = check_problem(response, 503)
+            assert detail.startswith("the index cannot be searched at present")
             # Where Milvus is concerns the operator alone.
             assert "10.0.0.7" not in response.text
         assert flaky.asked == 3
@@ -121,23 +111,17 @@ class TestService:
         assert sample(client, "pose_rejected_total", reason="unavailable") == 4
         for path in ("/readyz", "/index", "/index/entries/5"):
             assert client.get(path).status_code == 200
-        assert client.post("/silhouette", files=files).status_code == 200
+        assert client.post("/silhouette", files=photo.files).status_code == 200
 
     def test_a_failure_leaves_a_camera_session_usable(
         self, client: TestClient, flaky: Flaky, photo: Photo
     ) -> None:
-        files = {"frame": photo.frame_png, "mask": photo.mask_png}
-
-        def send(timestamp: float) -> tuple[int, str]:
-            data = {"timestamp": str(timestamp)}
-            response = client.post("/cameras/yard/frames", files=files, data=data)
-            return response.status_code, response.headers["x-session"]
-
-        assert send(1.0) == (200, "new")
-        flaky.failing = True
-        assert send(1.1) == (503, "warm")
-        flaky.failing = False
-        assert send(1.2) == (200, "warm")
+        told = []
+        for failing in (False, True, False):
+            flaky.failing = failing
+            response = send(client, photo)
+            told.append((response.status_code, response.headers["x-session"]))
+        assert told == [(200, "new"), (503, "warm"), (200, "warm")]
 
     def test_a_video_ends_with_a_line_that_says_why(
         self, client: TestClient, flaky: Flaky, photo: Photo, tmp_path: Path
@@ -151,90 +135,104 @@ class TestService:
 
 
 class FakeRemote:
-    """An alias that names one collection or another, none of them far away.
+    """An alias that names one collection or another, none of them far away."""
 
-    Parameters
-    ----------
-    index : PoseIndex
-    """
-
-    def __init__(self, index: PoseIndex) -> None:
-        self.named: PoseIndex | None = index
-        self.loaded: PoseIndex | None = None
+    def __init__(self, named: PoseIndex) -> None:
+        self.named = named
         self.error: Exception | None = None
-        self.connections = 1
+        self.asked = self.connections = 0
+        self._loaded: PoseIndex | None = None
 
     def load(self) -> PoseIndex | None:
+        self.asked += 1
         if self.error is not None:
             raise self.error
-        if self.named is self.loaded:
+        if self.named is self._loaded:
             return None
-        self.loaded = self.named
-        return self.loaded
+        self._loaded = self.named
+        return self._loaded
 
     def reconnect(self) -> None:
         self.connections += 1
 
 
-class TestFollower:
+class TestFollowing:
+    """An application whose index is in Milvus, which is asked all the time."""
+
     @pytest.fixture
-    def follower(
-        self, settings: Settings, index_path: Path, flaky: Flaky, monkeypatch: pytest.MonkeyPatch
-    ) -> loading._Follower:
-        runtime: Runtime = create_app(settings).state.runtime
-        index = load_index(index_path, GuardedNeighbours(flaky, runtime.breaker))
+    def app(
+        self, settings: Settings, estimator: Estimator, monkeypatch: pytest.MonkeyPatch
+    ) -> FastAPI:
         monkeypatch.setattr(loading, "check_milvus_package", lambda: None)
-        monkeypatch.setattr(loading, "RemoteIndex", lambda *_: FakeRemote(index))
-        return loading._Follower(runtime, MilvusAddress("vectors", 19530, "poses"))
+        # Its networks are those that are loaded already.
+        monkeypatch.setattr(Estimator, "load", lambda *given: estimator.with_index(given[-1]))
+        for pause in ("ASKED_EVERY_S", "PROBED_EVERY_S", "LONGEST_PAUSE_S"):
+            monkeypatch.setattr(loading, pause, 0.01)
+        address = MilvusAddress("vectors", 19530, "poses")
+        return create_app(settings.model_copy(update={"index": address}))
+
+    @pytest.fixture
+    def remote(
+        self, app: FastAPI, index_path: Path, flaky: Flaky, monkeypatch: pytest.MonkeyPatch
+    ) -> FakeRemote:
+        guarded = GuardedNeighbours(flaky, app.state.runtime.breaker)
+        remote = FakeRemote(load_index(index_path, guarded))
+        monkeypatch.setattr(loading, "RemoteIndex", lambda *_: remote)
+        return remote
+
+    @pytest.fixture
+    def ready(self, app: FastAPI, remote: FakeRemote) -> Iterator[TestClient]:
+        with TestClient(app) as client:
+            eventually(lambda: client.get("/readyz").status_code == 200)
+            yield client
 
     def test_it_gets_ready_although_first_searches_have_opened_the_breaker(
-        self, follower: loading._Follower, flaky: Flaky
+        self, app: FastAPI, remote: FakeRemote, flaky: Flaky
     ) -> None:
         flaky.failing = True
-        for _ in range(5):
-            with pytest.raises(UnavailableError):
-                follower.first()
-        assert follower._runtime.breaker.is_open
-        flaky.failing = False
-        assert len(follower.first().index) == len(flaky)
+        with TestClient(app) as client:
+            eventually(lambda: sample(client, "pose_search_breaker_open") == 1)
+            assert "cannot be reached" in check_problem(client.get("/readyz"), 503)
+            flaky.failing = False
+            eventually(lambda: client.get("/readyz").status_code == 200)
+        assert remote.connections >= 1
 
-    def test_it_moves_over_and_keeps_the_networks(
-        self, follower: loading._Follower, estimator: Estimator, index_path: Path
+    def test_it_moves_over_to_another_version(
+        self, ready: TestClient, remote: FakeRemote, photo: Photo, tmp_path: Path
     ) -> None:
-        before = follower._runtime.estimator = follower.first()
-        assert follower.next() is None
-        remote = cast(FakeRemote, follower._remote)
-        remote.named = load_index(index_path)
-        after = follower.next()
-        assert after is not None
-        assert after.index is remote.named
-        assert before.index is not after.index
-        assert after.finder is before.finder
+        assert send(ready, photo).headers["x-session"] == "new"
+        save_index(replace(remote.named, name="others"), tmp_path / "others")
+        other = load_index(tmp_path / "others")
+        remote.named = other
+        eventually(lambda: ready.get("/index").json()["version"] == other.version)
+        assert sample(ready, "pose_camera_sessions_ended_total", reason="index") == 1
+        assert send(ready, photo).headers["x-session"] == "new"
 
     @pytest.mark.parametrize(
         "error", [ArtefactError("no artefact"), UnavailableError("away", "deadline"), KeyError()]
     )
     def test_what_cannot_be_loaded_leaves_the_one_before(
-        self, follower: loading._Follower, error: Exception, caplog: pytest.LogCaptureFixture
+        self,
+        ready: TestClient,
+        remote: FakeRemote,
+        error: Exception,
+        caplog: pytest.LogCaptureFixture,
     ) -> None:
-        follower._runtime.estimator = follower.first()
-        cast(FakeRemote, follower._remote).error = error
-        assert [follower.next() for _ in range(3)] == [None] * 3
+        version = ready.get("/index").json()["version"]
+        remote.error, asked = error, remote.asked
+        eventually(lambda: remote.asked >= asked + 3)
+        assert ready.get("/index").json()["version"] == version
         if isinstance(error, ArtefactError):
             assert caplog.text.count("still serving the index before: no artefact") == 1
 
     def test_while_the_breaker_is_open_it_searches_over_a_new_connection(
-        self, follower: loading._Follower, flaky: Flaky
+        self, ready: TestClient, remote: FakeRemote, flaky: Flaky, photo: Photo
     ) -> None:
-        follower._runtime.estimator = follower.first()
-        breaker = follower._runtime.breaker
         flaky.failing = True
-        while not breaker.is_open:
-            breaker.failed(UnavailableError("away", "unreachable"))
-        for _ in range(2):
-            assert follower.next() is None
-            assert breaker.is_open
+        while sample(ready, "pose_search_breaker_open") == 0:
+            check_problem(ready.post("/pose", files=photo.files), 503)
+        connections = remote.connections
+        eventually(lambda: remote.connections >= connections + 2)
+        assert sample(ready, "pose_search_breaker_open") == 1
         flaky.failing = False
-        assert follower.next() is None
-        assert not breaker.is_open
-        assert cast(FakeRemote, follower._remote).connections == 4
+        eventually(lambda: sample(ready, "pose_search_breaker_open") == 0)

@@ -2,39 +2,36 @@
 
 from __future__ import annotations
 
-import httpx
+from typing import Any
+
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimation.estimator import Estimator
-from app.main import create_app
-from app.settings import Settings
+from tests.app.conftest import Serving
 
 ORIGIN = "https://yard.example"
 
 
-def test_cors_only_where_it_is_set(settings: Settings, estimator: Estimator) -> None:
-    ask = {"Origin": "https://yard.example"}
-    origins = settings.model_copy(update={"cors_origins": ("https://yard.example",)})
-    with TestClient(create_app(origins, estimator)) as client:
-        answer = client.get("/healthz", headers=ask)
-        assert answer.headers["access-control-allow-origin"] == "https://yard.example"
-        other = client.get("/healthz", headers={"Origin": "https://other.example"})
-        assert "access-control-allow-origin" not in other.headers
-    with TestClient(create_app(settings, estimator)) as client:
-        assert "access-control-allow-origin" not in client.get("/healthz", headers=ask).headers
-
-
 @pytest.fixture
-def open_to_yard(settings: Settings, estimator: Estimator) -> TestClient:
-    allowing = settings.model_copy(update={"cors_origins": (ORIGIN,)})
-    return TestClient(create_app(allowing, estimator))
+def open_to_yard(serving: Serving) -> TestClient:
+    return serving(cors_origins=(ORIGIN,))
 
 
-def preflight(client: TestClient, **asked: str) -> httpx.Response:
+def preflight(client: TestClient, origin: str = ORIGIN, **asked: str) -> Any:
     headers = {f"access-control-request-{name}": value for name, value in asked.items()}
-    origin = headers.pop("access-control-request-origin", ORIGIN)
     return client.options("/pose", headers={"origin": origin, **headers})
+
+
+def test_answers_are_for_origins_that_are_allowed(
+    open_to_yard: TestClient, client: TestClient
+) -> None:
+    for asked, origin, allowed in (
+        (open_to_yard, ORIGIN, ORIGIN),
+        (open_to_yard, "https://other.example", None),
+        (client, ORIGIN, None),
+    ):
+        headers = asked.get("/healthz", headers={"Origin": origin}).headers
+        assert headers.get("access-control-allow-origin") == allowed
 
 
 def test_an_allowed_preflight_says_what_there_is(open_to_yard: TestClient) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from app.estimation import finder
@@ -20,14 +19,14 @@ from app.vision.person.reader import PersonReader
 from index.landmark_search import rotate_clockwise
 from index.posture import LOW
 from scripts.experiments.rotation import rotate_box, rotate_points
-from tests.conftest import ROOT, Photo, png
+from tests.conftest import WALKERS, Photo, png
 
 WALKER = Box(135, 162, 40, 105)
 
 
 @pytest.fixture(scope="module")
 def street() -> NDArray[np.uint8]:
-    return cv2.imread(str(ROOT / "tests" / "data" / "walkers.jpg"))
+    return cv2.imread(str(WALKERS))
 
 
 @pytest.fixture(scope="module")
@@ -123,43 +122,6 @@ def test_by_the_silhouette_alone_nothing_is_told_of_the_photograph(
             assert placed.distance == placed.hypothesis.distance
 
 
-def test_a_mask_with_its_photograph_is_answered_as_the_same_box(
-    estimator: Estimator, street: NDArray[np.uint8], walker: Person
-) -> None:
-    mask = mask_of(walker, street.shape)
-    (by_mask,) = persons(estimator, Upload(png(street), mask=png(mask)))
-    assert by_mask.facing is not None and by_mask.facing.evidence == "image"
-    # The box is now that of the silhouette, so what is read differs a little.
-    ours, theirs = landmarks_of(by_mask), landmarks_of(walker)
-    apart = np.linalg.norm(ours.positions - theirs.positions, axis=1)
-    assert np.median(apart) < 0.03 * WALKER.height
-    assert_array_equal(mask_of(by_mask, street.shape), mask)
-
-
-def test_a_mask_alone_is_answered_as_by_the_silhouette_alone(
-    estimator: Estimator, street: NDArray[np.uint8], walker: Person
-) -> None:
-    mask = png(mask_of(walker, street.shape))
-    alone = estimator.estimate(Upload(mask=mask), 5, lambda: None)
-    assert alone.frame.shape == street.shape and not alone.frame.any()
-    (expected,) = persons(estimator, Upload(png(street), mask=mask), "silhouette")
-    for evidence in ("photograph", "silhouette"):
-        (person,) = persons(estimator, Upload(mask=mask), evidence)
-        assert poses(person) == poses(expected)
-        assert person.facing == expected.facing
-        assert person.observed.landmarks is None
-        for ours, theirs in zip(person.hypotheses, expected.hypotheses, strict=True):
-            assert_array_equal(ours.points_2d, theirs.points_2d)
-
-
-def test_the_camera_of_somebody_who_leans_is_turned(estimator: Estimator, walker: Person) -> None:
-    for placed in walker.hypotheses:
-        one = placed.hypothesis
-        label = estimator.index.label(one.entry, mirrored=one.mirrored)
-        assert placed.label.roll_deg == pytest.approx(label.roll_deg + one.rotation_deg)
-        assert placed.label.roll_deg == one.tilt_deg
-
-
 LEAN_DEG = {1: 90.0, 2: 180.0, 3: -90.0}
 """Clockwise rotation of a picture that so many clockwise quarter turns make."""
 
@@ -239,23 +201,6 @@ def test_boxes_and_masks_of_people_who_lie_are_read(
         assert abs((roll_deg + 180) % 360 - 180) <= 45
 
 
-@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
-def test_people_are_found_whichever_way_up(
-    estimator: Estimator, street: NDArray[np.uint8], quarter_turns: int
-) -> None:
-    frame = np.ascontiguousarray(np.rot90(street, -quarter_turns))
-    truth = rotate_box(WALKER, street.shape, -quarter_turns)
-    found = persons(estimator, Upload(png(frame)))
-    (person,) = (person for person in found if person.observed.box.iou(truth) > 0.5)
-    assert person.facing is not None and person.facing.evidence == "image"
-
-
-def test_people_come_left_to_right(estimator: Estimator, street: NDArray[np.uint8]) -> None:
-    boxes = [person.observed.box.x for person in persons(estimator, Upload(png(street)))]
-    assert len(boxes) >= 3
-    assert boxes == sorted(boxes)
-
-
 def test_a_box_without_a_silhouette_has_no_poses(
     estimator: Estimator, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -293,13 +238,6 @@ def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo
 
         with pytest.raises(GoneError):
             estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, check)
-
-
-def test_all_stages_are_timed(estimator: Estimator, street: NDArray[np.uint8]) -> None:
-    timings = estimator.estimate(Upload(png(street)), 1, lambda: None).timings_ms
-    total = timings.pop("total")
-    assert all(spent > 0 for spent in timings.values())
-    assert sum(timings.values()) <= total
 
 
 def flags(estimator: Estimator, frame: NDArray[np.uint8], box: Box) -> tuple[bool, bool]:

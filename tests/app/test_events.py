@@ -50,36 +50,36 @@ def test_who_falls_and_stays_down_fell(fps: float) -> None:
     assert all(event.track_id == 7 and 0.5 <= event.probability <= 1 for event in events)
 
 
-def test_who_is_up_again_may_fall_again() -> None:
-    once = [("standing", 2.0), ("lying", 4.0), ("kneeling", 1.0), ("standing", 3.0)]
-    events = told(watch([*once, *once]))  # type: ignore[list-item]
-    assert events == 2 * [("lying", "begin"), ("fell", "instant"), ("lying", "end")]
+UP_AGAIN = [("standing", 2.0), ("lying", 4.0), ("kneeling", 1.0), ("standing", 3.0)]
+FELL = [("lying", "begin"), ("fell", "instant")]
+LAY = [("lying", "begin")]
 
 
-def test_who_lies_down_slowly_did_not_fall() -> None:
-    events = watch([("standing", 3), ("sitting", 6), ("lying", 5)])
-    assert told(events) == [("lying", "begin")]
-
-
-def test_who_was_never_seen_upright_did_not_fall() -> None:
-    assert told(watch([("lying", 8)])) == [("lying", "begin")]
-
-
-def test_who_gets_up_at_once_did_not_fall() -> None:
-    events = watch([("standing", 3), ("lying", 1), ("standing", 3)])
-    assert told(events) == [("lying", "begin"), ("lying", "end")]
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ([*UP_AGAIN, *UP_AGAIN], 2 * [*FELL, ("lying", "end")]),
+        # Slowly, never seen upright, up again at once.
+        ([("standing", 3), ("sitting", 6), ("lying", 5)], LAY),
+        ([("lying", 8)], LAY),
+        ([("standing", 3), ("lying", 1), ("standing", 3)], [*LAY, ("lying", "end")]),
+        # Down, but not flat.
+        ([("walking", 3), ("crawling", 4)], [("fell", "instant")]),
+        # A single frame neither begins nor ends anything.
+        ([("standing", 2), ("lying", 1 / FPS), ("standing", 2)], []),
+        ([("standing", 2), ("arms_raised", 1 / FPS), ("standing", 2)], []),
+        ([("standing", 2), ("lying", 3), ("standing", 1 / FPS), ("lying", 3)], FELL),
+    ],
+)
+def test_what_is_told_of_postures(
+    parts: list[tuple[Posture, float]], expected: list[tuple[str, str]]
+) -> None:
+    assert told(watch(parts)) == expected
 
 
 @pytest.mark.parametrize("posture", ["lying", "arms_raised"])
-def test_a_single_frame_begins_nothing(posture: Posture) -> None:
-    assert watch([("standing", 2), (posture, 1 / FPS), ("standing", 2)]) == []
-    # Nor at a frame every five seconds.
+def test_a_single_frame_begins_nothing_at_a_frame_every_five_seconds(posture: Posture) -> None:
     assert watch([("standing", 20), (posture, 5), ("standing", 20)], fps=0.2) == []
-
-
-def test_a_single_frame_ends_nothing() -> None:
-    events = watch([("standing", 2), ("lying", 3), ("standing", 1 / FPS), ("lying", 3)])
-    assert told(events) == [("lying", "begin"), ("fell", "instant")]
 
 
 def test_raised_arms_begin_and_end() -> None:
@@ -88,17 +88,9 @@ def test_raised_arms_begin_and_end() -> None:
     assert 2.2 < events[0].timestamp < 3 and 4.2 < events[1].timestamp < 5.2
 
 
-def test_doubtful_postures_are_no_events() -> None:
+def test_what_is_doubtful_or_hardly_right_is_no_event() -> None:
     assert watch([("standing", 2), ("lying", 5)], probability=0.4) == []
-
-
-def test_poses_that_are_hardly_right_are_no_events() -> None:
     assert watch([("standing", 2), ("lying", 2)], confidence=0.05) == []
-
-
-def test_who_is_down_but_not_flat_fell() -> None:
-    events = watch([("walking", 3), ("crawling", 4)])
-    assert told(events) == [("fell", "instant")]
 
 
 def test_who_lies_where_people_rest_is_no_event() -> None:

@@ -39,14 +39,19 @@ def load(name: str) -> Any:
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
+def image(content: bytes) -> Any:
+    return load("types").File(io.BytesIO(content), "image.png", "image/png")
+
+
+def upload(photo: Photo, model: str = "FrameUpload", **more: Any) -> Any:
+    """A form of a photograph and its mask."""
+    form = getattr(load("models"), model)
+    return form(frame=image(photo.frame_png), mask=image(photo.mask_png), **more)
+
+
 def test_it_uploads_a_frame_and_reads_the_poses(package: Any, server: Server, photo: Photo) -> None:
-    file = load("types").File
-    body = load("models").FrameUpload(
-        frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
-        mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
-    )
     client = package.Client(server.url)
-    answer = load("api.pose.estimate_pose").sync(client=client, body=body, n=3)
+    answer = load("api.pose.estimate_pose").sync(client=client, body=upload(photo), n=3)
     (person,) = answer.persons
     assert [h.rank for h in person.hypotheses] == [1, 2, 3]
     assert person.hypotheses[0].entry == photo.entry
@@ -54,9 +59,8 @@ def test_it_uploads_a_frame_and_reads_the_poses(package: Any, server: Server, ph
 
 
 def test_it_reads_problems_and_pictures(package: Any, server: Server, photo: Photo) -> None:
-    file = load("types").File
     client = package.Client(server.url)
-    body = load("models").FrameUpload(frame=file(io.BytesIO(b"?"), "f", "image/png"))
+    body = load("models").FrameUpload(frame=image(b"?"))
     problem = load("api.pose.estimate_pose").sync(client=client, body=body)
     assert problem.status == 400
     assert problem.field == "frame"
@@ -68,29 +72,20 @@ def test_it_reads_problems_and_pictures(package: Any, server: Server, photo: Pho
 def test_it_gets_pictures_of_a_frame(
     package: Any, server: Server, photo: Photo, operation: str
 ) -> None:
-    file = load("types").File
-    body = load("models").FrameUpload(
-        frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
-        mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
-    )
     client = package.Client(server.url)
-    picture = load(f"api.pose.{operation}").sync(client=client, body=body)
+    picture = load(f"api.pose.{operation}").sync(client=client, body=upload(photo))
     assert picture.payload.read().startswith(b"\x89PNG")
 
 
 def test_it_asks_for_boxes_as_deepstack_does(package: Any, server: Server, photo: Photo) -> None:
-    body = load("models").DeepstackUpload(
-        image=load("types").File(io.BytesIO(photo.frame_png), "image.png", "image/png"),
-        min_confidence=0.9,
-    )
+    body = load("models").DeepstackUpload(image=image(photo.frame_png), min_confidence=0.9)
     client = package.Client(server.url)
     answer = load("api.compatibility.detect_deepstack").sync(client=client, body=body)
     assert answer.success
 
 
 def test_it_tracks_the_frames_of_a_camera(package: Any, server: Server, photo: Photo) -> None:
-    file, client = load("types").File, package.Client(server.url)
-    models = load("models")
+    client, models = package.Client(server.url), load("models")
     wall = [[0.0, 0.0], [320.0, 0.0], [320.0, 240.0], [0.0, 240.0]]
     zone = models.Zone(name="wall", kind=models.ZoneKind.WATCH, polygon=wall)
     state = load("api.cameras.configure_camera").sync(
@@ -98,11 +93,7 @@ def test_it_tracks_the_frames_of_a_camera(package: Any, server: Server, photo: P
     )
     assert (state.zones[0].polygon, state.frames, state.image) == (wall, 0, None)
     for index in range(2):
-        body = load("models").TrackUpload(
-            frame=file(io.BytesIO(photo.frame_png), "frame.png", "image/png"),
-            mask=file(io.BytesIO(photo.mask_png), "mask.png", "image/png"),
-            timestamp=float(index),
-        )
+        body = upload(photo, "TrackUpload", timestamp=float(index))
         operation = load("api.cameras.track_frame")
         response = operation.sync_detailed("generated", client=client, body=body)
         assert response.headers["x-session"] == ("warm" if index else "new")

@@ -9,10 +9,8 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
-from tests.app.test_errors import check_problem
 from tests.conftest import Photo
-
-ORIGIN = "https://yard.example"
+from tests.support.service import check_problem
 
 
 @pytest.mark.parametrize(
@@ -62,8 +60,7 @@ def test_redirects_are_relative(client: TestClient, path: str, location: str) ->
 
 
 def test_a_redirected_frame_is_answered(client: TestClient, photo: Photo) -> None:
-    files = {"frame": photo.frame_png, "mask": photo.mask_png}
-    response = client.post("/pose/?n=1", files=files)
+    response = client.post("/pose/?n=1", files=photo.files)
     assert response.status_code == 200
     assert response.json()["persons"]
 
@@ -75,41 +72,10 @@ def test_nothing_else_is_redirected(client: TestClient, path: str) -> None:
     assert "location" not in response.headers
 
 
-@pytest.mark.parametrize(
-    ("path", "meant"),
-    [("/poses", "/pose"), ("/health", "/healthz"), ("/silhouettes", "/silhouette")],
-)
-def test_a_wrong_path_is_told_the_right_one(client: TestClient, path: str, meant: str) -> None:
-    detail = check_problem(client.get(path), 404)
-    assert path in detail
-    assert detail.endswith(f"; did you mean {meant}?")
-
-
-@pytest.mark.parametrize(
-    ("method", "path", "allow"),
-    [
-        ("GET", "/pose", "POST"),
-        ("PUT", "/pose", "POST"),
-        ("PROPFIND", "/pose", "POST"),
-        ("OPTIONS", "/pose", "POST"),
-        ("POST", "/index", "GET, HEAD"),
-        ("DELETE", "/static/page.js", "GET, HEAD"),
-    ],
-)
-def test_a_wrong_method_is_told_the_right_ones(
-    client: TestClient, method: str, path: str, allow: str
-) -> None:
-    response = client.request(method, path)
-    detail = check_problem(response, 405)
-    assert detail == f"expected {allow.replace(', ', ' or ')}, got {method}"
-    assert response.headers["allow"] == allow
-
-
 def test_answers_are_compressed_for_those_who_take_it(client: TestClient, photo: Photo) -> None:
     def ask(encoding: str) -> httpx.Response:
-        files = {"frame": photo.frame_png, "mask": photo.mask_png}
         headers = {"accept-encoding": encoding}
-        with client.stream("POST", "/pose", files=files, headers=headers) as response:
+        with client.stream("POST", "/pose", files=photo.files, headers=headers) as response:
             response.raw = b"".join(response.iter_raw())
         return response
 

@@ -34,9 +34,3 @@ def test_an_entry_and_its_silhouette(client: TestClient, tiny_index: PoseIndex) 
     picture = client.get("/index/entries/5/silhouette.png")
     pixels = cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(pixels, tiny_index.silhouette(5) * 255)
-
-
-def test_an_entry_in_coco_order(client: TestClient, tiny_index: PoseIndex) -> None:
-    answer = client.get("/index/entries/5", params={"keypoints": "coco17"}).json()
-    assert answer["keypoints"]["names"][0] == "nose"
-    assert len(answer["joints_3d"]) == len(answer["joints_2d"]) == 17

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
 from app.vision import weights
-from tests.app.test_errors import check_problem
+from tests.support.service import check_problem, eventually
 
 
 def test_while_the_index_is_loaded_clients_are_told_to_come_back(settings: Settings) -> None:
@@ -33,8 +32,8 @@ def test_whatever_goes_wrong_while_loading_is_told_to_probes(
 
     monkeypatch.setattr(Estimator, "load", fail)
     with TestClient(create_app(settings)) as client:
-        while "not ready" not in caplog.text:
-            assert client.get("/healthz").status_code == 200
+        eventually(lambda: "not ready" in caplog.text)
+        assert client.get("/healthz").status_code == 200
         response = client.get("/readyz")
         assert response.status_code == 503
         assert "inside" not in response.text
@@ -52,10 +51,5 @@ def test_a_network_that_is_not_the_one_that_ships_is_told_not_served(
     monkeypatch.setattr(weights, "FOLDER", folder)
     expected = "movenet_multipose.tflite to have the SHA-256"
     with TestClient(create_app(settings)) as client:
-        deadline, detail = time.monotonic() + 10, ""
-        while expected not in detail:
-            assert time.monotonic() < deadline, detail
-            response = client.get("/readyz")
-            assert response.status_code == 503
-            detail = response.json()["detail"]
+        eventually(lambda: expected in check_problem(client.get("/readyz"), 503))
         assert client.post("/pose", files={"frame": b"x"}).status_code == 503

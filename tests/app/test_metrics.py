@@ -6,25 +6,15 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.estimation.estimator import Estimator
-from app.main import create_app
 from app.serving.version import VERSION
-from app.settings import Settings
 from app.work.line import Line, OverloadedError
+from tests.app.conftest import Serving
 from tests.conftest import Photo
-
-
-def sample(client: TestClient, metric: str, /, **labels: str) -> float | None:
-    for family in text_string_to_metric_families(client.get("/metrics").text):
-        for found in family.samples:
-            if found.name == metric and labels.items() <= found.labels.items():
-                return found.value
-    return None
+from tests.support.service import sample
 
 
 def test_metrics_tell_what_happened(client: TestClient, photo: Photo) -> None:
-    files = {"frame": photo.frame_png, "mask": photo.mask_png}
-    assert client.post("/pose", files=files).status_code == 200
+    assert client.post("/pose", files=photo.files).status_code == 200
     assert client.post("/pose", files={"frame": b"?"}).status_code == 400
     assert client.get("/nothing/of/this/name").status_code == 404
     assert sample(client, "pose_requests_total", route="/pose", status="200") == 1
@@ -63,9 +53,9 @@ def test_every_request_counts_under_a_name_of_its_own(
 
 
 def test_what_is_refused_early_counts_for_the_route_it_was_meant_for(
-    settings: Settings, estimator: Estimator, photo: Photo, monkeypatch: pytest.MonkeyPatch
+    serving: Serving, photo: Photo, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    client = TestClient(create_app(settings, estimator))
+    client = serving()
 
     def refuse(*_: object) -> None:
         raise OverloadedError("the service is working to capacity")
@@ -77,11 +67,8 @@ def test_what_is_refused_early_counts_for_the_route_it_was_meant_for(
     assert sample(client, "pose_capacity_used_ratio") == 0
 
 
-def test_histograms_of_times_reach_to_the_deadline(
-    settings: Settings, estimator: Estimator
-) -> None:
-    hurried = settings.model_copy(update={"request_timeout_s": 4.0})
-    client = TestClient(create_app(hurried, estimator))
+def test_histograms_of_times_reach_to_the_deadline(serving: Serving) -> None:
+    client = serving(request_timeout_s=4.0)
     client.get("/healthz")
     bounds = [
         float(found.labels["le"])
@@ -93,8 +80,7 @@ def test_histograms_of_times_reach_to_the_deadline(
     assert bounds == sorted(set(bounds))
 
 
-def test_metrics_tell_which_build_serves(settings: Settings, estimator: Estimator) -> None:
-    chosen = settings.model_copy(update={"revision": "abc123", "max_wait_s": 5.0})
-    client = TestClient(create_app(chosen, estimator))
+def test_metrics_tell_which_build_serves(serving: Serving) -> None:
+    client = serving(revision="abc123", max_wait_s=5.0)
     found = sample(client, "pose_build_info", version=VERSION, revision="abc123", max_wait_s="5")
     assert found == 1

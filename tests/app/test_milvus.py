@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,11 +19,11 @@ from index.artefact import load_index, save_index
 from index.store import PoseIndex
 from scripts.load.client import Call
 from scripts.load.server import free_ports
-from tests.app.test_camera_sessions import send
-from tests.app.test_server import metric
+from tests.app.test_server import value
 from tests.conftest import Photo, Server, build_tiny_index, start_server, wait_until
 from tests.support.background import BackgroundLoop, Reply
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.service import check_problem, eventually, send
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
     from index.milvus import Milvus
@@ -91,8 +91,7 @@ def server(
 @pytest.fixture
 def load(server: Server, photo: Photo) -> BackgroundLoop:
     """Two clients that send one frame after the other."""
-    parts = {"frame": photo.frame_png, "mask": photo.mask_png}
-    return BackgroundLoop(server.url, [Call("POST", "/pose", parts)])
+    return BackgroundLoop(server.url, [Call("POST", "/pose", photo.files)])
 
 
 def wait_for(load: BackgroundLoop, status: int) -> None:
@@ -117,8 +116,7 @@ class TestServing:
     def test_it_answers_as_with_the_index_in_a_folder(
         self, server: Server, photo: Photo, sticks: PoseIndex
     ) -> None:
-        files = {"frame": photo.frame_png, "mask": photo.mask_png}
-        answer = httpx.post(f"{server.url}/pose", files=files).json()
+        answer = httpx.post(f"{server.url}/pose", files=photo.files).json()
         assert answer["persons"][0]["hypotheses"][0]["entry"] == photo.entry
         assert answer["index"]["version"] == sticks.version
 
@@ -131,9 +129,7 @@ class TestServing:
             try:
                 wait_for(load, 503)
                 assert httpx.get(f"{server.url}/healthz").status_code == 200
-                deadline = time.monotonic() + 10
-                while metric(server, "pose_search_breaker_open") == 0:
-                    assert time.monotonic() < deadline
+                eventually(lambda: value(server, "pose_search_breaker_open") == 1)
                 assert httpx.get(f"{server.url}/readyz").status_code == 200
             finally:
                 milvus_process.thaw()
@@ -141,7 +137,7 @@ class TestServing:
         assert load.broken == 0
         assert {reply.status for reply in load.replies} == {200, 503}
         assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
-        assert metric(server, 'pose_search_failures_total{reason="deadline"}') >= 3
+        assert value(server, "pose_search_failures_total", reason="deadline") >= 3
 
     def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
         self, milvus: Milvus, server: Server, load: BackgroundLoop, photo: Photo, sticks: PoseIndex,
@@ -150,10 +146,7 @@ class TestServing:
         with load, httpx.Client(base_url=server.url) as client:
             assert [send(client, photo).headers["x-session"] for _ in range(2)] == ["new", "warm"]
             publish(milvus, others, ALIAS)
-            deadline = time.monotonic() + 20
-            while client.get("/index").json()["version"] != others.version:
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            eventually(lambda: client.get("/index").json()["version"] == others.version)
             wait_for(load, 200)
             assert send(client, photo).headers["x-session"] == "new"
         assert load.broken == 0
@@ -163,9 +156,8 @@ class TestServing:
         assert all(len(named) == 1 for named in served)
         assert served[0] == {sticks.version}
         assert served[-1] == {others.version}
-        labels = f'name="{others.name}",version="{others.version}"'
-        assert metric(server, f"pose_index_info{{{labels}}}") == 1
-        assert metric(server, 'pose_camera_sessions_ended_total{reason="index"}') == 1
+        assert value(server, "pose_index_info", name=others.name, version=others.version) == 1
+        assert value(server, "pose_camera_sessions_ended_total", reason="index") == 1
         publish(milvus, sticks, ALIAS)
 
     def test_a_version_without_an_artefact_is_refused_with_a_sentence(
@@ -211,29 +203,24 @@ def wait_until_searched(milvus: Milvus) -> None:
     """Wait until Milvus, which is healthy earlier, has loaded its collections again."""
     from index.neighbours import UnavailableError
 
-    deadline = time.monotonic() + 60
-    while True:
-        try:
-            name = milvus.resolve(ALIAS)
-            milvus.count(name, 0, 1)
-            return
-        except UnavailableError:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
+    def searched() -> bool:
+        with suppress(UnavailableError):
+            milvus.count(milvus.resolve(ALIAS), 0, 1)
+            return True
+        return False
+
+    eventually(searched, timeout_s=60)
 
 
 def wait_for_detail(server: Server, expected: str) -> str:
     """Wait until a service that is not ready says why; return its sentence."""
     wait_until(f"{server.url}/healthz")
-    deadline, detail = time.monotonic() + 20, ""
-    while expected not in detail:
-        assert time.monotonic() < deadline, detail
-        response = httpx.get(f"{server.url}/readyz")
-        assert response.status_code == 503
-        assert int(response.headers["retry-after"]) >= 1
-        detail = response.json()["detail"]
-        time.sleep(0.05)
-    return str(detail)
+
+    def detail() -> str:
+        return check_problem(httpx.get(f"{server.url}/readyz"), 503)
+
+    eventually(lambda: expected in detail())
+    return detail()
 
 
 def test_without_the_package_the_start_ends_with_a_sentence(

@@ -14,10 +14,7 @@ from app.estimation.normalised_person import NormalisedPerson
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.landmark_search import rotate_clockwise
-from index.matching import match
-from index.rotations import rotate_silhouette, usual_rotations
 from index.skeleton import LIMBS, POINT_NAMES
-from index.store import PoseIndex
 
 SHAPE = (300, 300)
 CENTRE = np.array([149.5, 149.5])
@@ -101,19 +98,6 @@ class TestWhoIsWide:
         assert one.silhouette.any(axis=1).sum() > 100
 
     @WIDE_DEG
-    def test_is_matched_as_who_stands_or_upside_down(self, angle: float) -> None:
-        # The arm tilts the axis of who stands as well.
-        axis_deg = principal_axis_deg(standing())
-        upright, _ = rotate_silhouette(standing().astype(np.uint8), -axis_deg)
-        rotated = person(angle)
-        assert wrapped(2 * (angle + rotated.roll_deg + axis_deg)) == pytest.approx(0, abs=2)
-        overlap = max(
-            (rotated.silhouette & other).sum() / (rotated.silhouette | other).sum()
-            for other in (upright, upright[::-1, ::-1])
-        )
-        assert overlap > 0.95
-
-    @WIDE_DEG
     def test_the_mirror_image_is_the_mirror_image(self, angle: float) -> None:
         mask = silhouette_of(standing(), angle).mask(SHAPE)
         one, other = (
@@ -167,92 +151,6 @@ def test_pixels_of_the_silhouette_lie_on_it_in_the_frame(angle: float) -> None:
     # All of it.
     area = one.silhouette.sum() * np.linalg.det(one.to_frame[:, :2])
     assert area == pytest.approx(mask.sum(), rel=0.03)
-
-
-def test_where_in_the_frame_does_not_matter() -> None:
-    for angle in (0.0, 80.0):
-        mask = silhouette_of(standing(), angle).mask(SHAPE)
-        one, other = (
-            NormalisedPerson.of(silhouette_of(np.roll(mask, shift, axis=(0, 1))), None)
-            for shift in ((0, 0), (-40, 35))
-        )
-        assert_array_equal(one.silhouette, other.silhouette)
-        assert one.roll_deg == pytest.approx(other.roll_deg)
-        assert_allclose(other.to_frame - one.to_frame, [[0, 0, 35], [0, 0, -40]], atol=1e-9)
-
-
-class TestMatched:
-    """Entries of an index, drawn into a frame that is rotated by any angle."""
-
-    def drawn(self, index: PoseIndex, number: int) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """An entry at its own size in the middle of the frame, and where its points are."""
-        mask = np.zeros(SHAPE, bool)
-        corner = np.array([126, 86])
-        mask[86 : 86 + 128, 126 : 126 + 48] = index.silhouette(number)
-        return mask, index.entry(number).points_normalised + corner
-
-    @WIDE_DEG
-    def test_by_the_silhouette_alone_the_pose_follows_the_picture(
-        self, tiny_index: PoseIndex, angle: float
-    ) -> None:
-        asked = 0
-        # Whose axis is vertical: this index was not rolled.
-        for number in (0, 12, 24, 36, 48):
-            mask, points = self.drawn(tiny_index, number)
-            one = NormalisedPerson.of(silhouette_of(mask, angle), None)
-            if len(usual_rotations(one.silhouette, one.roll_deg)) == 3:
-                continue
-            asked += 1
-            gap_px, gap_m = self.nearest(tiny_index, number, one, points, angle)
-            assert gap_px < 4
-            assert gap_m < 0.15
-        assert asked >= 3
-
-    def nearest(
-        self,
-        index: PoseIndex,
-        number: int,
-        one: NormalisedPerson,
-        points: NDArray[np.float64],
-        angle: float,
-    ) -> tuple[float, float]:
-        """How near the best of five comes to the rotated entry: pixels of the frame, metres."""
-        found = match(index, one.silhouette, 5, roll_deg=one.roll_deg).hypotheses[:5]
-        wanted = moved(points, about_centre(angle))
-        body = rotate_clockwise(index.entry(number).points_3d, angle)
-        return min(
-            (
-                float(
-                    np.linalg.norm(one.points_in_frame(h.points_normalised) - wanted, axis=1).mean()
-                ),
-                float(np.linalg.norm(h.points_3d - body, axis=1).mean()),
-            )
-            for h in found
-        )
-
-    @ANY_DEG
-    def test_with_keypoints_whichever_way_up(self, tiny_index: PoseIndex, angle: float) -> None:
-        for number in range(0, len(tiny_index), 17):
-            mask, points = self.drawn(tiny_index, number)
-            wanted = moved(points, about_centre(angle))
-            body = rotate_clockwise(tiny_index.entry(number).points_3d, angle)
-            places, metres = np.zeros((33, 2)), np.zeros((33, 3))
-            compared = (*LIMBS, "nose", "left_toe", "right_toe")
-            for row, name in [(POINT_NAMES.index(name), name) for name in compared]:
-                places[landmark(name)], metres[landmark(name)] = wanted[row], body[row]
-            visibility = np.isin(range(33), [landmark(name) for name in compared]) * 0.9
-            one = NormalisedPerson.of(
-                silhouette_of(mask, angle), Landmarks(places, visibility, metres)
-            )
-            keypoints = one.keypoints()
-            assert keypoints is not None
-            best = match(
-                tiny_index, one.silhouette, 5, keypoints, roll_deg=one.roll_deg
-            ).hypotheses[0]
-            in_frame = one.points_in_frame(best.points_normalised)
-            assert np.linalg.norm(in_frame - wanted, axis=1).mean() < 5
-            assert np.linalg.norm(best.points_3d - body, axis=1).mean() < 0.25
-            assert abs(wrapped(best.tilt_deg - angle)) < 15
 
 
 def test_limbs_nose_and_toes_are_compared_and_what_is_not_seen_is_not() -> None:

@@ -13,10 +13,9 @@ from fastapi.testclient import TestClient
 
 from app.api.coco import compressed, run_lengths
 from app.vision.people import silhouette_from_mask
-from tests.conftest import ROOT, Photo, png
+from tests.conftest import WALKERS, Photo, png
 
 MODULES = ("drawing", "photograph", "service", "session", "session_view", "timeline")
-WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 
 
 def test_the_page_and_its_files_are_served_and_ask_nobody_else(client: TestClient) -> None:

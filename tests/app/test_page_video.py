@@ -13,8 +13,8 @@ import httpx
 import pytest
 
 from index.skeleton import NATIVE
-from tests.app.test_page import WALKERS, overflows
-from tests.conftest import Photo, Server
+from tests.app.test_page import overflows
+from tests.conftest import WALKERS, Photo, Server
 from tests.videos import numbered_frames, write_video
 
 Answer = dict[str, Any]
@@ -57,16 +57,7 @@ def answer(number: int, timestamp: float) -> Answer:
 
 
 class Cameras:
-    """Stands in for the camera sessions of a service.
-
-    Parameters
-    ----------
-    page : Page
-    problems : dict of int to (status, headers)
-        Requests, counted from 0, that are refused.
-    forgetful_at : int
-        The frame at which the session begins anew.
-    """
+    """Camera sessions that refuse some requests, and forget the session at one frame."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""A person's posture: votes of hypotheses, what landmarks say of lying, and calibration."""
+"""A person's posture by votes and landmarks, and which way skeletons face."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from app.estimation.facing import azimuth_deg
 from app.estimation.posture import (
     CLEAR_FROM,
     GROUNDED,
@@ -19,7 +21,9 @@ from app.estimation.posture import (
     with_grounded,
 )
 from app.vision.people import LANDMARK_NAMES, Landmarks
+from index.landmark_search import rotate_clockwise
 from index.posture import POSTURES
+from index.skeleton import camera_rotation
 
 HEIGHTS = {
     "nose": 0.65, "eye": 0.68, "ear": 0.66, "mouth": 0.62, "shoulder": 0.5, "elbow": 0.25,
@@ -59,11 +63,6 @@ def test_confidence_decides_rather_than_numbers() -> None:
     assert share(votes, "walking") == pytest.approx(0.4)
 
 
-def test_hypotheses_without_confidence_vote_alike() -> None:
-    votes = vote_posture(["sitting", "kneeling"], [0.0, 0.0])
-    assert share(votes, "sitting") == share(votes, "kneeling") == pytest.approx(0.5)
-
-
 @given(
     weights=st.lists(st.floats(0, 1), min_size=len(POSTURES), max_size=len(POSTURES)),
     probability=st.floats(0, 1),
@@ -77,7 +76,7 @@ def test_landmarks_decide_how_much_lies_and_votes_what_else(
     assert share(shares, *GROUNDED) == pytest.approx(probability)
     order = [i for i, name in enumerate(POSTURES) if name not in GROUNDED]
     if votes[order].sum() > 0.02 and probability < 1:
-        np.testing.assert_allclose(
+        assert_allclose(
             shares[order] / shares[order].sum(), votes[order] / votes[order].sum(), atol=1e-9
         )
 
@@ -106,7 +105,7 @@ def test_left_and_right_count_alike() -> None:
     ]
     flipped = metres[sides] * [-1, 1, 1]
     mirrored = Landmarks(200 * flipped[:, :2] + [320, 240], body.visibility, flipped)
-    np.testing.assert_allclose(
+    assert_allclose(
         body_features(mirrored), body_features(Landmarks(places, body.visibility, metres)),
         atol=1e-9,
     )  # fmt: skip
@@ -123,3 +122,21 @@ def test_a_posture_is_told_from_a_probability_of_a_half(weights: list[float]) ->
     told = posture_of(vote_posture(POSTURES[: len(weights)], weights))
     assert 0 <= told.probability <= 1
     assert (told.label == "unclear") == (told.probability < CLEAR_FROM)
+
+
+@pytest.mark.parametrize("azimuth", [-170.0, -90.0, -30.0, 0.0, 45.0, 90.0, 179.0])
+# From above, depth is foreshortened.
+@pytest.mark.parametrize(("elevation", "atol"), [(0.0, 1e-9), (30.0, 5.0)])
+def test_azimuth_is_that_of_the_camera(azimuth: float, elevation: float, atol: float) -> None:
+    body = np.zeros((24, 3))
+    body[[5, 11], 0], body[[8, 15], 0] = 0.2, -0.2  # shoulders and hips, to the left and right
+    body[[5, 8], 1] = 0.5
+    seen = azimuth_deg(body @ camera_rotation(azimuth, elevation).T)
+    assert (seen - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=atol)
+
+
+@pytest.mark.parametrize("angle", [-135.0, -90.0, 15.0, 90.0, 180.0])
+def test_azimuth_does_not_change_as_the_picture_is_rotated(angle: float) -> None:
+    bodies = np.random.default_rng(0).normal(size=(20, 24, 3))
+    rotated = azimuth_deg(rotate_clockwise(bodies, angle))
+    assert_allclose((rotated - azimuth_deg(bodies) + 180) % 360, 180, atol=1e-6)

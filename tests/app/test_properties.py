@@ -6,9 +6,7 @@ import json
 import math
 from typing import Any
 
-import cv2
 import numpy as np
-import pytest
 from fastapi.testclient import TestClient
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -80,18 +78,3 @@ def test_any_boxes(client: TestClient, photo: Photo, boxes: list[Any]) -> None:
     answer = check_answer(response)
     if answer is not None:
         assert len(answer.persons) == len(boxes)
-
-
-@relaxed
-@given(text=st.text(max_size=50))
-def test_any_text_as_boxes(client: TestClient, photo: Photo, text: str) -> None:
-    files = {"frame": photo.frame_png}
-    check_answer(client.post("/pose", files=files, data={"boxes": text.encode("utf-8", "replace")}))
-
-
-@pytest.mark.parametrize("extension", [".jpg", ".png", ".webp", ".bmp", ".tiff"])
-def test_every_format_is_read(client: TestClient, photo: Photo, extension: str) -> None:
-    data = cv2.imencode(extension, photo.frame)[1].tobytes()
-    answer = check_answer(client.post("/pose", files={"frame": data, "mask": photo.mask_png}))
-    assert answer is not None
-    assert answer.persons[0].hypotheses[0].entry == photo.entry

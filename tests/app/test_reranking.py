@@ -84,17 +84,6 @@ class TestConfidences:
 
 
 class TestRankBySilhouette:
-    @given(distances=ascending_distances, n=st.integers(1, 15))
-    def test_leaves_what_the_silhouette_says(self, distances: list[float], n: int) -> None:
-        hypotheses = [
-            hypothesis_like(distance, confidence=1 / (1 + distance)) for distance in distances
-        ]
-        ranked = rank_by_silhouette(hypotheses, n)
-        assert ranked.hypotheses == tuple(hypotheses[:n])
-        assert list(ranked.distances) == distances[:n]
-        assert list(ranked.confidences) == [hypothesis.confidence for hypothesis in hypotheses[:n]]
-        assert ranked.facing.evidence == "none"
-
     @given(distances=st.lists(st.floats(0, 5), min_size=1, max_size=30))
     def test_distances_ascend_where_a_later_batch_is_nearer(self, distances: list[float]) -> None:
         ranked = rank_by_silhouette([hypothesis_like(one) for one in distances], len(distances))

@@ -36,25 +36,6 @@ async def test_frames_of_a_file_without_a_name(tmp_path: Path) -> None:
     assert abs(float(frames[2].pixels.mean()) - 40) < 3
 
 
-async def test_the_process_ends_with_the_context(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started = []
-    create = asyncio.create_subprocess_exec
-
-    async def noted(*arguments: object, **options: object) -> object:
-        started.append(await create(*arguments, **options))  # type: ignore[arg-type]
-        return started[-1]
-
-    monkeypatch.setattr(asyncio, "create_subprocess_exec", noted)
-    with new_file() as file:
-        file.write(write_video(tmp_path / "v.avi", numbered_frames(20, 480, 640)))
-        async with open_video(file, stride=1, max_pixels=10**6, max_seconds=20) as video:
-            await video.next()
-            assert started[0].returncode is None
-    assert started[0].returncode < 0
-
-
 def reading(*parts: bytes, ended: bool = True, timeout_s: float = 5) -> VideoReader:
     """A reader of what a process has written."""
     stream = asyncio.StreamReader()

@@ -9,14 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from descriptor.descriptor import (
-    Descriptor,
-    DiagonalDescriptor,
-    DiscriminantDescriptor,
-    moment_block,
-    restore,
-)
-from descriptor.krawtchouk import moments, weighted_polynomials
+from descriptor.descriptor import Descriptor, DiagonalDescriptor, DiscriminantDescriptor, restore
 
 
 def discriminant(p2: tuple[float, ...] = (0.5,)) -> DiscriminantDescriptor:
@@ -37,13 +30,6 @@ DESCRIPTORS = [
 
 def blobs(count: int) -> NDArray[np.uint8]:
     return np.random.default_rng(2).integers(0, 2, (count, 128, 48)).astype(np.uint8)
-
-
-@pytest.mark.parametrize("descriptor", DESCRIPTORS)
-def test_shape_and_type(descriptor: Descriptor) -> None:
-    vectors = descriptor.describe(blobs(3))
-    assert vectors.shape == (3, descriptor.dimension)
-    assert vectors.dtype == np.float32
 
 
 @pytest.mark.parametrize("descriptor", DESCRIPTORS)
@@ -82,23 +68,6 @@ class TestMirror:
         vectors = vectors.astype(np.float32)
         assert_array_equal(descriptor.mirror(descriptor.mirror(vectors)), vectors)
 
-    def test_mirror_keeps_type_and_distances(self, descriptor: Descriptor) -> None:
-        one, other = descriptor.describe(blobs(2))[:, None]
-        assert descriptor.mirror(one).dtype == np.float32
-        assert_array_equal(
-            np.abs(descriptor.mirror(one) - descriptor.mirror(other)), np.abs(one - other)
-        )
-
-    def test_a_symmetric_silhouette_is_its_mirror_image(self, descriptor: Descriptor) -> None:
-        image = blobs(1)
-        symmetric = image | image[:, :, ::-1]
-        vectors = descriptor.describe(symmetric)
-        assert_allclose(descriptor.mirror(vectors), vectors, atol=1e-4)
-
-    def test_something_changes_its_sign(self, descriptor: Descriptor) -> None:
-        ones = np.ones((1, descriptor.dimension), np.float32)
-        assert set(descriptor.mirror(ones)[0]) == {-1.0, 1.0}
-
 
 @pytest.mark.parametrize("p1", [0.4, 0.500001, 0.9])
 def test_refuses_polynomials_that_are_not_symmetric(p1: float) -> None:
@@ -123,32 +92,6 @@ def test_diagonal_takes_upper_body_first() -> None:
     energy = DiagonalDescriptor().describe(images) ** 2
     assert energy[0, :24].sum() > 100 * energy[0, 24:].sum()
     assert energy[1, 24:].sum() > 100 * energy[1, :24].sum()
-
-
-def test_diagonal_is_48_diagonal_moments_of_two_regions() -> None:
-    images = blobs(2)
-    horizontal = weighted_polynomials(24, 48, 0.5)
-    expected = [
-        np.einsum("bnn->bn", moments(images, weighted_polynomials(24, 128, p), horizontal))
-        for p in (0.1, 0.95)
-    ]
-    assert_allclose(
-        DiagonalDescriptor().describe(images), np.concatenate(expected, axis=1), atol=1e-3
-    )
-
-
-def test_moment_block_goes_region_by_region() -> None:
-    images = blobs(2)
-    both = moment_block(images, 6, 4, 0.5, (0.1, 0.9))
-    assert both.shape == (2, 48)
-    assert_allclose(both[:, :24], moment_block(images, 6, 4, 0.5, (0.1,)), atol=1e-5)
-    assert_allclose(both[:, 24:], moment_block(images, 6, 4, 0.5, (0.9,)), atol=1e-5)
-
-
-def test_discriminant_is_its_projection_of_the_block() -> None:
-    descriptor = discriminant()
-    block = moment_block(blobs(3), 6, 4, 0.5, (0.5,))
-    assert_allclose(descriptor.describe(blobs(3)), block @ descriptor.projection.T, rtol=1e-5)
 
 
 @pytest.mark.parametrize("descriptor", DESCRIPTORS)

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.candidates import (
-    Candidates,
-    compare_entries,
-    find_candidates,
-    find_candidates_of_each,
-)
+from index.candidates import Candidates, compare_entries, find_candidates
 from index.skeleton import POINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 
@@ -24,11 +19,6 @@ ATOL = 1e-4
 
 @pytest.mark.parametrize("number", QUERIES)
 class TestCandidates:
-    def test_an_entry_is_its_own_nearest(self, toy_index: PoseIndex, number: int) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number), 5)
-        assert (found.numbers[0], found.mirrored[0]) == (number, False)
-        assert found.distances[0] == pytest.approx(0, abs=ATOL)
-
     def test_a_mirrored_entry_is_found_as_its_mirror_image(
         self, toy_index: PoseIndex, number: int
     ) -> None:
@@ -56,20 +46,6 @@ class TestCandidates:
         ):
             assert distance[entry, not mirrored] == pytest.approx(apart, abs=ATOL)
 
-    def test_ascend_and_come_once(self, toy_index: PoseIndex, number: int) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number), 100)
-        assert len(found) == 100
-        assert (np.diff(found.distances) >= 0).all()
-        assert len(set(zip(found.numbers, found.mirrored, strict=True))) == 100
-
-    def test_points_are_those_of_the_entries(self, toy_index: PoseIndex, number: int) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number), 40)
-        assert found.mirrored.any()
-        for row, (entry, mirrored) in enumerate(zip(found.numbers, found.mirrored, strict=True)):
-            expected = toy_index.entry(int(entry), mirrored=bool(mirrored))
-            assert_allclose(found.points_3d[row], expected.points_3d)
-            assert_allclose(found.points_normalised[row], expected.points_normalised)
-
     def test_equal_brute_force(self, toy_index: PoseIndex, number: int) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number), 30)
         assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
@@ -84,18 +60,6 @@ def test_no_more_than_all_entries_and_their_mirror_images(toy_index: PoseIndex) 
     assert len(found) == 2 * len(toy_index)
     assert_array_equal(np.bincount(found.numbers), 2)
     assert found.points_3d.shape == (len(found), POINTS, 3)
-
-
-def test_several_at_once_get_what_each_gets(toy_index: PoseIndex) -> None:
-    silhouettes = toy_index.silhouettes(np.array([3, 50, 120]))
-    for ours, silhouette in zip(
-        find_candidates_of_each(toy_index, silhouettes, 20), silhouettes, strict=True
-    ):
-        alone = find_candidates(toy_index, silhouette, 20)
-        assert_array_equal(ours.numbers, alone.numbers)
-        assert_array_equal(ours.mirrored, alone.mirrored)
-        assert_allclose(ours.distances, alone.distances, atol=1e-5)
-        assert_allclose(ours.points_normalised, alone.points_normalised)
 
 
 def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -> None:

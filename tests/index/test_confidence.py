@@ -33,10 +33,6 @@ def test_probabilities_are_probabilities_even_far_out() -> None:
     assert ((probability >= 0) & (probability <= 1)).all()
 
 
-def test_knows_nothing_at_zero_weights() -> None:
-    assert_array_equal(Calibration((0.0,) * COUNT, 0.0).probability(some_features(4)), 0.5)
-
-
 @pytest.mark.parametrize("feature", range(COUNT))
 def test_grows_with_a_feature_of_positive_weight(feature: int) -> None:
     weights = np.zeros(COUNT)

@@ -96,14 +96,6 @@ def test_places_beyond_the_bins_count_as_the_last_ones() -> None:
     assert_allclose(seen.log_likelihood(*ends), seen.log_likelihood(*beyond), rtol=1e-6)
 
 
-def test_skeletons_are_judged_each_by_itself(network: JointNetwork, toy_index: PoseIndex) -> None:
-    seen = network.distributions(toy_index.silhouette(3))
-    points = toy_index.points(np.arange(20))
-    together = seen.log_likelihood(*points)
-    alone = [seen.log_likelihood(*(p[i : i + 1] for p in points))[0] for i in range(20)]
-    assert_allclose(together, alone, rtol=1e-6)
-
-
 def test_weights_survive_storing_but_for_their_rounding(network: JointNetwork) -> None:
     back = JointNetwork.restore(network.arrays())
     assert_allclose(back.kernels[0], network.kernels[0], rtol=1e-3, atol=1e-6)

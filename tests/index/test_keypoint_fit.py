@@ -56,14 +56,6 @@ def test_bones_stay_as_long_and_keypoints_come_nearer(toy_index: PoseIndex, targ
     assert (better.log_likelihood >= agreement.log_likelihood - 0.1).all()
 
 
-@pytest.mark.parametrize("number", [3, 300])
-def test_a_pose_that_fits_stays(toy_index: PoseIndex, number: int) -> None:
-    points_3d, placed = toy_index.points(np.array([number]))
-    fitted, fitted_placed = fit_to_keypoints(keypoints_of(placed[0]), points_3d, placed)
-    assert_allclose(fitted, points_3d, atol=1e-9)
-    assert_allclose(fitted_placed, placed, atol=1e-9)
-
-
 def test_a_wrist_is_followed_and_the_rest_stays(toy_index: PoseIndex) -> None:
     points_3d, placed = toy_index.points(np.array([100]))
     wrist, elbow = (POINT_NAMES.index(f"left_{name}") for name in ("wrist", "elbow"))
@@ -98,17 +90,6 @@ def test_sides_that_are_exchanged_are_fitted_as_they_are_meant(toy_index: PoseIn
     assert mistaken.compare(placed, points_3d).side_odds[0] < 0
     fitted, _ = fit_to_keypoints(mistaken, points_3d, placed)
     assert_allclose(fitted, points_3d, atol=1e-9)
-
-
-def test_several_at_once_are_fitted_as_each(toy_index: PoseIndex) -> None:
-    keypoints = keypoints_of(toy_index.entry(40).points_normalised)
-    points_3d, placed = toy_index.points(NUMBERS)
-    together = fit_to_keypoints(keypoints, points_3d, placed)
-    for row in range(0, len(NUMBERS), 5):
-        one = slice(row, row + 1)
-        alone = fit_to_keypoints(keypoints, points_3d[one], placed[one])
-        assert_allclose(together[0][one], alone[0], atol=1e-9)
-        assert_allclose(together[1][one], alone[1], atol=1e-9)
 
 
 def in_depth(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> Keypoints:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.keypoints import DOUBT, Keypoints
@@ -45,12 +45,6 @@ def test_nothing_is_likelier_than_the_keypoints_themselves(seed: int, away: floa
     assert agreement.weights().max() == 1
 
 
-def test_keypoints_that_are_sure_and_met_are_certain() -> None:
-    points = skeleton(1)
-    sure = replace(shown(points), scores=np.ones(len(ROWS)))
-    assert sure.compare(points[None], NO_DEPTH).log_likelihood == pytest.approx([0])
-
-
 @given(seed=seeds, near=st.floats(0, 30), farther=st.floats(0.1, 30))
 def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
     """One point leaves its keypoint; all others stay."""
@@ -59,16 +53,6 @@ def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
     both[:, ROWS[seed % len(ROWS)], 1] += (near, near + farther)
     own, _ = keypoints.compare_sides(both)
     assert own[1] < own[0]
-
-
-@given(seed=seeds, other=seeds)
-def test_exchanging_the_sides_of_a_skeleton_turns_the_odds_over(seed: int, other: int) -> None:
-    points = skeleton(other)
-    agreement = shown(skeleton(seed)).compare(np.stack([points, exchange_sides(points)]), NO_DEPTH)
-    assert agreement.side_odds[0] == pytest.approx(-agreement.side_odds[1])
-    assert agreement.log_likelihood[0] == pytest.approx(agreement.log_likelihood[1])
-    if abs(agreement.side_odds[0]) > 1e-9:  # Else either may pull.
-        assert_allclose(agreement.pulls[0], agreement.pulls[1])
 
 
 @given(seed=seeds)
@@ -119,17 +103,6 @@ def test_what_is_less_sure_tells_less(seed: int) -> None:
     unsure = replace(sure, scores=sure.scores / 4)
     spans = [np.ptp(one.compare_sides(both)[0]) for one in (sure, unsure)]
     assert spans[1] < spans[0]
-
-
-def test_some_can_be_taken() -> None:
-    keypoints = shown(skeleton(0))
-    points = np.stack([skeleton(seed) for seed in range(5)])
-    rows = np.array([3, 1])
-    some = keypoints.compare(points, NO_DEPTH).take(rows)
-    alone = keypoints.compare(points[rows], NO_DEPTH)
-    assert_array_equal(some.log_likelihood, alone.log_likelihood)
-    assert_array_equal(some.side_odds, alone.side_odds)
-    assert_array_equal(some.pulls, alone.pulls)
 
 
 def pose(seed: int) -> NDArray[np.float64]:

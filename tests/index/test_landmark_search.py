@@ -81,22 +81,6 @@ def test_equals_comparing_with_each(
     assert (np.diff(found.distances) >= 0).all()
 
 
-@pytest.mark.parametrize("number", range(0, 576, 97))
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("roll", [0.0, 20.0, -95.0])
-def test_an_entry_that_is_turned_scaled_and_moved_is_found(
-    toy_index: PoseIndex, number: int, mirrored: bool, roll: float
-) -> None:
-    limbs = upright_limbs(toy_index)[number]
-    limbs = mirrored_limbs(limbs) if mirrored else limbs
-    asked = 0.6 * rotate_clockwise(limbs, roll) + (17, -4, 2)
-    found = toy_index.landmark_search.nearest(asked, tuple({0.0, roll}), 5)
-    best = (found.numbers == number) & (found.mirrored == mirrored) & (found.roll_deg == roll)
-    assert best.any()
-    assert found.distances[best].max() < 2 * STEP
-    assert found.distances[0] < 2 * STEP
-
-
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_entries_rolled_to_stand_are_searched_as_they_lie(
     ground_index: PoseIndex, mirrored: bool

@@ -143,24 +143,6 @@ def test_mirrored_queries_give_mirrored_answers(toy_index: PoseIndex, number: in
     assert there[0].posture == here[0].posture
 
 
-@pytest.mark.parametrize("n", [1, 7, 50])
-def test_hypotheses_are_as_many_as_asked_finite_and_distinct(toy_index: PoseIndex, n: int) -> None:
-    keypoints = keypoints_of_entry(toy_index, 9, score=0.3)
-    found = match(toy_index, toy_index.silhouette(9), n, keypoints).hypotheses
-    assert len(found) >= min(n, 40)
-    joints = np.stack([h.points_3d[:JOINTS] for h in found])
-    apart = np.linalg.norm(joints[:, None] - joints[None], axis=-1).mean(axis=-1)
-    assert apart[~np.eye(len(found), dtype=bool)].min() > 0.01
-    distances = [h.fused_distance for h in found]
-    assert distances == sorted(distances)
-    for hypothesis in found:
-        assert hypothesis.points_3d.shape == (POINTS, 3)
-        assert np.isfinite(hypothesis.points_3d).all()
-        assert np.isfinite(hypothesis.points_normalised).all()
-        assert 0 <= hypothesis.confidence <= 1
-        assert hypothesis.adjusted_m >= 0
-
-
 def same(one: Hypothesis, other: Hypothesis) -> bool:
     """All of them, to the last bit."""
     return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))
@@ -187,12 +169,6 @@ def test_the_first_of_many_are_those_of_few(
         assert same(one, other)
     shared = min(fewer, len(few.hypotheses))
     assert np.array_equal(few.features[:shared], many.features[:shared])
-
-
-def test_without_keypoints_there_is_nothing_fused_and_no_rotation(toy_index: PoseIndex) -> None:
-    for hypothesis in match(toy_index, toy_index.silhouette(9), 5).hypotheses:
-        assert hypothesis.fused_distance == hypothesis.distance
-        assert hypothesis.rotation_deg == 0
 
 
 @pytest.mark.parametrize("number", [40, 301, 500])
@@ -263,28 +239,3 @@ def test_keypoints_find_entries_that_were_rolled_to_stand(
         assert best.posture == "lying"
         expected = rotate_clockwise(entry.points_3d, -entry.roll_deg)
         assert np.linalg.norm(best.points_3d - expected, axis=-1).mean() < 0.1
-
-
-@pytest.mark.parametrize("roll_deg", [-90.0, 60.0, 120.0])
-def test_rotated_to_stand_a_silhouette_that_tells_nothing_is_answered_from_the_keypoints(
-    toy_index: PoseIndex, roll_deg: float
-) -> None:
-    """People who lean or lie, seen by cameras that are not rolled."""
-    rectangle = np.ones((128, 48), np.uint8)
-    for number in (40, 301, 500):
-        points = toy_index.entry(number).points_normalised
-        keypoints = keypoints_of_entry(toy_index, number)
-        found = match(toy_index, rectangle, 7, keypoints, roll_deg=roll_deg)
-        best = likeliest(found)
-        assert error_px(best, points[:JOINTS]) < 6
-        assert abs((best.tilt_deg + roll_deg + 180) % 360 - 180) < 20
-
-
-def test_entries_rolled_to_stand_are_found_by_the_keypoints_alone(ground_index: PoseIndex) -> None:
-    rectangle = np.ones((128, 48), np.uint8)
-    rolled = np.flatnonzero(np.abs(ground_index.entries["roll_deg"]) > 60)[::31]
-    for number in rolled.tolist():
-        entry = ground_index.entry(number)
-        keypoints = keypoints_of(entry.points_normalised, entry.points_3d)
-        best = likeliest(match(ground_index, rectangle, 7, keypoints, roll_deg=entry.roll_deg))
-        assert error_px(best, entry.points_normalised[:JOINTS]) < 6

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
@@ -128,20 +128,6 @@ def test_a_query_between_known_poses_lands_between_them(where: float) -> None:
     assert_allclose(modes.points_3d[0, wrist], (start + where * step)[wrist], atol=0.02)
 
 
-@pytest.mark.parametrize("number", range(0, 576, 61))
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_a_query_that_is_an_entry_gets_its_pose(
-    toy_index: PoseIndex, number: int, mirrored: bool
-) -> None:
-    silhouette = toy_index.silhouette(number)[:, :: -1 if mirrored else 1]
-    modes = find_modes(find_candidates(toy_index, silhouette, 200), 5)
-    (best,) = modes.nearest(1).points_3d
-    entry = toy_index.entry(number, mirrored=mirrored)
-    apart = np.linalg.norm(best[:JOINTS] - entry.points_3d[:JOINTS], axis=-1)
-    # Far less than what makes poses distinct: the entry outweighs all others.
-    assert apart.mean() < DISTINCT_M / 4
-
-
 @pytest.mark.parametrize("count", [1, 4, 12, 30])
 def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_next(
     toy_index: PoseIndex, count: int
@@ -158,9 +144,6 @@ def test_modes_check_their_shapes() -> None:
 
 
 class TestWithBonesOf:
-    def test_a_skeleton_keeps_itself(self) -> None:
-        assert_allclose(with_bones_of(some_pose(), some_pose()), some_pose(), atol=1e-12)
-
     @given(seed=st.integers(0, 999), shrink=st.floats(0.1, 3))
     def test_keeps_lengths_of_one_and_directions_of_the_other(
         self, seed: int, shrink: float
@@ -178,18 +161,6 @@ class TestWithBonesOf:
 
     def test_a_bone_without_direction_stays_finite(self) -> None:
         assert np.isfinite(with_bones_of(some_pose(), np.zeros((POINTS, 3)))).all()
-
-
-@pytest.mark.parametrize("number", range(0, 576, 47))
-def test_the_first_modes_are_the_same_however_many_are_asked_for(
-    toy_index: PoseIndex, number: int
-) -> None:
-    found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
-    few, many = find_modes(found, 5), find_modes(found, 12)
-    assert_array_equal(few.centres, many.centres[: len(few)])
-    for ours, theirs in zip(vars(few).values(), vars(many).values(), strict=True):
-        # Batches may be summed in another order.
-        assert_allclose(ours, theirs[: len(few)], rtol=1e-12, atol=1e-12)
 
 
 def test_of_equally_dense_modes_the_first_candidate_comes_first() -> None:

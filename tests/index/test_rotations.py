@@ -7,24 +7,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
-from index.candidates import find_candidates
-from index.landmark_search import Nearest, rotate_clockwise
+from index.landmark_search import rotate_clockwise
 from index.rotations import (
     MAX_ROTATIONS,
     MIN_SHARE,
     STEP_DEG,
     RotatedQuery,
-    compare_rotated_entries,
-    find_rotated_candidates,
     rotate_silhouette,
     rotations_of_landmarks,
     usual_rotations,
 )
-from index.skeleton import JOINTS, camera_rotation
+from index.skeleton import camera_rotation
 from index.store import PoseIndex
 
 ANGLES = (-30.0, -15.0, 10.0, 25.0)
@@ -55,34 +52,14 @@ def assert_differ_only_at_the_outline(one: NDArray[np.uint8], other: NDArray[np.
     assert (one != other).sum() < 0.15 * one.sum()
 
 
-@pytest.mark.parametrize("angle", ANGLES)
-class TestRotateSilhouette:
-    def test_the_inverse_leads_to_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
-        silhouette = toy_index.silhouette(40)
-        upright, inverse = rotate_silhouette(silhouette, angle)
-        assert upright.shape == (HEIGHT, WIDTH)
-        places = np.rint(pixels(upright) @ inverse[:, :2].T + inverse[:, 2]).astype(int)
-        inside = np.clip(places, 0, (WIDTH - 1, HEIGHT - 1))
-        assert silhouette[inside[:, 1], inside[:, 0]].mean() > 0.95
-        assert_allclose(places.mean(axis=0), pixels(silhouette).mean(axis=0), atol=1.0)
-
-    def test_rotates_clockwise(self, toy_index: PoseIndex, angle: float) -> None:
-        _, inverse = rotate_silhouette(toy_index.silhouette(40), angle)
-        # The inverse is counterclockwise: what points right after the rotation pointed up before.
-        assert np.rad2deg(np.arctan2(-inverse[1, 0], inverse[0, 0])) == pytest.approx(
-            angle, abs=1e-6
-        )
-
+@pytest.mark.parametrize("angle", EVERY_WAY)
+class TestRotateAnyMask:
     def test_rotating_back_gives_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
         silhouette = toy_index.silhouette(40)
         again = rotate_silhouette(rotate_silhouette(silhouette, angle)[0], -angle)[0]
-        both, either = (again & silhouette).sum(), (again | silhouette).sum()
-        # Rotated by 30 degrees it is drawn at two thirds of the size.
-        assert both / either > 0.8
+        # Lying, it is drawn at less than half of the size.
+        assert (again & silhouette).sum() / (again | silhouette).sum() > 0.6
 
-
-@pytest.mark.parametrize("angle", EVERY_WAY)
-class TestRotateAnyMask:
     def test_pixels_lead_back_to_the_mask(self, toy_index: PoseIndex, angle: float) -> None:
         mask = frame_mask(toy_index.silhouette(40))
         upright, inverse = rotate_silhouette(mask, angle)
@@ -128,45 +105,6 @@ def rotated(silhouette: NDArray[np.uint8], *rotations_deg: float) -> list[Rotate
     return [RotatedQuery.of(silhouette, rotation) for rotation in rotations_deg]
 
 
-def test_a_leaning_person_is_found(toy_index: PoseIndex) -> None:
-    number, lean = 40, 15.0
-    leaning, inverse = rotate_silhouette(toy_index.silhouette(number), lean)
-    found = find_rotated_candidates(toy_index, rotated(leaning, -15.0, 0.0, 15.0), 20)
-    assert (found.numbers[0], found.rotation_deg[0]) == (number, lean)
-    entry = toy_index.entry(number)
-    expected = (entry.points_normalised[:JOINTS] - inverse[:, 2]) @ np.linalg.inv(inverse[:, :2]).T
-    assert_allclose(found.points_normalised[0, :JOINTS], expected, atol=2.0)
-    # The head is up; leaning clockwise brings it to the right.
-    upright = entry.points_3d[4]
-    angle = np.rad2deg(np.arctan2(upright[0], -upright[1]))
-    x, y, z = found.points_3d[0, 4]
-    assert np.rad2deg(np.arctan2(x, -y)) == pytest.approx(angle + lean)
-    assert z == pytest.approx(upright[2])
-
-
-def test_without_a_rotation_the_candidates_are_the_same(toy_index: PoseIndex) -> None:
-    silhouette = toy_index.silhouette(100)
-    ours = find_rotated_candidates(toy_index, rotated(silhouette, 0.0), 30)
-    theirs = find_candidates(toy_index, silhouette, 30)
-    assert_array_equal(ours.numbers, theirs.numbers)
-    assert_array_equal(ours.points_3d, theirs.points_3d)
-    assert (ours.rotation_deg == 0).all()
-
-
-def test_candidates_of_all_rotations_are_merged_in_ascending_distance(toy_index: PoseIndex) -> None:
-    queries = rotated(toy_index.silhouette(7), -20.0, 0.0, 20.0)
-    found = find_rotated_candidates(toy_index, queries, 10)
-    assert len(found) == 30
-    assert (np.diff(found.distances) >= 0).all()
-    assert set(found.rotation_deg) == {-20.0, 0.0, 20.0}
-
-
-def test_a_single_pixel_can_be_rotated() -> None:
-    dot = np.zeros((HEIGHT, WIDTH), np.uint8)
-    dot[60, 20] = 1
-    assert rotate_silhouette(dot, 33.0)[0].any()
-
-
 UPRIGHT = (0.0,)
 
 
@@ -196,10 +134,6 @@ def test_rotations_of_landmarks_are_few_and_the_most_frequent(
 def test_the_most_frequent_rotation_comes_first(lean: float) -> None:
     rolls = np.random.default_rng(1).normal(lean, 2, 100)
     assert rotations_of_landmarks(UPRIGHT, rolls)[0] == lean
-
-
-def test_upside_down_is_one_rotation() -> None:
-    assert rotations_of_landmarks(UPRIGHT, np.array([179.0, -179.0, 181.0])) == [-180.0]
 
 
 def test_usual_rotations_take_in_those_near_them() -> None:
@@ -250,48 +184,11 @@ class TestRotateClockwise:
         up = np.array([[0.0, -1.0, 0.3]])
         assert_allclose(rotate_clockwise(up, 90.0), [[1.0, 0.0, 0.3]], atol=1e-12)
 
-    @given(angle=st.floats(-360, 360), other=st.floats(-360, 360))
-    def test_rotations_add_up(self, angle: float, other: float) -> None:
-        points = np.random.default_rng(0).normal(size=(5, 3))
-        assert_allclose(
-            rotate_clockwise(rotate_clockwise(points, angle), other),
-            rotate_clockwise(points, angle + other),
-            atol=1e-9,
-        )
-
     @pytest.mark.parametrize("angle", ANGLES)
     def test_is_a_roll_of_the_camera(self, angle: float) -> None:
         points = np.random.default_rng(0).normal(size=(5, 3))
         upright, rolled = (points @ camera_rotation(40, 25, roll).T for roll in (0.0, angle))
         assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-12)
-
-
-def test_entries_near_keypoints_are_compared_at_the_rotation_nearest_to_theirs(
-    toy_index: PoseIndex,
-) -> None:
-    numbers, lean = np.array([40, 41, 40, 42]), 15.0
-    mirrored = np.array([False, False, True, False])
-    nearest = Nearest(numbers, mirrored, np.array([13.0, -2.0, 80.0, 8.0]), np.zeros(4))
-    silhouette = rotate_silhouette(toy_index.silhouette(40), lean)[0]
-    found = compare_rotated_entries(toy_index, rotated(silhouette, 0.0, lean), nearest)
-    assert (np.diff(found.distances) >= 0).all()
-    assert (found.numbers[0], found.rotation_deg[0]) == (40, lean)
-    leans = {
-        (number, is_mirrored): lean
-        for number, is_mirrored, lean in zip(
-            found.numbers.tolist(),
-            found.mirrored.tolist(),
-            found.rotation_deg.tolist(),
-            strict=True,
-        )
-    }
-    assert leans == {(40, False): lean, (41, False): 0.0, (40, True): lean, (42, False): lean}
-    # As they would be found by the silhouette.
-    (same,) = np.flatnonzero((found.numbers == 41) & ~found.mirrored)
-    upright = find_candidates(toy_index, silhouette, 2 * len(toy_index))
-    (there,) = np.flatnonzero((upright.numbers == 41) & ~upright.mirrored)
-    assert found.distances[same] == pytest.approx(upright.distances[there], abs=0.1)
-    assert_allclose(found.points_normalised[same], upright.points_normalised[there])
 
 
 @pytest.mark.parametrize("shape", [(12, 1_000_000), (40_000, 3)])
@@ -313,14 +210,3 @@ def test_a_line_is_rotated_all_along(length: int, angle: float) -> None:
     along = (pixels(rotated) @ inverse[:, :2].T + inverse[:, 2])[:, 1]
     seen, _ = np.histogram(along, bins=24, range=(0, length))
     assert seen.all()
-
-
-def test_large_masks_are_rotated_as_small_ones() -> None:
-    small = np.zeros((120, 200), np.uint8)
-    cv2.ellipse(small, (100, 60), (80, 25), 20.0, 0, 360, 1, -1)
-    large = small.repeat(16, axis=0).repeat(16, axis=1)
-    assert principal_axis_deg(large) == pytest.approx(principal_axis_deg(small), abs=0.2)
-    (here, to_small), (there, to_large) = (rotate_silhouette(m, 70.0) for m in (small, large))
-    assert (here != there).mean() < 0.005
-    corner = np.array([10.0, 20.0, 1.0])
-    assert_allclose(to_large @ corner, 16 * (to_small @ corner + 0.5) - 0.5, atol=16)

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from index.skeleton import (
-    COCO17,
     H36M17,
-    JOINT_NAMES,
     JOINTS,
     KEYPOINT_SETS,
     NATIVE,
@@ -78,29 +76,6 @@ def test_azimuth_turns_the_person_the_other_way(
     )
 
 
-def test_cameras_broadcast() -> None:
-    many = camera_rotation(np.array([10.0, 200.0]), 30.0, np.array([0.0, 5.0]))
-    assert many.shape == (2, 3, 3)
-    assert_allclose(many[1], camera_rotation(200.0, 30.0, 5.0), atol=1e-12)
-
-
-def test_points_in_the_plane_of_the_pelvis_keep_their_size() -> None:
-    points = np.array([[0.3, -0.5, 0.0], [0.0, 0.0, 0.0]])
-    assert_allclose(project(points, 3.0), points[:, :2])
-
-
-def test_far_cameras_project_orthographically() -> None:
-    points = np.random.default_rng(0).normal(size=(20, 3))
-    # The relative error is depth over distance.
-    assert_allclose(project(points, 1e6), points[:, :2], rtol=1e-5)
-
-
-def test_nearer_points_look_larger() -> None:
-    near, far = project(np.array([[0.5, 0.5, -1.0], [0.5, 0.5, 1.0]]), 2.0)
-    assert_allclose(near, [1.0, 1.0])  # half as far away: twice as large
-    assert_allclose(far, [1 / 3, 1 / 3])
-
-
 @given(depth=st.floats(-0.9, 5), scale=st.floats(0.1, 10))
 def test_projection_is_a_line_of_sight(depth: float, scale: float) -> None:
     # All points on a ray from the camera fall on the same place of the plane.
@@ -112,26 +87,10 @@ def test_projection_is_a_line_of_sight(depth: float, scale: float) -> None:
     )
 
 
-def test_distances_broadcast_over_views() -> None:
-    points = np.random.default_rng(1).normal(size=(2, 5, 3)) * 0.4
-    both = project(points, np.array([3.0, 8.0]))
-    assert_allclose(both[1], project(points[1], 8.0))
-
-
 def other(name: str) -> str:
     if name.startswith("left_"):
         return "right_" + name[5:]
     return "left_" + name[6:] if name.startswith("right_") else name
-
-
-def test_skeleton_has_19_joints_and_5_face_points() -> None:
-    assert (JOINTS, POINTS) == (19, 24)
-    assert len(set(POINT_NAMES)) == POINTS
-    assert KEYPOINT_SETS == {
-        "native": NATIVE, "cmu19": NATIVE, "coco17": COCO17, "h36m17": H36M17
-    }  # fmt: skip
-    assert NATIVE.indices == tuple(range(JOINTS))
-    assert NATIVE.names == JOINT_NAMES
 
 
 @pytest.mark.parametrize("keypoints", KEYPOINT_SETS.values(), ids=lambda k: k.name)
@@ -175,20 +134,6 @@ class TestMirror:
         nose = POINT_NAMES.index("nose")
         assert_array_equal(image[nose], points[nose] * (-1, 1, 1))
 
-    def test_bones_keep_their_length(self) -> None:
-        def lengths(points: np.ndarray) -> np.ndarray:
-            return np.array([np.linalg.norm(points[c] - points[p]) for p, c in NATIVE.bones])
-
-        ends = [NATIVE.names[child] for _, child in NATIVE.bones]
-        swapped = [ends.index(other(name)) for name in ends]
-        points = some_points(3)[0]
-        assert_allclose(lengths(mirror_3d(points)), lengths(points)[swapped])
-
-    def test_columns_of_pixels_change_places(self) -> None:
-        # The centre of column 0 becomes that of column 47.
-        image = mirror_normalised(np.tile([0.0, 5.0], (POINTS, 1)))
-        assert_array_equal(image, np.tile([47.0, 5.0], (POINTS, 1)))
-
     @given(azimuth=angles, elevation=angles, roll=angles)
     def test_mirrored_body_before_the_mirrored_camera(
         self, azimuth: float, elevation: float, roll: float
@@ -217,12 +162,6 @@ def test_native_bones_form_a_tree_from_the_pelvis() -> None:
     for parent, child in NATIVE.bones:
         assert parent in reached
         reached.add(child)
-
-
-def test_coco17_has_the_order_of_the_standard() -> None:
-    assert COCO17.names[:5] == ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
-    assert COCO17.names[-2:] == ("left_ankle", "right_ankle")
-    assert len(COCO17.names) == 17
 
 
 def test_exchanging_sides_moves_names_not_points() -> None:

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from app.vision.people import Box
-from scripts.experiments.real_vtest import Marks, read_marks
-from scripts.load.benchmark import describe_index, interleaved, read_street, sender
-from scripts.load.benchmark_cases import (
-    Street,
-    mask_call,
-    street_cases,
-    walkers_case,
-    with_four,
-    without_people,
-    yardstick,
-)
-from scripts.load.benchmark_report import Measured, Row, report
+from scripts.load.benchmark import interleaved, read_street, sender
+from scripts.load.benchmark_cases import Street, without_people
 from scripts.load.client import Call, Client
 
 BOX = Box(40, 20, 30, 90)
@@ -41,12 +30,6 @@ def test_tasks_take_turns_round_by_round() -> None:
     assert {name: len(one) for name, one in times.items()} == {"a": 6, "b": 6}
 
 
-def test_frames_with_four_walkers_are_taken() -> None:
-    taken = [Marks(0, [BOX] * 4, []), Marks(1, [BOX] * 4, [BOX])]
-    assert with_four([*taken, Marks(2, [BOX] * 3, [BOX]), Marks(3, [BOX] * 5, [])]) == taken
-    assert [one.frame for one in with_four(read_marks())] == [376, 501]
-
-
 def test_people_who_walk_by_are_not_in_the_scene() -> None:
     frames = [np.full((576, 768, 3), 100, np.uint8) for _ in range(5)]
     for number, frame in enumerate(frames):
@@ -54,29 +37,6 @@ def test_people_who_walk_by_are_not_in_the_scene() -> None:
     scene = without_people(frames)
     assert scene.shape == (480, 640, 3)
     assert (scene == 100).all()
-
-
-def test_cases_ask_what_their_names_say(street: Street) -> None:
-    cases = {case.what: case.calls for case in [walkers_case(), *street_cases(street, b"mask")]}
-    parts = {what: [sorted(call.parts) for call in calls] for what, calls in cases.items()}
-    assert parts == {
-        "298x320, four walkers": [["frame"]],
-        "192x144, four walkers": [["frame"], ["frame"]],
-        "640x480, nobody": [["frame"]],
-        "192x144, one caller's box": [["boxes", "frame"]],
-        "192x144, one mask, `evidence=silhouette`": [["frame", "mask"]],
-        "192x144, one mask": [["frame", "mask"]],
-    }
-    silhouette = cases["192x144, one mask, `evidence=silhouette`"][0]
-    assert silhouette.path == "/pose?evidence=silhouette"
-    assert {call.path for calls in cases.values() for call in calls} == {"/pose", silhouette.path}
-    asked = mask_call(street)
-    assert (asked.path, json.loads(asked.parts["boxes"])) == ("/silhouette", [[40, 20, 30, 90]])
-
-
-def test_the_yardstick_searches_a_picture_of_any_size() -> None:
-    boxes, _ = yardstick(np.full((50, 40, 3), 128, np.uint8))()  # type: ignore[misc]
-    assert len(boxes) == 0
 
 
 def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,28 +55,7 @@ def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPat
         send()
 
 
-def test_the_page_has_ratios_to_the_yardstick_beside_those_wanted() -> None:
-    rows = [
-        Row("nobody", [60.0, 30.0, 40.0], "0", 75, 0.6),
-        Row("walkers", [200.0] * 3, "4, 3", 120),
-    ]
-    measured = Measured(Row("HOG", [100.0, 90.0, 80.0]), rows, 0.07, "sticks", 1.5, 250.4, 270.0)
-    page = report(measured, "make bench", ["the moon (it is far)"])
-    assert [line for line in page.splitlines() if line.startswith("| ")][1:] == [
-        "| HOG |  | 82.0 ms | 90.0 ms |  | 1.000 |  |",
-        "| nobody | 0 | 32.0 ms | 40.0 ms | 75 ms | 0.444 | 0.60 |",
-        "| walkers | 4, 3 | 200.0 ms | 200.0 ms | 120 ms | 2.222 |  |",
-    ]
-    for said in ("`make bench`, revision", "Machine: ", "7% of", "250 MB", "Left out: the moon"):
-        assert said in page
-
-
 def test_without_the_video_it_says_what_is_left_out(tmp_path: Path) -> None:
     street, why = read_street(tmp_path)
     assert street is None
     assert "expected a video" in why[0]
-
-
-def test_the_index_is_named_in_a_line() -> None:
-    reply = {"name": "sticks", "entries": 96, "version": "sha256:0123456789abcdef"}
-    assert describe_index(json.dumps(reply).encode()) == "sticks, 96 entries, sha256:0123456789ab"

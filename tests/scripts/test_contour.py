@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from scripts.experiments.contour import contour_faults, disturb, disturb_all
+from scripts.experiments.contour import contour_faults, disturb
 
 RADIUS = 20
 
@@ -24,37 +24,6 @@ def disc() -> NDArray[np.uint8]:
 def ring(disc: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The same with a hole."""
     return np.asarray(cv2.circle(disc.copy(), (24, 64), RADIUS // 2, 0, cv2.FILLED), np.uint8)
-
-
-def test_no_noise_changes_nothing(disc: NDArray[np.uint8]) -> None:
-    same = disturb(disc, 0.0, np.random.default_rng(0))
-    assert_array_equal(same, disc)
-    assert same is not disc
-
-
-def test_equal_seeds_make_equal_noise_and_every_silhouette_has_its_own(
-    disc: NDArray[np.uint8],
-) -> None:
-    pair = np.stack([disc, disc])
-    one, other = disturb_all(pair, 2.0, 5), disturb_all(pair, 2.0, 5)
-    assert_array_equal(one, other)
-    assert (one[0] != one[1]).any()
-    assert (one != disturb_all(pair, 2.0, 6)).any()
-
-
-def test_a_silhouette_stays_one(disc: NDArray[np.uint8]) -> None:
-    noisy = disturb(disc, 3.0, np.random.default_rng(1))
-    assert noisy.shape == disc.shape
-    assert noisy.dtype == np.uint8
-    assert set(np.unique(noisy)) == {0, 1}
-
-
-def test_more_noise_changes_more(disc: NDArray[np.uint8]) -> None:
-    changed = [
-        np.mean([(disturb(disc, std, np.random.default_rng(s)) != disc).sum() for s in range(20)])
-        for std in (1.0, 2.0, 3.0)
-    ]
-    assert changed[0] < changed[1] < changed[2]
 
 
 def test_noise_moves_the_outline_as_far_as_its_deviation_says(disc: NDArray[np.uint8]) -> None:

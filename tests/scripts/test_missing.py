@@ -1,13 +1,16 @@
-"""What a command lacks, a package or data, is told in one sentence."""
+"""Commands: what they lack is told in one sentence, and their options get along."""
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from scripts.evaluate import EXPERIMENTS
 from tests.conftest import ROOT
 
 
@@ -25,3 +28,12 @@ def test_without_data(command: str, tmp_path: Path) -> None:
     last = ended.stderr.splitlines()[-1]
     assert last.startswith((f"scripts.{module}: ", f"{module}: "))
     assert "Traceback" not in ended.stderr
+
+
+def test_the_options_of_all_experiments_get_along() -> None:
+    pytest.importorskip("sklearn")
+    pytest.importorskip("matplotlib")
+    parser = argparse.ArgumentParser()
+    for name, module in EXPERIMENTS.items():
+        importlib.import_module(module).add_arguments(parser.add_argument_group(name))
+    assert parser.parse_args([])

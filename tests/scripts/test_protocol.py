@@ -11,7 +11,7 @@ from index.build.simulate import Simulation
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
-from scripts.experiments.protocol import joint_errors, nearest, recognised, rig
+from scripts.experiments.protocol import joint_errors, recognised
 
 FRAMES, BODIES, VIEWS = 12, 2, 3
 
@@ -45,14 +45,3 @@ def test_recognised_counts_queries_with_one_of_n_under_5_px() -> None:
     errors = np.array([[4.9, 9.0], [5.0, 1.0], [9.0, np.inf], [0.0, 0.0]])
     assert recognised(errors, 1) == 50.0
     assert recognised(errors, 2) == 75.0
-
-
-def test_nearest_is_exact() -> None:
-    known = np.float32([[0, 0], [3, 0], [0, 1]])
-    assert nearest(known, np.float32([[0.1, 0.9]]), 3).tolist() == [[2, 0, 1]]
-
-
-def test_rig_surrounds_the_person() -> None:
-    cameras = rig()
-    assert sorted(cameras["azimuth_deg"]) == list(range(0, 360, 45))
-    assert set(cameras["elevation_deg"]) == {10.0, 30.0}

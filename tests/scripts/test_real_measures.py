@@ -7,7 +7,7 @@ import pytest
 
 from app.vision.people import Box
 from scripts.experiments.real_detection_scores import average_precision, figures, matches
-from scripts.experiments.real_vtest import Marks, compare, read_marks
+from scripts.experiments.real_vtest import Marks, compare
 
 PEOPLE = np.array([[0.0, 0.0, 10.0, 30.0], [50.0, 0.0, 10.0, 30.0]])
 
@@ -30,12 +30,3 @@ def test_ignored_people_count_neither_way() -> None:
     boxes = [Box(0, 1, 10, 30), Box(50, 1, 10, 30), Box(90, 0, 10, 30)]
     assert compare(boxes, marks) == (1, 1)
     assert compare([], marks) == (0, 0)
-
-
-def test_the_marks_are_sound() -> None:
-    marks = read_marks()
-    assert len(marks) == 20
-    for one in marks:
-        for box in one.people:
-            assert box.height >= 50
-            assert box.clip(768, 576) == box or box.right <= 768.5

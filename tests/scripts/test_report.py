@@ -7,23 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from scripts.experiments.report import compare, percent, table, write
-
-
-def test_table_has_a_line_for_each_row() -> None:
-    assert table(["a", "b"], [["1", "2"], ["3", "x | y"]]) == (
-        "| a | b |\n| --- | --- |\n| 1 | 2 |\n| 3 | x \\| y |"
-    )
+from scripts.experiments.report import compare, table, write
 
 
 def test_row_of_another_length_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected 2 cells, got 1: only"):
         table(["a", "b"], [["only"]])
-
-
-def test_percent_has_two_digits_or_a_dash() -> None:
-    assert percent(98.8095) == "98.81"
-    assert percent(None) == "-"
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from scripts.examples import watch_camera
-from tests.app.test_page import WALKERS
-from tests.conftest import Server
+from tests.conftest import WALKERS, Server
 from tests.videos import numbered_frames, write_video
 
 EVENT = {"event": "fell", "state": "begin", "track_id": 3, "timestamp": 0.2, "probability": 0.9}

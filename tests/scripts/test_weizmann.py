@@ -12,14 +12,7 @@ from scipy.io import savemat
 from app.estimation.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
 from index.store import PoseIndex
-from scripts.experiments.weizmann import (
-    Film,
-    Pixels,
-    Recording,
-    leave_one_person_out,
-    read_films,
-    stretches,
-)
+from scripts.experiments.weizmann import Film, Recording, leave_one_person_out, read_films
 from scripts.experiments.weizmann_report import in_frames, watch
 
 FRAMES = 6
@@ -83,13 +76,6 @@ def test_people_and_actions_are_read_from_the_names_of_the_fields(file: Path) ->
     assert all(r.silhouettes.shape == (FRAMES, 128, 48) for r in recordings)
 
 
-def test_frames_without_a_person_are_left_out(tmp_path: Path) -> None:
-    written = fields()
-    written["daria_walk"][..., 2] = 0
-    recordings = read_recordings(write(tmp_path / "masks.mat", original_masks=written))
-    assert {len(r.silhouettes) for r in recordings if r.person == "daria"} == {FRAMES, FRAMES - 1}
-
-
 def test_people_left_out_are_recognised_by_the_others(file: Path) -> None:
     recognition = leave_one_person_out(read_recordings(file), DiagonalDescriptor(), mirrored=True)
     assert recognition.right == recognition.frames_right == 1.0
@@ -102,29 +88,6 @@ def test_nobody_is_recognised_by_their_own_frames(file: Path) -> None:
     wave2 = recognition.actions.index("wave2")
     assert (recognition.answer[recognition.truth == wave2] != wave2).all()
     assert recognition.right < 1
-
-
-def test_stretches_are_consecutive_frames() -> None:
-    vectors = np.arange(10, dtype=np.float32).reshape(5, 2)
-    assert stretches(vectors, 2).tolist() == [
-        [0, 1, 2, 3], [2, 3, 4, 5], [4, 5, 6, 7], [6, 7, 8, 9],
-    ]  # fmt: skip
-    assert np.array_equal(stretches(vectors, 1), vectors)
-    assert stretches(vectors[:1], 3).tolist() == [[0, 1] * 3]
-
-
-def test_order_tells_actions_of_the_same_frames_apart(file: Path) -> None:
-    frames = np.concatenate([r.silhouettes[:1] for r in read_recordings(file)[:6]])
-    recordings = [
-        Recording(person, action, frames[::step])
-        for person in ("daria", "lena")
-        for action, step in (("run", 1), ("walk", -1))
-    ]
-    by_frame, in_order = (
-        leave_one_person_out(recordings, Pixels(), mirrored=False, frames=n) for n in (1, 3)
-    )
-    assert by_frame.right == 0.5
-    assert in_order.right == 1 and (in_order.lead == 1).all()
 
 
 def test_films_are_watched_as_by_a_camera(estimator: Estimator, tiny_index: PoseIndex) -> None:

@@ -12,17 +12,7 @@ from scripts.load.client import Call, Client
 
 @dataclass(frozen=True)
 class Reply:
-    """A whole answer, and when it came.
-
-    Parameters
-    ----------
-    at : float
-        Monotonic seconds.
-    status : int
-    retry_after : str or None
-        When to come back.
-    body : bytes
-    """
+    """A whole answer, and when it came (monotonic seconds)."""
 
     at: float
     status: int
@@ -31,17 +21,7 @@ class Reply:
 
 
 class BackgroundLoop:
-    """A closed loop beside which something else is done, as a context manager.
-
-    Who is refused waits for a moment.
-
-    Parameters
-    ----------
-    url : str
-    calls : list of Call
-        Sent in turn by each client.
-    clients : int
-    """
+    """Clients that send calls beside whatever else is done; who is refused waits a moment."""
 
     def __init__(self, url: str, calls: list[Call], clients: int = 2) -> None:
         self.replies: list[Reply] = []

@@ -16,18 +16,7 @@ CONFIGURATION = ROOT / "deploy" / "haproxy.cfg"
 
 
 class Balancer:
-    """A balancer process on free ports, as a context manager.
-
-    Parameters
-    ----------
-    replicas : str
-        URLs of the two servers, in the order of the configuration.
-    configuration : Path
-    log : Path, optional
-        Where its log goes; by default nowhere.
-    **environment : str
-        Further variables.
-    """
+    """A balancer process on free ports before servers with these URLs, as a context manager."""
 
     def __init__(
         self,

@@ -15,13 +15,13 @@ from app.vision.people import Box
 from app.vision.person.landmarks import LandmarkNetwork
 from app.vision.person.reader import PersonReader
 from app.vision.weights import network_path
-from tests.conftest import ROOT
+from tests.conftest import WALKERS
 
 
 @pytest.fixture(scope="session")
 def street() -> NDArray[np.uint8]:
     """298x320 cut of a street scene with three walkers and two people far away."""
-    return cv2.imread(str(ROOT / "tests" / "data" / "walkers.jpg"))
+    return cv2.imread(str(WALKERS))
 
 
 @pytest.fixture(scope="session")

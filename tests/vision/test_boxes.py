@@ -57,10 +57,3 @@ def test_the_mean_box_leans_to_the_better() -> None:
     mean = averaged(BOXES, SCORES, [0])
     assert mean.shape == (1, 4)
     assert 0 < mean[0, 0] < 0.5 and mean[0, 2] == pytest.approx(10)
-
-
-@given(boxes=some_boxes)
-def test_boxes_alone_are_their_own_mean(boxes: np.ndarray) -> None:
-    apart = boxes + 200 * np.arange(len(boxes))[:, None] * np.array([1, 0, 0, 0])
-    kept = list(range(len(boxes)))
-    assert averaged(apart, np.ones(len(boxes)), kept) == pytest.approx(apart)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,7 +20,6 @@ from app.vision.people import (
     Silhouette,
     silhouette_from_mask,
 )
-from index.skeleton import COCO17
 
 numbers = st.floats(-50, 50)
 sizes = st.floats(0.5, 60)
@@ -52,22 +53,6 @@ def test_scaling_there_and_back(box: Box, factor: float) -> None:
     assert (again.x, again.y, again.width) == pytest.approx((box.x, box.y, box.width), abs=1e-6)
 
 
-def test_the_box_of_the_first_pixel() -> None:
-    assert Box(-0.5, -0.5, 1, 1).pixels() == (0, 0, 1, 1)
-    assert Box(-0.5, -0.5, 1, 1).scaled(2) == Box(-0.5, -0.5, 2, 2)
-
-
-@pytest.mark.parametrize("bad", [(0, 0, 0, 1), (0, 0, 1, -1), (np.nan, 0, 1, 1), (0, 0, np.inf, 1)])
-def test_a_box_without_size_is_refused(bad: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="positive finite size"):
-        Box(*bad)
-
-
-def test_a_score_is_a_probability() -> None:
-    with pytest.raises(ValueError, match="0 to 1"):
-        Detection(Box(0, 0, 1, 1), 1.5)
-
-
 def test_a_silhouette_is_a_tight_crop() -> None:
     mask = parse("""
         ......
@@ -89,15 +74,6 @@ def test_a_silhouette_is_a_tight_crop() -> None:
         Silhouette(mask.astype(np.uint8), 0, 0, "mask", False)
 
 
-def test_names_are_those_of_the_index() -> None:
-    assert COCO17.names == COCO_NAMES
-
-
-def some_keypoints(seed: int = 0) -> ObservedKeypoints:
-    rng = np.random.default_rng(seed)
-    return ObservedKeypoints(rng.uniform(-20, 300, (17, 2)), rng.uniform(0, 1, 17))
-
-
 @given(factor=st.floats(0.1, 9), x=numbers, y=numbers)
 def test_keypoints_follow_a_box_wherever_it_goes(factor: float, x: float, y: float) -> None:
     """A keypoint in a corner of a box stays there."""
@@ -111,21 +87,6 @@ def test_keypoints_follow_a_box_wherever_it_goes(factor: float, x: float, y: flo
     assert again.scores is corner.scores
 
 
-@pytest.mark.parametrize(("rows", "scores"), [(16, 17), (17, 16), (0, 0)])
-def test_keypoints_are_seventeen(rows: int, scores: int) -> None:
-    with pytest.raises(ValueError, match="expected positions of shape"):
-        ObservedKeypoints(np.zeros((rows, 2)), np.zeros(scores))
-
-
-@pytest.mark.parametrize("row", range(3))
-def test_landmarks_are_thirty_three(row: int) -> None:
-    arrays = [np.zeros((33, 2)), np.zeros(33), np.zeros((33, 3))]
-    assert Landmarks(*arrays).keypoints().positions.shape == (17, 2)
-    arrays[row] = arrays[row][:-1]
-    with pytest.raises(ValueError, match="expected arrays of shapes"):
-        Landmarks(*arrays)
-
-
 def test_the_keypoints_among_landmarks_have_their_names() -> None:
     positions = np.stack([np.arange(33.0), np.zeros(33)], axis=1)
     found = Landmarks(positions, np.arange(33) / 33, np.zeros((33, 3))).keypoints()
@@ -134,7 +95,21 @@ def test_the_keypoints_among_landmarks_have_their_names() -> None:
     assert found.scores == pytest.approx(rows / 33)
 
 
-@pytest.mark.parametrize("bad", [(0, 0, 0, 0), (0, 0, -1, 0), (np.nan, 0, 1, 0), (0, 0, 1, np.inf)])
-def test_a_window_without_size_is_refused(bad: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="positive finite size"):
-        PersonWindow(*bad)
+@pytest.mark.parametrize(
+    ("make", "arguments", "said"),
+    [
+        *((Box, bad, "positive finite size")
+          for bad in ((0, 0, 0, 1), (0, 0, 1, -1), (np.nan, 0, 1, 1), (0, 0, np.inf, 1))),
+        *((PersonWindow, bad, "positive finite size")
+          for bad in ((0, 0, 0, 0), (0, 0, -1, 0), (np.nan, 0, 1, 0), (0, 0, 1, np.inf))),
+        (Detection, (Box(0, 0, 1, 1), 1.5), "0 to 1"),
+        *((ObservedKeypoints, (np.zeros((rows, 2)), np.zeros(scores)), "positions of shape")
+          for rows, scores in ((16, 17), (17, 16), (0, 0))),
+        *((Landmarks, (np.zeros((rows, 2)), np.zeros(scores), np.zeros((depths, 3))),
+           "expected arrays of shapes")
+          for rows, scores, depths in ((32, 33, 33), (33, 32, 33), (33, 33, 32))),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(make: type, arguments: tuple[Any, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make(*arguments)

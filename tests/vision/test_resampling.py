@@ -32,19 +32,6 @@ def test_a_window_holds_what_lies_in_it_and_zeros_beyond(
     assert_array_equal(window, expected)
 
 
-def test_a_window_inside_is_no_copy() -> None:
-    image = picture(30, 40)
-    assert np.shares_memory(cut(image, (3, 4, 20, 10)), image)
-
-
-@given(value=st.integers(0, 255), height=st.integers(1, 90), width=st.integers(1, 90))
-def test_a_plain_wall_stays_plain(value: int, height: int, width: int) -> None:
-    wall = np.full((37, 23, 3), value, np.uint8)
-    shown = resize(wall, width, height)
-    assert shown.shape == (height, width, 3) and shown.dtype == np.uint8
-    assert (shown == value).all()
-
-
 @pytest.mark.parametrize("factor", [2, 3, 5])
 def test_shrinking_averages_areas(factor: int) -> None:
     image = picture(30, 60).astype(np.float32)

@@ -72,13 +72,8 @@ class TestAssociate:
 
     def test_who_bends_fast_stays_the_same_person(self) -> None:
         """Boxes of UP-Fall at six frames a second: the size expected lags behind."""
-        upright, bent, down = (
-            Box(317, 166, 70, 293),
-            Box(266, 266, 130, 195),
-            Box(253, 300, 157, 158),
-        )
-        seen = [Sighting(ObservedPerson(box, "detector", 0.9, None), None) for box in
-                (upright, bent, down)]  # fmt: skip
+        boxes = Box(317, 166, 70, 293), Box(266, 266, 130, 195), Box(253, 300, 157, 158)
+        seen = [Sighting(ObservedPerson(box, "detector", 0.9, None), None) for box in boxes]
         track = Track(seen[0], 0.0)
         for number in range(1, 6):
             track.see(seen[0], number / 6)
@@ -95,21 +90,8 @@ class TestAssociate:
 
     def test_clothes_tell_who_is_who_where_places_do_not(self) -> None:
         tracks = [walking(100, 0, RED), walking(110, 0, BLUE)]
-        assert associate(
-            tracks, [sighting(103, appearance=BLUE), sighting(107, appearance=RED)], 1.1
-        ) == [
-            1,
-            0,
-        ]
-
-    def test_two_who_cross_keep_their_identities(self) -> None:
-        tracks = [walking(100, 60), walking(160, -60)]
-        for step in range(1, 15):
-            time = 1 + step / 10
-            seen = [sighting(160 - 6 * step), sighting(100 + 6 * step)]
-            assert associate(tracks, seen, time) == [1, 0]
-            tracks[1].see(seen[0], time)
-            tracks[0].see(seen[1], time)
+        seen = [sighting(103, appearance=BLUE), sighting(107, appearance=RED)]
+        assert associate(tracks, seen, 1.1) == [1, 0]
 
 
 class TestClothes:
@@ -125,11 +107,3 @@ class TestClothes:
         assert red.shape == (80,) and red.sum() == pytest.approx(1)
         assert appearance_distance(red, red) == pytest.approx(0, abs=1e-3)
         assert appearance_distance(red, blue) > 0.6
-
-    def test_upper_and_lower_half_are_told_apart(self) -> None:
-        frame = np.zeros((40, 20, 3), np.uint8)
-        frame[:20] = (20, 20, 200)
-        silhouette = Silhouette(np.ones((40, 20), bool), 0, 0, "network", False)
-        upright = appearance_histogram(frame, silhouette)
-        swapped = appearance_histogram(np.ascontiguousarray(frame[::-1]), silhouette)
-        assert appearance_distance(upright, swapped) > 0.9

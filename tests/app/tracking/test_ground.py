@@ -24,10 +24,7 @@ def walk(
         x, y, z = rotation @ np.array([right, 0.0, -away]) + np.array([0.0, 0.0, DISTANCE_M])
         px_per_m = FOCAL_PX / z
         found = motion.update(
-            timestamp,
-            Box(x * px_per_m - 20, y * px_per_m - 80, 40, 160),
-            px_per_m,
-            elevation_deg,
+            timestamp, Box(x * px_per_m - 20, y * px_per_m - 80, 40, 160), px_per_m, elevation_deg
         )
     return found
 

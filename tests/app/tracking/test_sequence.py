@@ -85,7 +85,3 @@ def test_the_surest_action_wins() -> None:
     action = summary.tracks[1].action()
     assert action is not None
     assert (action.label, action.probability) == ("jump", pytest.approx(0.3))
-
-
-def test_without_an_action_there_is_none() -> None:
-    assert summarised((0.0, [person(1, "walking")])).tracks[1].action() is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -34,7 +35,7 @@ class ColourDetector:
         self.whole = 0
         self.parts = 0
 
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
+    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
         if frame.shape[:2] == (ROWS, COLUMNS):
             self.whole += 1
         else:
@@ -138,27 +139,6 @@ def learn(session: CameraSession, start: float = 0.0) -> float:
     return start + 2.0
 
 
-def test_a_walker_keeps_an_identity_and_leaves(session: CameraSession) -> None:
-    time = learn(session)
-    events = []
-    for step in range(40):
-        result = send(session, time + step / 10, (0, 10 + 7 * step))
-        events += result.events
-        if step > 20:
-            assert ids(result) == [1]
-    for step in range(40, 65):
-        result = send(session, time + step / 10)
-        events += result.events
-    # The landmarks of a rectangle may lie.
-    seen = [event for event in events if event.event in ("entered", "left")]
-    assert [(e.event, e.track_id, e.state) for e in seen] == [
-        ("entered", 1, "instant"),
-        ("left", 1, "instant"),
-    ]
-    assert result.persons == ()
-    assert session.track_ids == ()
-
-
 def test_everybody_is_read_on_every_frame_and_the_whole_frame_searched_every_so_often(
     session: CameraSession, detector: ColourDetector
 ) -> None:
@@ -174,33 +154,44 @@ def test_everybody_is_read_on_every_frame_and_the_whole_frame_searched_every_so_
     assert detector.whole == 1 + 1 // SEARCH_EVERY_S
 
 
-def test_who_is_no_longer_seen_is_gone_within_half_a_second(session: CameraSession) -> None:
-    send(session, 0.0, (0, 100))
-    assert ids(send(session, 0.1, (0, 100))) == [1]
-    assert ids(send(session, 0.2)) == []
-    left = [event for step in range(3, 9) for event in send(session, step / 10).events]
-    assert [(event.event, event.timestamp <= 0.7) for event in left] == [("left", True)]
+@pytest.mark.parametrize(("place", "told_after_s"), [(2, 0.5), (100, 2.0)])
+def test_who_is_no_longer_seen_is_gone_at_once_and_has_left_some_time_later(
+    session: CameraSession, place: int, told_after_s: float
+) -> None:
+    """At the border they have left; who vanishes within the picture may be found again."""
+    send(session, 0.0, (0, place))
+    assert ids(send(session, 0.1, (0, place))) == [1]
+    told = []
+    for step in range(2, 26):
+        result = send(session, step / 10)
+        assert ids(result) == []
+        told += [(event.event, event.timestamp) for event in result.events]
+    assert told == [("left", pytest.approx(0.1 + told_after_s, abs=0.11))]
     assert session.track_ids == ()
 
 
-def test_a_frame_of_a_session_is_read_as_a_photograph_is(loaded: Estimator) -> None:
-    content = draw((0, 60), (1, 180))
-    tracked = CameraSession(loaded).process(Upload(content), 0.0, 3, lambda: None)
-    alone = loaded.estimate(Upload(content), 3, lambda: None)
-    for one, other in zip(tracked.persons, alone.persons, strict=True):
-        assert one.person.observed.box == other.observed.box
-        for mine, theirs in zip(one.person.hypotheses, other.hypotheses, strict=True):
-            assert mine.hypothesis.entry == theirs.hypothesis.entry
-            np.testing.assert_allclose(mine.points_2d, theirs.points_2d, atol=1e-9)
-            assert mine.confidence == pytest.approx(theirs.confidence)
+def test_who_vanished_within_the_picture_and_is_found_again_is_the_same(
+    session: CameraSession,
+) -> None:
+    send(session, 0.0, (0, 100))
+    for step in range(1, 15):
+        assert ids(send(session, step / 10)) == []
+    assert ids(send(session, 1.5, (0, 110))) == [1]
 
 
-def test_one_who_stands_still_stays_known(session: CameraSession) -> None:
-    time = learn(session)
-    for step in range(80):
-        result = send(session, time + step, (0, 100))
-        assert ids(result) == [1], step
-        time += 0.0
+@pytest.mark.parametrize("fps", [1, 2, 5, 10, 15, 30])
+@pytest.mark.parametrize("speed", [0, 64, -64])
+def test_at_any_frame_rate_one_keeps_an_identity_and_finite_poses(
+    session: CameraSession, fps: int, speed: int
+) -> None:
+    """Who stands still, and who walks 1.2 m/s."""
+    for frame in range(min(20, 3 * fps + 1)):
+        left = round((20 if speed >= 0 else 270) + speed * frame / fps)
+        result = send(session, frame / fps, (0, left))
+        assert ids(result) == [1]
+        pose = result.persons[0].pose
+        assert pose is not None
+        assert np.isfinite(pose.points_3d).all() and np.isfinite(pose.points_2d).all()
 
 
 def test_who_is_there_from_the_start_is_known_at_once(session: CameraSession) -> None:
@@ -225,14 +216,13 @@ def test_two_who_cross_keep_their_identities(session: CameraSession) -> None:
 
 
 def test_identities_are_never_used_again(session: CameraSession) -> None:
-    time = learn(session)
-    seen = set()
+    time, seen = 0.0, set()
     for _ in range(3):
-        for step in range(15):
-            seen |= set(ids(send(session, time + step / 10, (2, 50 + 4 * step))))
-        for step in range(15, 45):
-            send(session, time + step / 10)
-        time += 4.5
+        for step in range(30):
+            # Half a second, and then two and a half in which nobody is there.
+            people = [(2, 50 + 4 * step)] if step < 5 else []
+            seen |= set(ids(send(session, time + step / 10, *people)))
+        time += 3
     assert seen == {1, 2, 3}
 
 
@@ -346,20 +336,9 @@ def test_the_caller_may_say_who_is_there(session: CameraSession, kind: str) -> N
     assert [ids(result) for result in results].count([1]) >= 3
 
 
-def test_memory_is_bounded(session: CameraSession) -> None:
-    """However many people come and go."""
+def test_however_many_people_come_and_go_few_are_remembered(session: CameraSession) -> None:
     rng = np.random.default_rng(0)
-    sizes = []
-    for step in range(60):
+    for step in range(40):
         lefts = rng.integers(0, COLUMNS - 30, 3)
-        people = [(colour, int(left)) for colour, left in enumerate(lefts)]
-        send(session, step / 2, *people)
-        sizes.append(session.memory_bytes)
+        send(session, step / 2, *((colour, int(left)) for colour, left in enumerate(lefts)))
     assert len(session.track_ids) <= 8
-    assert max(sizes) <= 8 * 2000
-
-
-def test_at_most_the_hypotheses_asked_for(session: CameraSession) -> None:
-    result = send(session, 0.0, (0, 50))
-    hypotheses = result.persons[0].person.hypotheses
-    assert len(hypotheses) == 3

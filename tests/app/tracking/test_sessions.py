@@ -82,14 +82,6 @@ class Registry(CameraSessions):
         return [summary.camera_id for summary in self.summaries(caller)]
 
 
-def test_a_camera_starts_new_and_stays_warm() -> None:
-    registry = Registry()
-    assert [registry.send("yard") for _ in range(3)] == ["new", "warm", "warm"]
-    assert registry.send("gate") == "new"
-    assert registry.cameras() == ["gate", "yard"]
-    assert (registry.began, registry.ended) == (2, [])
-
-
 def test_a_summary_tells_of_the_last_frame() -> None:
     registry = Registry()
     registry.send("yard")
@@ -99,7 +91,7 @@ def test_a_summary_tells_of_the_last_frame() -> None:
     assert summary is not None
     assert (summary.frames, summary.timestamp) == (2, 2.0)
     assert (summary.width, summary.height) == (7, 2)
-    assert (summary.age_s, summary.idle_s, summary.memory_bytes) == (6.0, 5.0, 7000)
+    assert (summary.age_s, summary.idle_s) == (6.0, 5.0)
 
 
 def test_the_least_recently_used_goes_first() -> None:
@@ -136,15 +128,6 @@ def test_idle_sessions_end() -> None:
     assert registry.send("gate") == "new"
 
 
-def test_callers_do_not_see_one_another() -> None:
-    registry = Registry()
-    assert [registry.send("yard", caller) for caller in (0, 1)] == ["new", "new"]
-    assert registry.cameras(0) == registry.cameras(1) == ["yard"]
-    assert registry.cameras(2) == []
-    registry.forget(CameraKey(0, "yard"))
-    assert registry.send("yard", 1) == "warm"
-
-
 def test_who_has_most_sessions_makes_room() -> None:
     registry = Registry(max_sessions=3)
     registry.send("yard", caller=1)
@@ -179,14 +162,6 @@ def test_rubbish_displaces_nobody() -> None:
     assert registry.began == 1
 
 
-def test_a_broken_frame_leaves_a_session_warm() -> None:
-    registry = Registry()
-    registry.send("yard")
-    with pytest.raises(UploadError):
-        registry.send("yard", upload=Upload(b"broken"))
-    assert registry.send("yard") == "warm"
-
-
 def test_what_is_forgotten_starts_afresh_even_if_at_work() -> None:
     registry = Registry()
     registry.send("yard")
@@ -196,11 +171,3 @@ def test_what_is_forgotten_starts_afresh_even_if_at_work() -> None:
     assert registry.cameras() == []
     assert registry.send("yard") == "new"
     assert registry.ended == ["forgotten"]
-
-
-def test_unknown_cameras_are_told() -> None:
-    registry = Registry()
-    with pytest.raises(KeyError):
-        registry.summary(CameraKey(0, "yard"))
-    with pytest.raises(KeyError):
-        registry.forget(CameraKey(0, "yard"))

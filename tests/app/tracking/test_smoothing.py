@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from app.estimation.estimates import Person
 from app.estimation.facing import azimuth_deg
-from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed, _line_at_zero
+from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.posture import POSTURES
 from index.skeleton import NATIVE, POINTS, wrap_degrees
@@ -113,14 +111,6 @@ def test_noise_is_smoothed_away() -> None:
     assert np.abs(np.diff(smooth, axis=0)).mean() < 0.7 * np.abs(np.diff(raw, axis=0)).mean()
 
 
-def test_more_confident_hypotheses_make_a_more_confident_pose() -> None:
-    sure, unsure = (
-        follow([person_of([seen_from(0.0)], [confidence])] * 4)[-1].pose.confidence
-        for confidence in (0.9, 0.2)
-    )
-    assert 0 < unsure < sure < 1
-
-
 def test_without_hypotheses_there_is_no_pose() -> None:
     person = person_of([seen_from(0.0)], [0.5])
     hidden = Person(person.observed, None, None, ())
@@ -128,13 +118,6 @@ def test_without_hypotheses_there_is_no_pose() -> None:
     assert smoother.update(person, 0.0) is not None
     assert smoother.update(hidden, 0.1) is None
     assert smoother.update(person, 0.2) is not None
-
-
-@given(offset=st.floats(-5, 5), slope=st.floats(-5, 5), step=st.floats(0.01, 2))
-def test_a_line_is_continued_exactly(offset: float, slope: float, step: float) -> None:
-    ages = step * np.arange(4)
-    values = (offset - slope * ages)[:, None, None] * np.ones((1, 2, 3))
-    np.testing.assert_allclose(_line_at_zero(ages, values), offset, atol=1e-6)
 
 
 def test_a_pose_is_carried_along_with_the_person_for_a_second() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.tracking.ground import STILL, GroundVelocity
-from app.tracking.turning import BESIDE_DEG, Turn, TurnFilter, going
+from app.tracking.turning import BESIDE_DEG, Turn, TurnFilter
 
 TO_THE_LEFT = GroundVelocity(-1.2, 0.0, 1.2)
 
@@ -67,8 +67,3 @@ def test_the_nearest_azimuth_of_a_side(
 ) -> None:
     turn = Turn(np.full(36, 1 / 36), front)
     assert turn.on_its_side(azimuth_deg) == pytest.approx(expected_deg)
-
-
-def test_standing_is_going_nowhere() -> None:
-    assert going(STILL) == 0
-    assert going(TO_THE_LEFT) == 1

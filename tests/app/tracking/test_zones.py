@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.tracking.zones import Zone, ZoneKind, contains, is_rest, place, zones_of
+from app.tracking.zones import Zone, ZoneKind, contains, place, zones_of
 from app.vision.people import Box
 from index.posture import POSTURES, Posture
 
@@ -59,13 +59,6 @@ def test_zones_come_in_the_order_given() -> None:
     found = zones_of(zones, Box(20.0, 10.0, 20.0, 50.0), "standing")
     assert [one.name for one in found] == ["b", "a"]
     assert zones_of((), Box(0.0, 0.0, 9.0, 9.0), None) == ()
-
-
-def test_one_zone_for_resting_is_enough() -> None:
-    watch, bed = zone("room", 0, 90), zone("bed", 0, 40, "rest")
-    assert not is_rest([watch])
-    assert is_rest([watch, bed])
-    assert not is_rest([])
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (4, 3), (8,)])

@@ -26,7 +26,6 @@ from index.build.body import (
 )
 from index.build.motion import Clip, read_clip
 from index.build.poses import Poses
-from index.build.render import skin
 from index.build.rig import MotionError
 from index.skeleton import JOINT_NAMES, NATIVE
 
@@ -58,11 +57,6 @@ def test_rotation_between_turns_one_direction_into_the_other(
 def test_rotation_between_refuses_opposite_directions() -> None:
     with pytest.raises(ValueError, match="less than 180 degrees apart"):
         rotation_between(np.array([0.0, 1, 0]), np.array([0.0, -2, 0]))
-
-
-@given(degrees=st.floats(-179, 179))
-def test_facing_yaw_of_an_upright_pelvis(degrees: float) -> None:
-    assert np.rad2deg(facing_yaw(yaw_matrix(degrees)[None]))[0] == pytest.approx(degrees)
 
 
 @given(degrees=st.floats(-179, 179), tilt=st.floats(-80, 80))
@@ -152,25 +146,6 @@ def test_unknown_joint_is_named(zero_clip: Clip, avatars: list[Avatar]) -> None:
     bones = tuple("Elbow" if bone == "LeftForeArm" else bone for bone in zero_clip.bones)
     with pytest.raises(MotionError, match="the clip zero has no joint 'LeftForeArm'"):
         retarget(replace(zero_clip, bones=bones), avatars[0])
-
-
-def test_skin_moves_every_vertex_with_its_bone(poses: Poses, avatars: list[Avatar]) -> None:
-    avatar, clip = avatars[0], poses.clips[0]
-    transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[5][None])[0]
-    posed = skin(avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32))
-    owner = transforms[avatar.influences[:, 0]]
-    expected = np.einsum("vij,vj->vi", owner[..., :3], avatar.vertices) + owner[..., 3]
-    assert_allclose(posed, expected, atol=1e-5)
-
-
-def test_skin_blends_linearly() -> None:
-    vertices = np.array([[1.0, 0, 0]], np.float32)
-    influences = np.array([[0, 1, 0, 0, 0, 0, 0, 0]], np.int32)
-    weights = np.array([[0.75, 0.25, 0, 0, 0, 0, 0, 0]], np.float32)
-    transforms = np.zeros((2, 3, 4), np.float32)
-    transforms[:, :, :3] = np.eye(3)
-    transforms[1, :, 3] = (0, 4, 8)
-    assert_allclose(skin(vertices, influences, weights, transforms), [[1, 1, 2]])
 
 
 def test_strongest_keeps_the_largest_shares() -> None:

@@ -92,14 +92,11 @@ def test_a_stranger_is_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
             Cluster(address)
 
 
-def test_a_worker_is_no_scheduler() -> None:
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0",
-        protocol="tcp", host="127.0.0.1",
-    ) as local:  # fmt: skip
-        address = next(iter(local.workers.values())).address
-        with pytest.raises(WorkersError, match="no Dask scheduler answers"):
-            Cluster(address)
+def test_a_worker_is_no_scheduler(scheduler: str) -> None:
+    with distributed.Client(scheduler) as client:
+        (worker, _) = client.scheduler_info()["workers"]
+    with pytest.raises(WorkersError, match="no Dask scheduler answers"):
+        Cluster(worker)
 
 
 def test_says_that_no_worker_joined() -> None:

@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
-from index.build import learn as module
 from index.build.body import Avatar
-from index.build.learn import (
-    Recipe,
-    discriminate,
-    learn_descriptor,
-    measure_scatter,
-    view_joints,
-)
+from index.build.learn import Recipe, learn_descriptor, measure_scatter, view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.skeleton import JOINTS
@@ -68,35 +60,3 @@ def test_scatter_of_lower_orders_is_a_part_of_that_of_higher_ones(simulation: Si
     assert part.recipe == few.recipe
     assert_allclose(part.total, few.total, atol=1e-4 * np.abs(few.total).max())
     assert_allclose(part.within, few.within, atol=1e-4 * np.abs(few.within).max())
-
-
-def test_total_scatter_is_that_of_all_silhouettes_and_their_mirror_images(
-    simulation: Simulation,
-) -> None:
-    recipe = Recipe(6, 4)
-    silhouettes = simulation.silhouettes(slice(None))
-    both = np.concatenate([silhouettes, silhouettes[:, :, ::-1]])
-    expected = np.cov(recipe.block(both).astype(np.float64), rowvar=False, bias=True)
-    total = measure_scatter(simulation, 3, recipe).total
-    # Odd and even moments do not vary together, which the descriptor relies on, not this matrix.
-    odd = np.arange(len(total)) % 4 % 2 == 1
-    alike = odd[:, None] == odd
-    assert_allclose(total[alike], expected[alike], atol=1e-6 * np.abs(expected).max())
-
-
-def test_blocks_do_not_matter(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = measure_scatter(simulation, 3, Recipe(6, 4))
-    monkeypatch.setattr(module, "BLOCK", 50)
-    blocks = measure_scatter(simulation, 3, Recipe(6, 4))
-    for name in ("total", "within"):
-        expected = getattr(whole, name)
-        assert_allclose(getattr(blocks, name), expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_a_recipe_says_what_the_descriptor_is_made_of(simulation: Simulation) -> None:
-    recipe = Recipe(10, 6, p2=(0.1, 0.95), dimension=16, regularisation=0.1)
-    descriptor = learn_descriptor(simulation, 3, recipe)
-    assert descriptor.projection.shape == (16, 2 * 10 * 6)
-    assert descriptor.p2 == recipe.p2
-    again = discriminate(measure_scatter(simulation, 3, recipe), 16, 0.1)
-    assert_array_equal(again.projection, descriptor.projection)

@@ -12,16 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.body import (
-    Avatar,
-    pose_transforms,
-    posed_points,
-    retarget,
-    turned_to_front,
-)
-from index.build.lying import laid_down
 from index.build.motion import Segment
-from index.build.poses import Poses, farthest_points, joints_of, merged, read_poses
+from index.build.poses import Poses, farthest_points, merged, read_poses
 from index.build.rig import MotionError
 
 
@@ -49,14 +41,6 @@ def test_refuses_a_missing_clip(motion_folder: Path) -> None:
         read_poses(motion_folder, [Segment("ghost", "s1", "walk", 0, 3)])
 
 
-def test_joints_of_equals_one_pose_at_a_time(poses: Poses, avatars: list[Avatar]) -> None:
-    joints = joints_of(poses, avatars[1])
-    for row in (0, 1, 30, 47):
-        retargeting = retarget(poses.clips[poses.clip[row]], avatars[1])
-        transforms = pose_transforms(avatars[1], retargeting, poses.rotations(np.array([row])))
-        assert_allclose(joints[row], posed_points(avatars[1], transforms)[0, :19], atol=1e-6)
-
-
 def test_heads_of_whole_subjects_are_held_level(
     tmp_path: Path, write_clip: Callable[..., Path], walking: Callable[..., list]
 ) -> None:
@@ -67,16 +51,6 @@ def test_heads_of_whole_subjects_are_held_level(
     poses, _ = read_poses(tmp_path, segments)
     forward = [clip.rotations[:, clip.bones.index("Head"), 1, 2] for clip in poses.clips]
     assert np.median(forward) == pytest.approx(0, abs=1e-6)
-
-
-def test_rotations_are_turned_to_the_front_and_laid_down_where_asked(poses: Poses) -> None:
-    rows = np.flatnonzero(poses.clip == 1)[:4]
-    lying_deg = np.array([np.nan, 30.0, np.nan, 200.0])
-    some = replace(poses.take(rows), lying_deg=lying_deg)
-    recorded = turned_to_front(poses.clips[1].rotations[poses.frame[rows]])
-    rotations = some.rotations(np.arange(4))
-    assert_array_equal(rotations[[0, 2]], recorded[[0, 2]])
-    assert_allclose(rotations, laid_down(recorded, lying_deg), atol=1e-12)
 
 
 def test_speeds_are_those_of_the_clips_but_for_who_lies(poses: Poses) -> None:
@@ -120,9 +94,3 @@ def test_farthest_points_cover(seed: int, points: int, count: int) -> None:
     if len(chosen) > 1:
         gaps = apart[np.ix_(chosen, chosen)] + np.eye(len(chosen)) * 99
         assert apart[:, chosen].min(axis=1).max() <= gaps.min() + 1e-3
-
-
-def test_farthest_points_take_one_of_each_cluster() -> None:
-    centres = np.array([[0, 0], [10, 0], [0, 10], [10, 10]])
-    features = np.repeat(centres, 25, axis=0) + np.random.default_rng(0).normal(0, 0.1, (100, 2))
-    assert {row // 25 for row in farthest_points(features, 4)} == {0, 1, 2, 3}

@@ -9,20 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from index.build import shard_files
 from index.build import simulate as module
 from index.build.body import Avatar
 from index.build.poses import Poses, merged
-from index.build.shard_files import (
-    ShardError,
-    Task,
-    code_version,
-    name_of,
-    read_avatars,
-    write_avatars,
-)
+from index.build.shard_files import ShardError, Task, code_version, name_of, write_avatars
 from index.build.simulate import Simulation, simulate
 from index.build.workers import Result, Threads
 from index.build.workers import Task as AnyTask
@@ -73,12 +65,6 @@ def test_same_bytes_in_shards_of_any_size(
     assert len(workers.files) == -(-22 // size)
 
 
-def test_other_seeds_of_bodies_are_other_cameras(some: Poses, avatars: list[Avatar]) -> None:
-    """The test above could not fail otherwise."""
-    entries = drawn(some, avatars).entries
-    assert len(np.unique(entries["azimuth_deg"])) > 0.99 * len(entries)
-
-
 class TestResume:
     @pytest.fixture(autouse=True)
     def _small_shards(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,14 +80,6 @@ class TestResume:
         assert (len(first.files), len(second.files)) == (2, 4)
         assert not set(first.files) & set(second.files)
         assert_same(resumed, drawn(some, avatars))
-
-    def test_nothing_is_drawn_twice(
-        self, some: Poses, avatars: list[Avatar], tmp_path: Path
-    ) -> None:
-        drawn(some, avatars, folder=tmp_path)
-        workers = Noted()
-        drawn(some, avatars, workers=workers, folder=tmp_path)
-        assert workers.files == []
 
     def test_other_inputs_are_other_files(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -201,14 +179,3 @@ def test_code_version_is_that_of_the_sources(
     source = tmp_path / "index" / "build" / "render.py"
     source.write_text(source.read_text() + "\n")
     assert code_version.__wrapped__() != code_version()
-
-
-def test_avatars_come_back_as_they_were(avatars: list[Avatar], tmp_path: Path) -> None:
-    file = write_avatars(avatars, tmp_path)
-    for read, written in zip(read_avatars(file), avatars, strict=True):
-        for field in dataclasses.fields(Avatar):
-            one, other = getattr(read, field.name), getattr(written, field.name)
-            assert type(one) is type(other)
-            assert_array_equal(one, other)
-            if isinstance(one, np.ndarray):
-                assert one.dtype == other.dtype

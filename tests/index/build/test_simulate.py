@@ -9,18 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import is_wide, principal_axis_deg
-from index.build import simulate as module
 from index.build.body import Avatar
-from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, VIEW_DTYPE, sample_views
+from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 from index.build.learn import view_joints
 from index.build.poses import Poses, joints_of, merged
-from index.build.shard import most_foreshortened
 from index.build.simulate import Simulation, simulate
-from index.landmark_search import rotate_clockwise
-from index.skeleton import JOINT_NAMES, camera_rotation
-from index.store import PoseIndex
+from index.skeleton import JOINT_NAMES
 
 
 def assert_same(one: Simulation, other: Simulation) -> None:
@@ -40,12 +35,6 @@ def test_same_bytes_on_any_number_of_cores(
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     again = simulate(poses, avatars, bodies=1, views=12, seed=7)
     assert_same(again, simulation)
-
-
-def test_another_seed_gives_other_views(poses: Poses, avatars: list[Avatar]) -> None:
-    some = poses.take(np.arange(4))
-    one, other = (simulate(some, avatars, bodies=1, views=2, seed=seed) for seed in (1, 2))
-    assert (one.entries["azimuth_deg"] != other.entries["azimuth_deg"]).all()
 
 
 def test_counts_and_labels(poses: Poses, avatars: list[Avatar]) -> None:
@@ -101,26 +90,6 @@ class TestWideBodies:
         assert inside[rolled(ground_simulation)].mean() > 0.97
         assert inside.mean() > 0.97
 
-    def test_fill_the_frame(self, ground_simulation: Simulation) -> None:
-        silhouettes = ground_simulation.silhouettes(rolled(ground_simulation))
-        high = silhouettes.any(axis=2)
-        broad = silhouettes.any(axis=1)
-        filled = (high[:, 0] & high[:, -1]) | (broad[:, 0] & broad[:, -1])
-        assert filled.mean() > 0.9
-        # Lying, they were at most 48 rows high.
-        assert np.median(high.sum(axis=1)) > 100
-
-    def test_are_those_the_roll_leads_back_to(self, ground_simulation: Simulation) -> None:
-        """Seen by a camera that is not rolled, they are wide again."""
-        joints_3d, _ = view_joints(ground_simulation)
-        rows = rolled(ground_simulation)
-        lying = [
-            rotate_clockwise(joints_3d[row], -float(ground_simulation.entries["roll_deg"][row]))
-            for row in rows
-        ]
-        extents = np.ptp(np.stack(lying)[..., :2], axis=1)
-        assert np.mean(extents[:, 0] > 0.8 * extents[:, 1]) > 0.95
-
 
 def test_cameras_look_down_on_who_lies(
     ground_simulation: Simulation, laid: Poses, avatars: list[Avatar]
@@ -138,25 +107,6 @@ def alignment(simulation: Simulation, row: int) -> float:
     joints_3d, _ = view_joints(simulation)
     trunk = joints_3d[row, JOINT_NAMES.index("neck")] - joints_3d[row, 0]
     return float(abs(trunk[2]) / np.linalg.norm(trunk))
-
-
-def test_most_foreshortened_are_those_that_look_along_the_trunk(avatars: list[Avatar]) -> None:
-    points = np.zeros((24, 3))
-    points[JOINT_NAMES.index("neck")] = (0.0, 0.0, -0.5)
-    cameras = np.zeros(8, VIEW_DTYPE)
-    cameras["azimuth_deg"] = np.arange(0, 360, 45)
-    chosen = most_foreshortened(cameras, points, 2)
-    assert chosen["azimuth_deg"].tolist() == [0, 180]
-    cameras = sample_views(30, np.random.default_rng(0), GROUND_ELEVATIONS_DEG)
-    chosen = most_foreshortened(cameras, points, 10)
-    # In the order given, and the rest looks less along it.
-    assert [camera in chosen for camera in cameras].count(True) == 10
-    assert_array_equal(chosen, cameras[np.isin(cameras, chosen)])
-
-    def along(views: np.ndarray) -> np.ndarray:
-        return np.abs(camera_rotation(views["azimuth_deg"], views["elevation_deg"])[:, 2, 2])
-
-    assert along(chosen).min() >= along(cameras[~np.isin(cameras, chosen)]).max()
 
 
 def test_only_new_leaves_out_views_across_who_lies(
@@ -185,23 +135,3 @@ def test_skeletons_are_the_joints_of_their_pose(
         assert_allclose(
             simulation.skeletons[mine, :19], joints_of(poses, avatar)[mine], atol=1e-3
         )  # float16: about 0.5 mm at 1 m
-
-
-def test_never_more_bodies_than_avatars(poses: Poses, avatars: list[Avatar]) -> None:
-    assert len(simulate(poses.take(np.arange(2)), avatars, bodies=9, views=1, seed=0)) == 4
-
-
-def test_describes_block_by_block_as_at_once(
-    simulation: Simulation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    descriptor = DiagonalDescriptor()
-    whole = simulation.describe(descriptor)
-    monkeypatch.setattr(module, "BLOCK", 100)
-    assert_allclose(simulation.describe(descriptor), whole, atol=1e-4)
-
-
-def test_view_joints_are_those_of_the_index(simulation: Simulation, toy_index: PoseIndex) -> None:
-    joints_3d, joints_2d = view_joints(simulation)
-    everything = np.arange(len(toy_index))
-    assert_allclose(joints_3d, toy_index.points(everything)[0][:, :19], atol=1e-5)
-    assert_allclose(joints_2d, toy_index.points(everything)[1][:, :19], atol=1e-3)

@@ -17,14 +17,12 @@ from app.vision.detection.detector import (
     NetworkDetector,
     detection_odds,
     hog_people,
-    logit,
 )
 from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.keypoints.movenet import MoveNet
 from app.vision.odds import sigmoid
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import LandmarkNetwork
-from scripts.experiments.rotation import rotate_box
 
 Networks = tuple[MoveNet, PoseDetection, LandmarkNetwork]
 
@@ -60,16 +58,6 @@ def test_walkers_are_found_and_nobody_else(
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
     for one in found:
         assert max(one.box.iou(person) for person in (*walkers, *far_walkers)) > 0.4
-
-
-def test_the_network_is_surer_of_walkers_than_of_who_is_far_away(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    scores = [
-        max(one.score for one in detector.detect(street) if one.box.iou(box) > 0.5)
-        for box in walkers
-    ]
-    assert min(scores) > 0.75
 
 
 def test_a_large_frame_is_searched_at_reduced_size(
@@ -128,29 +116,6 @@ def test_one_person_across_two_tiles_is_one(
     assert [box.iou(expected) > 0.6 for box in found] == [True]
 
 
-@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
-def test_somebody_who_lies_is_found_with_the_window_that_sets_them_upright(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], quarter_turns: int
-) -> None:
-    """A walker who fills much of the frame, turned by quarters."""
-    box = walkers[2]
-    left, top = round(box.x + box.width / 2) - 75, round(box.y) - 30
-    cut = street[top : top + 150, left : left + 150]
-    large = cv2.resize(cut, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    lying = np.ascontiguousarray(np.rot90(large, quarter_turns))
-    truth = rotate_box(moved(box, -left, -top).scaled(2), large.shape, quarter_turns)
-    found = detector.detect(lying)
-    about = [
-        window
-        for one in found
-        for window in one.windows
-        if truth.x < window.x < truth.right and truth.y < window.y < truth.bottom
-    ]
-    assert about, f"expected a window about the body, got {found}"
-    off = about[0].roll_deg + 90 * quarter_turns
-    assert abs((off + 180) % 360 - 180) < 30
-
-
 def told(found: list[Detection]) -> list[tuple[Box, float]]:
     return [(one.box, one.score) for one in found]
 
@@ -173,20 +138,6 @@ def test_who_is_less_sure_than_asked_is_left_out(
         assert told(make(second).detect(street)) == told(all_of_them[:2])
         assert len(all_of_them) > 2
         assert make(1.0).detect(street) == []
-
-
-def test_candidates_are_judged_by_all(detector: NetworkDetector, street: NDArray[np.uint8]) -> None:
-    candidates, scores = detector.candidates(street)
-    assert scores.shape == (len(candidates), 3)
-    assert [one.score for one in candidates] == scores[:, 0].tolist()
-    assert (np.diff(scores[:, 0]) <= 0).all()
-    assert [bool(one.windows) for one in candidates] == (scores[:, 2] > 0).tolist()
-    probabilities = sigmoid(detection_odds(scores))
-    judged = {one.box: score for one, score in zip(candidates, probabilities, strict=True)}
-    found = detector.detect(street)
-    assert found
-    for one in found:
-        assert one.score == judged[one.box]
 
 
 class SeesNobody(PoseDetection):
@@ -233,20 +184,6 @@ def test_each_opinion_makes_the_others_no_less_sure(
     assert probability(score, margin + more, body) >= found
     assert probability(min(1, score + more), margin, body) >= found
     assert probability(score, margin, min(1, body + more)) >= found
-
-
-@given(score=st.floats(0, 1), margin=st.floats(-5, 5))
-def test_hog_never_lowers_a_score(score: float, margin: float) -> None:
-    """Who lies or sits looks to it like a wall: that says nothing."""
-    assert probability(score, margin, 0.0) >= probability(score, 0.0, 0.0)
-    if margin <= 0:
-        assert probability(score, margin, 0.0) == probability(score, 0.0, 0.0)
-
-
-@given(probability=st.floats(0.0002, 0.9998))
-def test_odds_and_probabilities_are_inverse(probability: float) -> None:
-    scores = np.array([probability])
-    assert sigmoid(logit(scores)) == pytest.approx(scores)
 
 
 def test_hog_gives_one_box_a_person(street: NDArray[np.uint8], walkers: list[Box]) -> None:

@@ -25,15 +25,6 @@ def test_people_look_more_like_people_than_asphalt_does(
     assert min(people[:3]) > 0 > max(empty)
 
 
-def test_people_upside_down_look_less_like_people(
-    street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    upside_down = np.ascontiguousarray(street[::-1])
-    for box in walkers:
-        flipped = Box(box.x, len(street) - 1 - box.bottom, box.width, box.height)
-        assert person_margin(upside_down, flipped) < person_margin(street, box)
-
-
 @pytest.mark.parametrize("factor", [1.5, 2, 4])
 def test_a_margin_hardly_depends_on_the_size(
     street: NDArray[np.uint8], walkers: list[Box], factor: float
@@ -61,10 +52,3 @@ def test_windows_of_higher_margins_are_among_those_of_lower(street: NDArray[np.u
     assert (margins >= 0.5).all() and (all_margins >= -0.5).all()
     every = {tuple(box) for box in all_boxes.round(3).tolist()}
     assert {tuple(box) for box in boxes.round(3).tolist()} <= every
-
-
-def test_no_window_is_smaller_than_the_smallest_person(street: NDArray[np.uint8]) -> None:
-    boxes, _ = person_windows(street, 80, 0.0)
-    assert len(boxes)
-    # A person 96 px tall fills 0.84 of a window of 128 px: 108 px, for 96 px at 80.
-    assert boxes[:, 3].min() >= 80

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from app.vision.detection.pose_detection import CELLS, PIXELS, PoseDetection, decode
 from app.vision.people import Box
-from app.vision.tflite import NetworkError
-from app.vision.weights import network_path
 from scripts.experiments.rotation import rotate_points
 
 
@@ -90,16 +88,3 @@ def test_bodies_are_as_sure_as_asked_and_best_first(
     assert [b.score for b in pose_detection.bodies(large_walker, 0.3)] == [
         score for score in found if score >= 0.3
     ]
-
-
-@pytest.mark.parametrize("shape", [(1, 1, 3), (60, 45, 3), (3, 900, 3), (2000, 4, 3)])
-@pytest.mark.parametrize("level", [0, 127, 255])
-def test_blank_frames_of_any_shape_hold_nobody(
-    pose_detection: PoseDetection, shape: tuple[int, ...], level: int
-) -> None:
-    assert pose_detection.bodies(np.full(shape, level, np.uint8), 0.3) == []
-
-
-def test_another_network_is_refused() -> None:
-    with pytest.raises(NetworkError, match="expected"):
-        PoseDetection(network_path("movenet"))

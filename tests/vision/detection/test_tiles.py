@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from app.vision.detection.tiles import (
     LARGEST_PX,
     LARGEST_TILE_PX,
     LONGEST_PX,
-    OVERLAP_PX,
     OVERVIEW_COLUMNS,
     OVERVIEW_ROWS,
     SMALLEST_PERSON_PX,
@@ -52,16 +50,6 @@ def test_tiles_cover_the_frame_and_stay_within_it(
                 assert first <= covered
                 covered = max(covered, first + size)
             assert covered == side
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_neighbouring_tiles_overlap(width: int, height: int, min_person_px: int) -> None:
-    tiles = tiles_of(width, height, min_person_px)[1:]
-    for start, length in ((0, 2), (1, 3)):
-        spans = sorted({(one.window[start], one.window[length]) for one in tiles})
-        for (first, size), (second, _) in pairwise(spans):
-            # Windows are whole pixels.
-            assert (first + size - second) >= OVERLAP_PX / tiles[0].factor - 2
 
 
 OVERVIEW_PX = OVERVIEW_ROWS * OVERVIEW_COLUMNS
@@ -119,16 +107,6 @@ def test_the_smallest_wanted_person_is_shown_as_large_as_needed(
     assert finest * WORTHWHILE >= wanted * (1 - 1e-9)
     # Nor finer than that, but for the overview.
     assert finest <= max(wanted, tiles[0].factor) * (1 + 1e-9)
-
-
-@given(pixels=st.integers(1, 12_500_000), aspect=st.floats(-7, 7), min_person_px=people)
-def test_no_shape_costs_more_than_a_bounded_number_of_pixels(
-    pixels: int, aspect: float, min_person_px: int
-) -> None:
-    width = min(pixels, max(1, round(math.sqrt(pixels * 10**aspect))))
-    height = max(1, pixels // width)
-    # The finest resolution, every pixel of it twice at most, and the overview.
-    assert shown_px(tiles_of(width, height, min_person_px)) <= 2 * LARGEST_PX + OVERVIEW_PX
 
 
 @given(width=st.integers(1, 10**7), height=st.integers(1, 10**7), min_person_px=people)

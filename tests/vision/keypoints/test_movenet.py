@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -21,15 +20,8 @@ from app.vision.keypoints.movenet import (
     PersonInPicture,
     decode,
 )
-from app.vision.people import COCO_NAMES, Box
-from app.vision.tflite import NetworkError
-from app.vision.weights import network_path
+from app.vision.people import Box
 from tests.conftest import ROOT
-
-OTHER_SIDE = [
-    COCO_NAMES.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
-    for name in COCO_NAMES
-]
 
 
 def corners(box: Box) -> list[float]:
@@ -84,18 +76,6 @@ class TestPublishedGraph:
             atol = 1e-3 if number < 4 else 0.05  # As above.
             assert_allclose(person.keypoints.scores, scores, atol=atol)
 
-    def test_its_people_are_the_walkers(
-        self,
-        published: NDArray[np.float64],
-        street: NDArray[np.uint8],
-        walkers: list[Box],
-    ) -> None:
-        height, width = street.shape[:2]
-        top, left, bottom, right = (published[:3, 51:55] * (height, width, height, width)).T - 0.5
-        boxes = [Box(*sides) for sides in zip(left, top, right - left, bottom - top, strict=True)]
-        for walker in walkers:
-            assert max(walker.iou(box) for box in boxes) > 0.6
-
 
 def test_more_people_than_the_published_graph_gives(
     movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
@@ -110,24 +90,6 @@ def test_more_people_than_the_published_graph_gives(
     }
     assert len(seen) == 12
     assert sum(one.score > 0.3 for one in found) >= 12
-
-
-def test_a_mirrored_picture_has_mirrored_people(
-    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    width = street.shape[1]
-    here, there = movenet.people(street), movenet.people(np.ascontiguousarray(street[:, ::-1]))
-    for walker in walkers:
-        one = about(here, walker)
-        mirrored = Box(width - 1 - one.box.right, one.box.y, one.box.width, one.box.height)
-        other = about(there, mirrored)
-        # Half a cell: nothing makes the network itself symmetric.
-        assert_allclose(corners(other.box), corners(mirrored), atol=3)
-        back = other.keypoints.positions * (-1, 1) + (width - 1, 0)
-        exchanged = np.linalg.norm(back[OTHER_SIDE] - one.keypoints.positions, axis=1)
-        as_they_are = np.linalg.norm(back - one.keypoints.positions, axis=1)
-        assert np.median(exchanged) < 2
-        assert np.median(as_they_are) > 2 * np.median(exchanged)
 
 
 @pytest.mark.parametrize(("x", "y"), [(32, 0), (0, 32), (16, 8), (5, 3)])
@@ -164,39 +126,10 @@ def test_sides_that_are_no_multiples_of_32_change_nothing(
         assert one.box == other.box
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (33, 65), (298, 320), (20, 600)])
-@pytest.mark.parametrize("level", [0, 90, 255])
-def test_a_frame_of_nobody_holds_nobody(
-    movenet: MoveNet, shape: tuple[int, int], level: int
-) -> None:
-    found = movenet.people(np.full((*shape, 3), level, np.uint8))
-    assert all(one.score < 0.1 for one in found)
-
-
-def test_noise_is_nobody(movenet: MoveNet) -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (256, 192, 3)).astype(np.uint8)
-    assert all(one.score < 0.1 for one in movenet.people(noise))
-
-
-def test_threads_agree(movenet: MoveNet, street: NDArray[np.uint8]) -> None:
-    parts = [street, street[:200], street[:, 100:]] * 3
-    expected = [[one.box for one in movenet.people(part)] for part in parts]
-    with ThreadPoolExecutor(4) as pool:
-        for found, wanted in zip(pool.map(movenet.people, parts), expected, strict=True):
-            assert [one.box for one in found] == wanted
-
-
-def test_another_network_is_refused() -> None:
-    with pytest.raises(NetworkError, match="expected"):
-        MoveNet(network_path("pose_detection"))
-
-
 CELLS = (40, 48)
 
 
-def heads_of(
-    people: list[tuple[Box, NDArray[np.float64], float]],
-) -> list[NDArray[np.float32]]:
+def heads_of(people: list[tuple[Box, NDArray[np.float64], float]]) -> list[NDArray[np.float32]]:
     """Heads that show people of given boxes, keypoints ``(17, 2)`` in pixels, and scores."""
     heads = [np.zeros((*CELLS, channels), np.float32) for channels in (1, 2, 2, 34, 17, 34)]
     centres, sizes, offsets, guesses, heatmaps, places = heads
@@ -242,17 +175,6 @@ def test_what_heads_show_is_decoded(seed: int, count: int) -> None:
         seen = one.keypoints.scores > LEAST_KEYPOINT_SCORE
         assert one.score == pytest.approx(score * one.keypoints.scores[seen].mean(), rel=1e-4)
     assert len(decode(heads_of(people), 1.01)) == 0
-
-
-def test_boxes_end_with_the_picture() -> None:
-    rows, columns = CELL_PX * CELLS[0], CELL_PX * CELLS[1]
-    points = np.full((KEYPOINTS, 2), 10.0)
-    (one,) = decode(heads_of([(Box(-30, -30, 90, 90), points, 0.9)]), 0.05)
-    assert one.box == Box(-0.5, -0.5, 60.5, 60.5)
-    far = np.array([columns - 8.0, rows - 8.0])
-    box = Box(far[0] - 30, far[1] - 30, 60, 60)
-    (other,) = decode(heads_of([(box, points * 0 + far, 0.9)]), 0.05)
-    assert (other.box.right, other.box.bottom) == (columns - 0.5, rows - 0.5)
 
 
 def test_a_keypoint_that_another_claims_is_taken_by_who_is_nearer() -> None:

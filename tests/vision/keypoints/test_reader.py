@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.vision.keypoints.reader import LONG_PX, ROOM, SHORT_PX, KeypointReader, keypoint_window
 from app.vision.people import COCO_NAMES, Box
-from app.vision.resampling import resize
 
 sides, places = st.floats(1, 900), st.floats(-300, 900)
 
@@ -33,17 +31,6 @@ def test_the_person_is_in_the_middle_of_the_window_with_room(
         (LONG_PX, SHORT_PX) if width > height else (SHORT_PX, LONG_PX)
     )
     assert abs(columns * shown_rows - rows * shown_columns) <= max(shown_rows, shown_columns)
-
-
-@given(places, places, sides, sides)
-def test_windows_of_somebody_turned_are_turned(
-    x: float, y: float, width: float, height: float
-) -> None:
-    if width == height:
-        return
-    (_, _, columns, rows), *shown = keypoint_window(Box(x, y, width, height))
-    (_, _, rows_turned, columns_turned), *shown_turned = keypoint_window(Box(y, x, height, width))
-    assert (columns, rows, shown) == (columns_turned, rows_turned, shown_turned[::-1])
 
 
 def test_keypoints_lie_in_the_box_and_the_head_is_up(
@@ -73,34 +60,6 @@ def test_the_right_one_of_two_neighbours_is_read(
         seen = reader.read(street, box)
         assert seen is not None
         assert box.x < np.median(seen.positions[:, 0]) < box.right
-
-
-def test_a_picture_of_another_size_has_the_same_keypoints(
-    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    large = resize(street, 3 * street.shape[1], 3 * street.shape[0])
-    for box in walkers:
-        here, there = reader.read(street, box), reader.read(large, box.scaled(3))
-        assert here is not None and there is not None
-        apart = np.linalg.norm(there.scaled(1 / 3).positions - here.positions, axis=1)
-        # What is resized twice is blurred: a fiftieth of the person's height.
-        assert np.median(apart) < 2
-
-
-def test_keypoints_move_with_the_person(
-    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    """The window moves with the box, so what the network sees is the same to the last bit."""
-    large = np.zeros((400, 400, 3), np.uint8)
-    large[60:380, 70:368] = street
-    bordered = np.zeros((400, 400, 3), np.uint8)
-    bordered[:320, :298] = street
-    for box in walkers:
-        here = reader.read(bordered, box)
-        there = reader.read(large, Box(box.x + 70, box.y + 60, box.width, box.height))
-        assert here is not None and there is not None
-        assert_allclose(there.positions, np.add(here.positions, (70, 60)))
-        assert_allclose(there.scores, here.scores)
 
 
 @pytest.mark.parametrize("level", [0, 127, 255])

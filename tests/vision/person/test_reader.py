@@ -151,16 +151,6 @@ def test_a_body_is_another_from_a_distance(
         assert kept == ([0, 1] if share > SAME_BODY else [0])
 
 
-@given(order=st.permutations(range(6)))
-def test_no_two_of_those_kept_are_one_body(readings: list[Reading], order: list[int]) -> None:
-    people = [*readings, *(moved(one, 2, -1) for one in readings)]
-    shuffled = [people[i] for i in order]
-    kept = distinct_bodies(shuffled)
-    assert len(kept) == 3
-    assert kept == sorted(kept)
-    assert distinct_bodies([shuffled[i] for i in kept]) == [0, 1, 2]
-
-
 def test_who_is_cut_off_is_read_as_a_part_of_a_whole_body(
     person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
@@ -177,18 +167,6 @@ def test_who_is_cut_off_is_read_as_a_part_of_a_whole_body(
     assert landmarks.visibility[legs].min() > 0.5
     head = [i for i, name in enumerate(LANDMARK_NAMES) if "eye" in name or name == "nose"]
     assert landmarks.visibility[head].max() < 0.5
-
-
-def test_nothing_is_doubted_away_from_the_border(
-    readings: list[Reading], street: NDArray[np.uint8]
-) -> None:
-    for reading in readings:
-        inner = replace(reading, next_window=replace(reading.next_window, side=1.0))
-        assert_array_equal(
-            doubt_at_border(inner, street.shape).visibility, reading.landmarks.visibility
-        )
-        unknown = replace(reading, keypoints=None)
-        assert doubt_at_border(unknown, street.shape) is reading.landmarks
 
 
 def test_the_window_of_who_is_seen_whole_is_not_extended(walkers: list[Box]) -> None:

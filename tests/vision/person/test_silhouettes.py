@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
-import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, example, given
@@ -12,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.estimation.finder import distinct_bodies
-from app.vision.people import LANDMARK_NAMES, Box, Landmarks, PersonWindow, Silhouette
+from app.vision.people import LANDMARK_NAMES, Box, Landmarks, Silhouette
 from app.vision.person.landmarks import PIXELS, Reading
 from app.vision.person.reader import PersonReader
 from app.vision.person.silhouettes import silhouettes_of
@@ -124,13 +121,6 @@ def test_a_pixel_that_two_claim_is_that_of_the_nearer_skeleton() -> None:
     assert (masks[1] == (both[1] & (columns > middle)))[middling].all()
 
 
-def test_people_apart_are_cut_out_as_if_alone() -> None:
-    left, right = Box(19.5, 29.5, 80, 180), Box(179.5, 29.5, 80, 180)
-    both = cut_out([left, right])
-    for one, box in zip(both, (left, right), strict=True):
-        assert (mask_of(one, SHAPE) == mask_of(*cut_out([box]), SHAPE)).all()
-
-
 def test_the_order_of_people_does_not_matter() -> None:
     boxes = [Box(49.5, 29.5, 80, 180), Box(99.5, 49.5, 80, 170), Box(150.5, 9.5, 60, 180)]
     forwards, backwards = cut_out(boxes), cut_out(boxes[::-1])[::-1]
@@ -212,50 +202,3 @@ def test_walkers_are_cut_out(
         assert one is not None and one.segmenter == "network" and not one.truncated
         assert one.box.iou(box) > 0.7
         assert 0.25 < one.area_px / box.area < 0.75
-
-
-def test_walkers_in_a_mirrored_street_have_mirrored_silhouettes(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    width = street.shape[1]
-    mirrored = [Box(width - 1 - b.right, b.y, b.width, b.height) for b in walkers]
-    there = own(person_reader, np.ascontiguousarray(street[:, ::-1]), mirrored)
-    for one, other in zip(own(person_reader, street, walkers), there, strict=True):
-        assert iou(mask_of(one, street.shape), mask_of(other, street.shape)[:, ::-1]) > 0.85
-
-
-@pytest.mark.parametrize("factor", [2, 5])
-def test_a_larger_frame_has_the_same_silhouettes(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box], factor: int
-) -> None:
-    """Five times as large, a walker is drawn at less than the frame's resolution."""
-    large = cv2.resize(street, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-    found = own(person_reader, large, [box.scaled(factor) for box in walkers])
-    for one, other in zip(own(person_reader, street, walkers), found, strict=True):
-        same = np.kron(mask_of(one, street.shape), np.ones((factor, factor), bool))
-        assert iou(same, mask_of(other, large.shape)) > 0.85
-
-
-def test_a_walker_cut_by_the_frame_is_flagged(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    (one,) = own(person_reader, street[:215], [walkers[1]])
-    assert one is not None and one.truncated
-
-
-def test_threads_agree(
-    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    expected = own(person_reader, street, walkers)
-    with ThreadPoolExecutor(4) as pool:
-        for found in pool.map(lambda _: own(person_reader, street, walkers), range(4)):
-            for one, other in zip(found, expected, strict=True):
-                assert (mask_of(one, street.shape) == mask_of(other, street.shape)).all()
-
-
-def test_a_window_far_away_leaves_nothing() -> None:
-    box = Box(99.5, 19.5, 80, 200)
-    reading = painted(box)
-    away = PersonWindow(5000, 5000, reading.window.side)
-    moved = Reading(away, reading.landmarks, 1.0, reading.probability, away)
-    assert silhouettes_of([moved], [box], SHAPE, exact=True) == [None]

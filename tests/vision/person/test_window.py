@@ -8,15 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from app.vision.people import Box, PersonWindow
-from app.vision.person.window import (
-    ROOM,
-    cut_window,
-    window_about,
-    window_drift,
-    window_of_circle,
-    window_to_frame,
-)
+from app.vision.people import PersonWindow
+from app.vision.person.window import ROOM, cut_window, window_of_circle, window_to_frame
 
 places, sides, rolls = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
 windows = st.builds(PersonWindow, places, places, sides, rolls)
@@ -59,16 +52,6 @@ def test_in_a_turned_frame_the_turned_window_holds_the_same(
     assert_allclose(to_frame(turned, 64, points), here @ turn.T, atol=1e-6)
 
 
-@given(x=places, y=places, width=sides, height=sides, roll_deg=rolls)
-def test_a_box_is_in_the_middle_of_its_window_with_room(
-    x: float, y: float, width: float, height: float, roll_deg: float
-) -> None:
-    window = window_about(Box(x, y, width, height), roll_deg)
-    assert (window.x, window.y) == pytest.approx((x + width / 2, y + height / 2))
-    assert window.side == pytest.approx(ROOM * max(width, height))
-    assert window.roll_deg == roll_deg
-
-
 @given(x=places, y=places, radius=sides, roll_deg=st.floats(-179, 179))
 def test_the_window_of_a_circle_has_its_point_above_the_middle(
     x: float, y: float, radius: float, roll_deg: float
@@ -80,27 +63,6 @@ def test_the_window_of_a_circle_has_its_point_above_the_middle(
     assert (window.x, window.y) == (x, y)
     assert window.side == pytest.approx(2 * ROOM * radius)
     assert window.roll_deg == pytest.approx(roll_deg, abs=1e-6)
-
-
-def test_a_circle_without_size_has_a_window() -> None:
-    assert window_of_circle(np.array([3.0, 4.0]), np.array([3.0, 4.0])).side > 0
-
-
-@given(window=windows, other=windows, x=places, y=places)
-def test_drift_is_none_without_a_move_and_does_not_depend_on_the_place(
-    window: PersonWindow, other: PersonWindow, x: float, y: float
-) -> None:
-    assert window_drift(window, window) == 0
-    there = [PersonWindow(one.x + x, one.y + y, one.side, one.roll_deg) for one in (window, other)]
-    assert window_drift(*there) == pytest.approx(window_drift(window, other), abs=1e-9)
-
-
-@given(window=windows, x=places, y=places)
-def test_drift_of_a_window_that_moves_is_the_distance(
-    window: PersonWindow, x: float, y: float
-) -> None:
-    moved = PersonWindow(window.x + x, window.y + y, window.side, window.roll_deg)
-    assert window_drift(window, moved) == pytest.approx(np.hypot(x, y) / window.side, abs=1e-9)
 
 
 FRAME = np.random.default_rng(5).integers(1, 256, (90, 120, 3), np.uint8)
