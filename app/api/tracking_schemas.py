@@ -141,8 +141,7 @@ class TrackedPerson(Person):
     """One person of the frame, and the track they belong to.
 
     `facing` and `posture` are those of the track; `hypotheses` are those of the frame alone, and
-    empty where poses of this person were not searched for: on a frame of a camera they are for a
-    few people, in turn.
+    empty for somebody who is hidden behind another one.
     """
 
     track_id: int = Field(
@@ -155,7 +154,9 @@ class TrackedPerson(Person):
         description="Smoothed over the frames so far. Null if the person could not be cut out for "
         "a second."
     )
-    action: Action | None = Field(description="Null until enough frames were seen.")
+    action: Action | None = Field(
+        description="Null until enough frames were seen, and where no action reaches a half."
+    )
     zones: list[str] = Field(
         description="Names of the camera's zones in which the person is, with the feet or, if "
         "they lie or crawl, with the middle of the box.",

@@ -26,6 +26,9 @@ WINDOW_S, LEAST_S = 3.0, 1.0
 EVERY_S = 0.5
 """Time from one answer to the next: what somebody does changes slowly."""
 
+LEAST_STEP_S = 1 / 40
+"""Frames nearer than this add nothing to a motion that is sampled at ten a second, but memory."""
+
 MOST_GAP_S = 1.0
 """Longer without a pose, and the motion begins anew."""
 
@@ -162,8 +165,9 @@ class ActionRecogniser:
         if self._seen and timestamp - self._seen[-1][0].timestamp > MOST_GAP_S:
             self._seen.clear()
             self._told = None
-        measured = Measured.of(timestamp, smoothed)
-        self._seen.append((measured, self._model.votes(person.hypotheses)))
+        if not self._seen or timestamp - self._seen[-1][0].timestamp >= LEAST_STEP_S:
+            measured = Measured.of(timestamp, smoothed)
+            self._seen.append((measured, self._model.votes(person.hypotheses)))
         while timestamp - self._seen[0][0].timestamp > WINDOW_S:
             self._seen.popleft()
         if timestamp - self._seen[0][0].timestamp < LEAST_S:

@@ -43,6 +43,10 @@ HIDDEN_FROM = 0.5
 """Share of somebody that another one has to cover to hide them."""
 
 
+TRACK_BYTES = 100_000
+"""Of a track that has been followed for some seconds; a test measures it."""
+
+
 class LateFrameError(ValueError):
     """A frame is not later than the one before."""
 
@@ -92,7 +96,7 @@ class CameraSession:
     @property
     def memory_bytes(self) -> int:
         """About what the session holds."""
-        return 2000 * len(self._tracks)
+        return TRACK_BYTES * len(self._tracks)
 
     def process(
         self,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -23,7 +23,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.posture import GROUNDED
 from app.estimation.upload import Upload
 from app.settings import Settings
-from app.tracking.results import TrackedFrame
+from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.vision.people import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
@@ -37,6 +37,17 @@ CUT_FROM_PX, SAME_PERSON = 180, 0.3
 
 FALL_VIDEOS = (("video_3", 80, 90), ("video_5", 120, 135))
 """Videos, the frames before which everybody stands, and from which on somebody has fallen."""
+
+ACTIVITIES: dict[int, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
+    6: ("walks", ("walking", "standing"), ("walk",)),
+    7: ("stands", ("standing",), ("stand",)),
+    8: ("sits", ("sitting",), ("sit",)),
+    10: ("jumps", ("standing", "crouching", "bending", "arms_raised"), ("jump",)),
+    11: ("lies", GROUNDED, ("lie",)),
+}
+"""Of UP-Fall's activities what people do, in which postures, and with which actions."""
+
+ONLOOKER_FROM_PX = 500.0
 
 _ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 _LANDMARKS = [LANDMARK_NAMES.index(name) for name in LIMBS]
@@ -332,6 +343,8 @@ def fall_videos(estimator: Estimator, folder: Path) -> list[Row]:
 def upfall(estimator: Estimator, folder: Path) -> list[Row]:
     """UP-Fall: falls and daily activities at 6 frames a second."""
     falls, activities, upright, lying = [], [], [], []
+    postures: dict[str, list[float]] = {name: [] for name, *_ in ACTIVITIES.values()}
+    actions: dict[str, list[float]] = {name: [] for name, *_ in ACTIVITIES.values()}
     for file in tqdm(sorted(folder.glob("*.mp4")), desc="UP-Fall"):
         activity = int(file.name.split("_")[0].removeprefix("activity"))
         session, hit, low = CameraSession(estimator), False, []
@@ -343,6 +356,13 @@ def upfall(estimator: Estimator, folder: Path) -> list[Row]:
             result = session.process(Upload(_encoded(frame)), number / 18, HYPOTHESES, lambda: None)
             hit |= begins(result)
             low.append(any(grounded(one.person) for one in result.persons))
+            if activity in ACTIVITIES and (actor := _actor(result.persons)):
+                name, shown, done = ACTIVITIES[activity]
+                posture = actor.person.posture
+                label = "unclear" if posture is None else posture.label
+                postures[name].append(np.nan if label == "unclear" else label in shown)
+                action = actor.action
+                actions[name].append(np.nan if action is None else action.label in done)
         if activity <= 5:
             falls.append(hit)
         elif activity < 11:
@@ -363,7 +383,24 @@ def upfall(estimator: Estimator, folder: Path) -> list[Row]:
             "frames in which somebody lies or crawls: of upright activities / of lying",
             f"{100 * np.mean(upright):.1f} / {100 * np.mean(lying):.1f} %",
         ),
+        *(
+            ("UP-Fall, held out", f"{what} of who {name}: right / none told", _right_or_none(told))
+            for what, by_activity in (("posture", postures), ("action", actions))
+            for name, told in by_activity.items()
+        ),
     ]
+
+
+def _actor(persons: Sequence[TrackedPerson]) -> TrackedPerson | None:
+    """Who does what the video is of: the largest, apart from who sits in a corner of camera 2."""
+    rest = [one for one in persons if one.person.observed.box.x < ONLOOKER_FROM_PX]
+    return max(rest, key=lambda one: one.person.observed.box.area, default=None)
+
+
+def _right_or_none(told: Sequence[float]) -> str:
+    """Percent of answers that are right, and that are NaN."""
+    none = np.isnan(told)
+    return f"{100 * np.nansum(told) / len(told):.0f} / {100 * none.mean():.0f} %"
 
 
 def street(estimator: Estimator, folder: Path, frames: int = 300) -> list[Row]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import sys
+from collections import deque
 from collections.abc import Sequence
 
 import cv2
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
+from app.tracking.actions import shipped_model
 from app.tracking.following import SEARCH_EVERY_S
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession, LateFrameError
@@ -342,3 +345,30 @@ def test_however_many_people_come_and_go_few_are_remembered(session: CameraSessi
         lefts = rng.integers(0, COLUMNS - 30, 3)
         send(session, step / 2, *((colour, int(left)) for colour, left in enumerate(lefts)))
     assert len(session.track_ids) <= 8
+
+
+@pytest.mark.parametrize("fps", [2, 10, 50])
+def test_a_track_holds_about_what_the_session_says(session: CameraSession, fps: int) -> None:
+    for frame in range(4 * fps + 1):
+        send(session, frame / fps, (0, 100))
+    (track,) = session._tracks
+    shared = set(map(id, [shipped_model(), *shipped_model().__dict__.values()]))
+    held = held_bytes(track, shared)
+    assert held < 2 * session.memory_bytes
+    if fps == 10:
+        assert held > session.memory_bytes / 2
+
+
+def held_bytes(value: object, seen: set[int]) -> int:
+    """Bytes of an object and of all that it holds but what was seen before."""
+    if id(value) in seen:
+        return 0
+    seen.add(id(value))
+    if isinstance(value, np.ndarray):
+        return value.nbytes + 112
+    held: list[object] = [*getattr(value, "__dict__", {}).values()]
+    if isinstance(value, dict):
+        held += [*value.keys(), *value.values()]
+    elif isinstance(value, (list, tuple, set, deque)):
+        held += value
+    return sys.getsizeof(value) + sum(held_bytes(one, seen) for one in held)
