@@ -27,13 +27,13 @@ from app.estimation.estimates import ObservedPerson, Person, Scene
 from app.estimation.estimator import Estimator
 from app.estimation.normalised_person import NormalisedPerson
 from app.estimation.stopwatch import Stopwatch
-from app.estimation.upload import Upload
 from app.settings import Settings
 from app.vision.people import Box
 from index.skeleton import NATIVE
 from scripts.entry_pictures import placed_entry
+from scripts.experiments.asking import found_in
 from scripts.experiments.real import CAMERAS
-from scripts.experiments.real_data import encode_png, read_pose2sim, read_vtest
+from scripts.experiments.real_data import read_pose2sim, read_vtest
 from scripts.experiments.rotation import rotate_box
 from scripts.results import ROOT
 
@@ -139,8 +139,8 @@ def vtest_people(estimator: Estimator, folder: Path, quarter_turns: int = 0) -> 
     for number, frame in read_vtest(folder / "vtest", VTEST_FRAMES):
         turned = np.ascontiguousarray(np.rot90(frame, quarter_turns))
         name = f"vtest {number}" + (", turned" if quarter_turns else "")
-        scene = _people(estimator, turned)
-        found += [pictures(estimator, turned, person, name) for person in scene.people]
+        people = found_in(estimator, turned)
+        found += [pictures(estimator, turned, person, name) for person in people]
     return [person for person in found if person is not None]
 
 
@@ -153,17 +153,10 @@ def video_people(
         for video in read_pose2sim(folder / "pose2sim", camera, step):
             turned = np.ascontiguousarray(np.rot90(video.frame, quarter_turns))
             box = rotate_box(video.box, video.frame.shape, quarter_turns)
-            scene = _people(estimator, turned, [box])
+            people = found_in(estimator, turned, box)
             name = video.name + (", turned" if quarter_turns else "")
-            found += [pictures(estimator, turned, person, name) for person in scene.people]
+            found += [pictures(estimator, turned, person, name) for person in people]
     return [person for person in found if person is not None]
-
-
-def _people(
-    estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box] | None = None
-) -> Scene:
-    upload = Upload(encode_png(frame), boxes=boxes)
-    return estimator.find_people(upload, lambda: None, Stopwatch())
 
 
 def draw_strip(people: Sequence[Pictures], file: Path) -> None:

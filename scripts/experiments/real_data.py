@@ -92,11 +92,6 @@ def tight_box(mask: NDArray[np.bool_]) -> Box:
     return Box(x - 0.5, y - 0.5, width, height)
 
 
-def encode_png(picture: NDArray[np.uint8]) -> bytes:
-    """Encode a picture as a caller would send it."""
-    return cv2.imencode(".png", picture)[1].tobytes()
-
-
 def as_array(boxes: Sequence[Box]) -> Boxes:
     """Boxes as an ``(N, 4)`` array."""
     return np.array([[b.x, b.y, b.width, b.height] for b in boxes], np.float64).reshape(-1, 4)

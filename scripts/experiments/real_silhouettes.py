@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
-from app.estimation.stopwatch import Stopwatch
-from app.estimation.upload import Upload
 from app.vision.people import Box, Detection, Silhouette
 from app.vision.person.silhouettes import silhouettes_of
-from scripts.experiments.real_data import Photograph, encode_png
+from scripts.experiments.asking import found_in
+from scripts.experiments.real_data import Photograph
 
 
 def overlap(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
@@ -68,8 +67,7 @@ def end_to_end(photographs: Sequence[Photograph], estimator: Estimator) -> dict[
     """Overlap of the best silhouette among those of all detections; 0 where none touches."""
     values = []
     for photograph in tqdm(photographs, desc="end to end", unit="photograph"):
-        upload = Upload(encode_png(photograph.frame))
-        people = estimator.find_people(upload, lambda: None, Stopwatch()).people
+        people = found_in(estimator, photograph.frame)
         masks = [one.silhouette.mask(photograph.labels.shape) for one in people if one.silhouette]
         for label in range(1, len(photograph.boxes) + 1):
             truth = photograph.labels == label
