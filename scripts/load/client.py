@@ -54,15 +54,10 @@ class Client:
     url : str
     timeout_s : float
         Longest silence of the server.
-    source : str, optional
-        Address of this machine to send from.
     """
 
-    def __init__(self, url: str, timeout_s: float = 30, source: str | None = None) -> None:
-        address = (source, 0) if source else None
-        self._connection = HTTPConnection(
-            urlsplit(url).netloc, timeout=timeout_s, source_address=address
-        )
+    def __init__(self, url: str, timeout_s: float = 30) -> None:
+        self._connection = HTTPConnection(urlsplit(url).netloc, timeout=timeout_s)
 
     def send(self, call: Call) -> tuple[int, bytes]:
         """Return status and body."""

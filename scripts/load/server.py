@@ -86,18 +86,6 @@ class ServerProcess:
                 return int(line.split()[1]) / 1024
         raise ValueError(f"/proc tells no {what}")
 
-    def shared_out_memory_mb(self) -> float:
-        """Memory of the process and its workers in megabytes, shared pages counted once."""
-        total, processes = 0, [self._process.pid]
-        while processes:
-            process = Path(f"/proc/{processes.pop()}")
-            for line in (process / "smaps_rollup").read_text().splitlines():
-                if line.startswith("Pss:"):
-                    total += int(line.split()[1])
-            for task in (process / "task").iterdir():
-                processes += [int(child) for child in (task / "children").read_text().split()]
-        return total / 1024
-
     def cpu_s(self) -> float:
         """Seconds of processor time used so far."""
         # User and system time; the fields are counted behind the name in brackets.
