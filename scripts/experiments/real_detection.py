@@ -83,7 +83,6 @@ def measure_detection(
     found = {
         "both networks and HOG": _cross_validated(candidates, truths, [0, 1, 2]),
         "both networks": _cross_validated(candidates, truths, [0, 2]),
-        "MoveNet and HOG": _cross_validated(candidates, truths, [0, 1]),
         "MoveNet alone": _cross_validated(candidates, truths, [0]),
     }
     spent = float(np.median([one.milliseconds for one in candidates]))

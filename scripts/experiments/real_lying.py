@@ -15,13 +15,12 @@ from tqdm import tqdm
 
 from app.estimation.estimates import ObservedPerson
 from app.estimation.estimator import Estimator
-from app.vision.boxes import iou_matrix
 from app.vision.people import Box
 from index.skeleton import wrap_degrees
 from scripts.experiments.asking import estimate, found_in
 from scripts.experiments.real_data import Photograph, as_array
+from scripts.experiments.real_detection_scores import rightness
 from scripts.experiments.real_silhouettes import overlap
-from scripts.experiments.real_vtest import FOUND_FROM
 from scripts.experiments.rotation import rotate_box
 
 UPRIGHT = ("standing", "walking")
@@ -29,18 +28,7 @@ UPRIGHT = ("standing", "walking")
 
 @dataclass(frozen=True)
 class Turned:
-    """A photograph turned by a quarter.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    labels : (H, W) uint16 array
-    boxes : list of Box
-        Of the labelled people, by label.
-    roll_deg : float
-        Where the heads of people who stood are, clockwise from up.
-    """
+    """A photograph turned by a quarter, and where the heads of people who stood are."""
 
     frame: NDArray[np.uint8]
     labels: NDArray[np.uint16]
@@ -72,16 +60,16 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
     for photograph in tqdm(photographs, desc="lying", unit="photograph"):
         lying = turned(photograph)
         detections = found_in(estimator, lying.frame)
-        matrix = iou_matrix(as_array([d.box for d in detections]), as_array(lying.boxes))
+        boxes = as_array([detection.box for detection in detections])
+        right = rightness((boxes, -np.arange(float(len(boxes)))), as_array(lying.boxes))
         people += len(lying.boxes)
         taken += len(detections)
-        free = np.ones(len(lying.boxes), bool)
-        for detection, row in zip(detections, matrix, strict=True):
-            reachable = np.where(free, row, 0)
-            if reachable.size and reachable.max() >= FOUND_FROM:
-                free[reachable.argmax()] = False
-                found += 1
-                right_way += is_turned(detection, lying.roll_deg)
+        found += int(right.sum())
+        right_way += sum(
+            is_turned(detection, lying.roll_deg)
+            for detection, one in zip(detections, right.tolist(), strict=True)
+            if one
+        )
         answers = estimate(estimator, lying.frame, *lying.boxes)
         lies.extend(person.posture.label == "lying" for person in answers if person.posture)
         as_taken = estimate(estimator, photograph.frame, *photograph.boxes)
