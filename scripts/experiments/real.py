@@ -182,8 +182,8 @@ def _detection(found: dict[str, Figures]) -> list[str]:
     people = next(iter(found.values()))["people"]
     keys = ("average_precision", "recall_at_90", "recall", "precision", "highest_recall")
     return [
-        f"Penn-Fudan, {people:.0f} labelled people in 74 photographs; a box is right from an overlap "
-        "(IoU) of 0.5. People left unlabelled count as false: of the 24 surest false boxes all "
+        f"Penn-Fudan, {people:.0f} labelled people in 74 photographs; a box is right from an "
+        "overlap (IoU) of 0.5. People left unlabelled count as false: of the 24 surest false boxes all "
         "show somebody. Recall and precision: at a detection score of 0.5.",
         table(
             ["detector", "AP", "recall at a precision of 0.9", "recall", "precision",
