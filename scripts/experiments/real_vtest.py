@@ -25,17 +25,10 @@ IGNORED_FROM = 0.3
 
 @dataclass(frozen=True)
 class Marks:
-    """The people of one frame.
+    """The people of one numbered frame.
 
-    Parameters
-    ----------
-    frame : int
-        Number in the video, from 0.
-    people : list of Box
-        Walkers of whom at least half is seen, 50 px tall or more.
-    ignored : list of Box
-        People hidden or cut off by more than half, or smaller: neither finding nor missing them
-        counts.
+    ``people`` are walkers of whom at least half is seen, 50 px tall or more. Whether the others are
+    found counts neither way.
     """
 
     frame: int

@@ -43,21 +43,10 @@ REJECTED_MS = 50.0
 class Outcome:
     """One kind of request under overload.
 
-    Parameters
-    ----------
-    name : str
-    capacity : float
-        Frames per second that the service carries.
-    tally : Tally
-        Of the requests offered at ten times that.
-    probes_ms : list of float
-        Answer times of ``/healthz`` meanwhile.
-    calm_ms : list of float
-        The same before, with nothing else going on.
-    given_up : int
-        Frames that were accepted, and answered with a 503 at their deadline.
-    client_share, server_share : float
-        Of one core, that each took meanwhile.
+    ``capacity`` is the frames a second that the service carries, ``tally`` that of the requests
+    offered at ten times as many; ``probes_ms`` the times of ``/healthz`` meanwhile, ``calm_ms``
+    before. ``given_up`` frames were accepted and answered with a 503 at their deadline. Shares are
+    of one core.
     """
 
     name: str

@@ -26,17 +26,7 @@ def free_ports(count: int) -> list[int]:
 
 
 class ServerProcess:
-    """``python -m app`` as a context manager.
-
-    Parameters
-    ----------
-    index : Path
-        Folder of the index artefact.
-    log : Path, optional
-        Where its log goes; by default nowhere.
-    **environment : str
-        Further variables.
-    """
+    """``python -m app`` as a context manager, with further environment variables."""
 
     def __init__(self, index: Path, log: Path | None = None, **environment: str) -> None:
         (port,) = free_ports(1)
