@@ -52,23 +52,13 @@ _ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 
 @dataclass(frozen=True)
 class Trial:
-    """One person's hypotheses beside the reference; distances are means over 12 limb joints.
+    """One person's N hypotheses beside the reference; distances are means over 12 limb joints.
 
-    Parameters
-    ----------
-    odd : bool
-        Whether the photograph is of the half that nothing was tuned on.
-    near : (N,) float64 array
-        Share of the joints within a tenth of the body height, of each hypothesis.
-    distance_m : (N,) float64 array
-        3D distance, hips on hips, metres.
-    facing_right : (N,) bool array
-        Whether the camera sees each from the same side, front or back, as the reference.
-    turned_deg : (N,) float64 array
-        Angle between the azimuths of each and of the reference, 0 to 180.
-    confidence : (N,) float64 array
-    error_px : (N,) float64 array
-        2D distance in the normalised frame.
+    ``odd``: the photograph is of the half that nothing was tuned on. ``near`` is the share of the
+    joints within a tenth of the body height, ``distance_m`` the 3D distance, hips on hips,
+    ``facing_right`` whether the camera sees each from the same side, front or back, as the
+    reference, ``turned_deg`` the angle between their azimuths, ``error_px`` the 2D distance in the
+    normalised frame.
     """
 
     odd: bool
@@ -122,12 +112,9 @@ def in_video(frames: Sequence[VideoFrame], estimator: Estimator) -> list[Asked]:
 
 
 class _NotWhole(NormalisedPerson):
-    """Somebody whose silhouette is not searched for."""
+    """Somebody whose silhouette is not searched for: it is said not to show all of the body."""
 
-    @property
-    def whole(self) -> bool:
-        """Say that the silhouette does not show all of the body."""
-        return False
+    whole = False
 
 
 def estimate(estimator: Estimator, asked: Asked, way: Way) -> Person | None:

@@ -67,15 +67,7 @@ HEADER = (
 
 @dataclass(frozen=True)
 class Followed:
-    """A filmed sequence and what was estimated: every frame alone, or smooth.
-
-    Parameters
-    ----------
-    filmed : Filmed
-    points_3d : (F, 24, 3) float64 array
-    points_2d : (F, 24, 2) float64 array
-    confidences : (F,) float64 array
-    """
+    """A filmed sequence and what was estimated: every frame alone, or smooth."""
 
     filmed: Filmed
     points_3d: NDArray[np.float64]
