@@ -44,19 +44,15 @@ class Outcome:
     """One kind of request under overload.
 
     ``capacity`` is the frames a second that the service carries, ``tally`` that of the requests
-    offered at ten times as many; ``probes_ms`` the times of ``/healthz`` meanwhile, ``calm_ms``
-    before. ``given_up`` frames were accepted and answered with a 503 at their deadline. Shares are
-    of one core.
+    offered at ten times as many, ``probes_ms`` the times of ``/healthz`` meanwhile. ``given_up``
+    frames were accepted and answered with a 503 at their deadline.
     """
 
     name: str
     capacity: float
     tally: Tally
     probes_ms: list[float]
-    calm_ms: list[float]
     given_up: int
-    client_share: float
-    server_share: float
 
     def accepted_ms(self) -> list[float]:
         """Answer times of the frames that were worked on."""
@@ -135,15 +131,11 @@ def overload(
     gaps = rng.exponential(1 / (TIMES * capacity), round(TIMES * capacity * seconds))
     times = np.cumsum(gaps).tolist()
     with ProcessPoolExecutor(1) as prober:
-        calm = prober.submit(probe, server.url, 3).result()
         probes = prober.submit(probe, server.url, seconds)
         given_up = frames_given_up(server.url)
-        before = np.array([sum(os.times()[:2]), server.cpu_s()])
         tally = asyncio.run(OpenLoop(server.url, requests).run(times))
-        used = np.array([sum(os.times()[:2]), server.cpu_s()]) - before
-        shares = used / tally.seconds
         given_up = frames_given_up(server.url) - given_up
-        return Outcome(name, capacity, tally, probes.result(), calm, given_up, *shares.tolist())
+        return Outcome(name, capacity, tally, probes.result(), given_up)
 
 
 def spread(values: list[float]) -> str:
@@ -165,14 +157,12 @@ def report(outcomes: list[Outcome], seconds: float) -> tuple[str, list[str]]:
             f"{len(o.tally.of(200))} / {len(o.tally.of(503))} / {o.failed()}"
         ),
         "frames/s carried meanwhile": lambda o: f"{len(o.tally.of(200)) / o.tally.seconds:.0f}",
-        "`/healthz`, calm": lambda o: spread(o.calm_ms),
-        "**`/healthz`, overloaded**": lambda o: spread(o.probes_ms),
+        "**`/healthz`**": lambda o: spread(o.probes_ms),
         "**rejected at once**": lambda o: spread(o.rejected_ms()),
         "**accepted**": lambda o: spread(o.accepted_ms()),
         "accepted, but given up at the deadline": lambda o: str(o.given_up),
         "sent after its time": lambda o: spread(o.tally.late_ms),
         "not sent, too many unanswered": lambda o: str(o.tally.unsent),
-        "cores used by client / server": lambda o: f"{o.client_share:.2f} / {o.server_share:.2f}",
     }
     rows = [[name, *map(cell, outcomes)] for name, cell in cells.items()]
     body = f"""`python -m scripts.load.overload --seconds {seconds:g}`, revision {revision()}.

@@ -76,12 +76,6 @@ class ServerProcess:
                 return int(line.split()[1]) / 1024
         raise ValueError(f"/proc tells no {what}")
 
-    def cpu_s(self) -> float:
-        """Seconds of processor time used so far."""
-        # User and system time; the fields are counted behind the name in brackets.
-        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
     def stop(self) -> int:
         """Ask it to end and return its exit status."""
         self._process.send_signal(signal.SIGTERM)
