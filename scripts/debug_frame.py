@@ -66,9 +66,9 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
         mask = observed.silhouette.mask(frame.shape)
         cells.append(_titled(_warped(mask, to_cell), "silhouette"))
         normalised = NormalisedPerson.of(observed.silhouette, observed.landmarks)
-        upright = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
-        title = f"128x48, rolled {normalised.roll_deg:.0f} deg"
-        cells.append(_titled(np.repeat(upright[..., None], 3, axis=2), title))
+        enlarged = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
+        title = f"128x48, roll {normalised.roll_deg:.0f} deg"
+        cells.append(_titled(np.repeat(enlarged[..., None], 3, axis=2), title))
         steps, cells = cells, []
         for rank, placed in enumerate(person.hypotheses, start=1):
             hypothesis = placed.hypothesis

@@ -338,10 +338,10 @@ def confidence_samples(
     right: list[bool] = []
 
     def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        upright = normalise_person(person.observed)
-        if upright is None:
+        normalised = normalise_person(person.observed)
+        if normalised is None:
             return
-        to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))
+        to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
             errors = np.linalg.norm(placed.points_2d[_LIMB_ROWS] - joints, axis=1)[seen]
             agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))

@@ -62,7 +62,7 @@ def test_the_skeleton_shown_is_likelier_than_its_twin(seed: int) -> None:
 
 
 @given(seed=seeds, x=st.floats(-6, 6), y=st.floats(-6, 6))
-def test_pulls_lead_towards_the_keypoints_and_never_past_them(
+def test_residuals_lead_towards_the_keypoints_and_never_past_them(
     seed: int, x: float, y: float
 ) -> None:
     points = skeleton(seed)
@@ -75,7 +75,7 @@ def test_pulls_lead_towards_the_keypoints_and_never_past_them(
     assert_allclose(residuals, wanted, atol=0.4 * np.hypot(x, y) + 1e-9)
 
 
-def test_pulls_vanish_where_a_point_is_too_far_to_be_meant() -> None:
+def test_residuals_vanish_where_a_point_is_too_far_to_be_meant() -> None:
     points = skeleton(3)
     far = points.copy()
     far[ROWS[0]] += 90
