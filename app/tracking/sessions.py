@@ -175,7 +175,7 @@ class CameraSessions:
     ) -> TrackedFrame:
         """Process the next frame of a camera, whose session begins if there is none.
 
-        A session begins only with a frame that could be used: an unusable one ends no other session.
+        A session begins only with a usable frame, so an unusable one ends no other session.
         Frames of one camera must not be processed at once; :meth:`app.work.executor.Executor.run`
         sees to that.
         A session that was begun with another estimator ends: its tracks hold poses of another
