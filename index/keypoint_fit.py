@@ -56,9 +56,9 @@ def fit_to_keypoints(
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
     for spread_px, share, iterations in STEPS:
         blurred = replace(keypoints, spread_px=spread_px)
-        rows = _assigned(blurred, blurred.compare(placed, fitted).side_odds < 0)
+        rows = _assigned(blurred, blurred.compare(placed, fitted).side_log_odds < 0)
         for _ in range(iterations):
-            moves = share * _pulls(blurred, placed, rows)
+            moves = share * _residuals(blurred, placed, rows)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
             moved = with_bones_of(points_3d, moved)
@@ -93,7 +93,7 @@ def _assigned(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.
     return rows
 
 
-def _pulls(
+def _residuals(
     keypoints: Keypoints, points_normalised: NDArray[np.float64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Offsets ``(M, 24, 2)`` to the keypoints from the points in ``rows`` ``(M, P)``.
@@ -102,12 +102,12 @@ def _pulls(
     """
     skeletons = np.arange(len(points_normalised))[:, None]
     offsets = keypoints.positions - points_normalised[skeletons, rows]
-    trust = keypoints.trust(offsets)
+    trust = keypoints.inlier_probability(offsets)
     if keypoints.limbs_3d is not None:
         trust[0] = keypoints.scores
-    pulls = np.zeros_like(points_normalised)
-    pulls[skeletons, rows] = trust[..., None] * offsets
-    return pulls
+    residuals = np.zeros_like(points_normalised)
+    residuals[skeletons, rows] = trust[..., None] * offsets
+    return residuals
 
 
 def _scale(

@@ -19,12 +19,12 @@ SPREAD_M = 0.15
 LIMB_WEIGHT = 0.25
 """Weight of the landmarks' depths beside their places in the picture, which are surer."""
 
-DOUBT = 0.05
+OUTLIER_WEIGHT = 0.05
 """Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
 
 _MIN_MASS = 1e-6
 
-TEMPER = 0.5
+LIKELIHOOD_EXPONENT = 0.5
 """Exponent of the joint likelihood: errors of keypoints are correlated (left for right)."""
 
 _LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
@@ -42,25 +42,26 @@ class Agreement:
     log_likelihood : (K,) float64 array
         Of the keypoints, given each skeleton or its twin with left and right exchanged, whichever
         is likelier; at most 0.
-    side_odds : (K,) float64 array
+    side_log_odds : (K,) float64 array
         Log odds of the skeleton against that twin. They are kept apart because keypoints are more
         reliable about where a joint is than about whether it is the left or the right one.
-    pulls : (K, P, 2) float64 array
+    residuals : (K, P, 2) float64 array
         Offset from each point of the likelier of the two to its keypoint, in pixels of the
         normalised frame, scaled down by the probability that the keypoint is an outlier.
     """
 
     log_likelihood: NDArray[np.float64]
-    side_odds: NDArray[np.float64]
-    pulls: NDArray[np.float64]
+    side_log_odds: NDArray[np.float64]
+    residuals: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer]) -> Agreement:
         """Select skeletons by row, in the order given."""
-        return Agreement(self.log_likelihood[rows], self.side_odds[rows], self.pulls[rows])
+        return Agreement(self.log_likelihood[rows], self.side_log_odds[rows], self.residuals[rows])
 
     def weights(self) -> NDArray[np.float64]:
         """Weights ``(K,)`` of the skeletons; 1 for the likeliest."""
-        return np.asarray(np.exp(TEMPER * (self.log_likelihood - self.log_likelihood.max())))
+        relative = self.log_likelihood - self.log_likelihood.max()
+        return np.asarray(np.exp(LIKELIHOOD_EXPONENT * relative))
 
 
 @dataclass(frozen=True)
@@ -134,13 +135,13 @@ class Keypoints:
             Metres, axes of the normalised frame.
         """
         points = np.asarray(points_normalised, np.float64)
-        own, own_pulls = self.compare_sides(points)
-        exchanged, exchanged_pulls = self.compare_sides(exchange_sides(points))
+        own, own_residuals = self.compare_sides(points)
+        exchanged, exchanged_residuals = self.compare_sides(exchange_sides(points))
         if self.limbs_3d is not None:
             own += self._compare_limbs(points_3d)
             exchanged += self._compare_limbs(exchange_sides(np.asarray(points_3d, np.float64)))
-        pulls = np.where((own >= exchanged)[:, None, None], own_pulls, exchanged_pulls)
-        return Agreement(np.maximum(own, exchanged), own - exchanged, pulls)
+        residuals = np.where((own >= exchanged)[:, None, None], own_residuals, exchanged_residuals)
+        return Agreement(np.maximum(own, exchanged), own - exchanged, residuals)
 
     def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
         """Offsets ``(K, 12, 3)`` from the limbs of skeletons to the landmarks, in metres.
@@ -159,15 +160,15 @@ class Keypoints:
     def compare_sides(
         self, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log likelihoods ``(K,)`` in the picture and pulls ``(K, P, 2)``, sides as they are."""
+        """Log likelihoods ``(K,)`` and residuals ``(K, P, 2)`` in the picture, sides as given."""
         offsets = self.positions - points[:, list(self.rows)]
         mass = self._mass(offsets)
-        log_likelihood = np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1)
-        return log_likelihood, _trust(mass)[..., None] * offsets
+        log_likelihood = np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=1)
+        return log_likelihood, _inlier_probability(mass)[..., None] * offsets
 
-    def trust(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far keypoints are believed ``(K, P)`` at offsets ``(K, P, 2)``, 0 to 1."""
-        return _trust(self._mass(offsets))
+    def inlier_probability(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probability ``(K, P)`` that keypoints at offsets ``(K, P, 2)`` are no outliers."""
+        return _inlier_probability(self._mass(offsets))
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         squares = (offsets**2).sum(axis=-1)
@@ -181,8 +182,10 @@ class Keypoints:
         assert self.limb_scores is not None
         squares = (self.limb_offsets(points_3d) ** 2).sum(axis=-1)
         mass = self.limb_scores * np.exp(-squares / (2 * SPREAD_M**2))
-        return np.asarray(LIMB_WEIGHT * np.log((mass + DOUBT) / (1 + DOUBT)).sum(axis=1))
+        return np.asarray(
+            LIMB_WEIGHT * np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=1)
+        )
 
 
-def _trust(mass: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(mass / (mass + DOUBT))
+def _inlier_probability(mass: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(mass / (mass + OUTLIER_WEIGHT))

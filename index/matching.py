@@ -42,7 +42,7 @@ KEPT_CANDIDATES = 200
 SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 4
 """Modes computed beyond those asked for: a sparse mode may fit best."""
 
-MAX_LEAN_DEG = 30.0
+MAX_STANDING_TILT_DEG = 30.0
 """Who seems tilted by more than this in the picture lies rather than stands."""
 
 FIRST_HYPOTHESES = 7
@@ -96,9 +96,10 @@ class Hypothesis:
     posture : str
         Of :data:`index.posture.POSTURES`.
     rotation_deg : float
-        Clockwise rotation of the entry in the upright picture, already applied to the points.
+        In-plane rotation of the entry, clockwise, in the picture of a camera that is not rolled;
+        already applied to the points.
     tilt_deg : float
-        The same and the roll of the entry's camera: how askew the person would have to be seen.
+        The same and the roll of the entry's camera: the in-plane tilt of the person.
     adjusted_m : float
         Mean joint distance from the skeleton of the entry.
     """
@@ -314,9 +315,9 @@ class _Query:
         """Entries near the landmarks in three dimensions; None where there are none."""
         if keypoints.limbs_3d is None:
             return None
-        upright = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
+        limbs_3d = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
         nearest = self.index.landmark_search.nearest(
-            upright, likely_rolls(upright), growth * LANDMARK_CANDIDATES
+            limbs_3d, likely_rolls(limbs_3d), growth * LANDMARK_CANDIDATES
         )
         return seen_from(self.index, nearest, self.roll_deg)
 
@@ -327,9 +328,9 @@ def _postures(
     points_3d: NDArray[np.float64],
     tilt_deg: NDArray[np.float64],
 ) -> list[Posture]:
-    """Postures of skeletons that were interpolated about entries, seen by an upright camera."""
+    """Postures of skeletons that were interpolated about entries; the camera is not rolled."""
     entries = index.entries[numbers]
-    tilted = np.abs(tilt_deg) > MAX_LEAN_DEG
+    tilted = np.abs(tilt_deg) > MAX_STANDING_TILT_DEG
     elevation_deg = np.where(tilted, lying_elevation_deg(points_3d), entries["elevation_deg"])
     up = camera_up(elevation_deg)
     speeds = index.skeleton_labels["speed"][entries["skeleton"]]
@@ -361,8 +362,8 @@ def likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
         for part in ("hip", "shoulder")
     ]
     right, down, _ = (ends[1] - ends[0]).tolist()
-    lean_deg = float(np.rad2deg(np.arctan2(right, -down)))
-    return (0.0,) if abs(lean_deg) < _STANDS_DEG else (0.0, lean_deg)
+    roll_deg = float(np.rad2deg(np.arctan2(right, -down)))
+    return (0.0,) if abs(roll_deg) < _STANDS_DEG else (0.0, roll_deg)
 
 
 def _placed_on(keypoints: Keypoints, candidates: Candidates) -> Candidates:
@@ -389,12 +390,12 @@ def _growth(wanted: int) -> int:
 def _outline_errors(
     index: PoseIndex, queries: Sequence[RotatedQuery], centres: Candidates
 ) -> NDArray[np.float64]:
-    """Outline distances ``(M,)`` between the silhouettes of entries and the query, upright."""
+    """Outline distances ``(M,)`` between the silhouettes of entries and the rotated query."""
     silhouettes = index.silhouettes(centres.numbers)
     silhouettes[centres.mirrored] = silhouettes[centres.mirrored, :, ::-1]
     errors = np.empty(len(centres))
     for query in queries:
         rows = centres.rotation_deg == query.rotation_deg
         if rows.any():
-            errors[rows] = outline_distances(query.upright, silhouettes[rows])
+            errors[rows] = outline_distances(query.silhouette, silhouettes[rows])
     return errors

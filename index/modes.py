@@ -47,7 +47,7 @@ NEAREST_SHARE = 0.02
 Otherwise an entry that equals the query would outweigh all others.
 """
 
-PULL = 0.5
+RESIDUAL_WEIGHT = 0.5
 """Descriptor distance equivalent to a pixel between a point and its keypoint."""
 
 RIDGE = 0.45
@@ -136,8 +136,8 @@ def find_modes(
     if support is not None:
         weights = weights * support
     if agreement is not None:
-        pulls = PULL * agreement.pulls.reshape(len(candidates), -1)
-        offsets = np.concatenate([offsets, -pulls], axis=1)
+        residuals = RESIDUAL_WEIGHT * agreement.residuals.reshape(len(candidates), -1)
+        offsets = np.concatenate([offsets, -residuals], axis=1)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     densest = _densest(weights, apart, bandwidth_m)
     modes = _interpolate(candidates, offsets, list(islice(densest, count)))

@@ -12,8 +12,8 @@ DISTANCE_WEIGHT, SIDE_WEIGHT = 4.0, 0.3
 sides, beside the landmarks' log likelihood. Chosen on the street people of even-numbered
 photographs."""
 
-LEAN_SCALE_DEG = 60.0
-"""Few people lean: a lean of this size makes a hypothesis 1/e as likely."""
+TILT_SCALE_DEG = 60.0
+"""Few people are seen tilted: a tilt of this size makes a hypothesis 1/e as likely."""
 
 
 def fused_distances(
@@ -28,11 +28,11 @@ def fused_distances(
     agreement : Agreement
         With the landmarks.
     tilt_deg : (N,) float64 array
-        How askew the person would have to be seen.
+        In-plane tilt at which the person would be seen.
     """
     likelihood = (
         agreement.log_likelihood
-        + SIDE_WEIGHT * agreement.side_odds
-        - np.abs(tilt_deg) / LEAN_SCALE_DEG
+        + SIDE_WEIGHT * agreement.side_log_odds
+        - np.abs(tilt_deg) / TILT_SCALE_DEG
     )
     return np.asarray(distances * np.exp(-likelihood / DISTANCE_WEIGHT))

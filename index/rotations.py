@@ -1,4 +1,4 @@
-"""In-plane rotation of a query: people who lean or lie, cameras that are rolled.
+"""In-plane rotation of a query: people who are tilted or lie, cameras that are rolled.
 
 A silhouette wider than high would be small in the normalised frame. It is rotated until its
 principal axis is vertical, and so are the entries that are wider than high: their camera is rolled.
@@ -21,7 +21,7 @@ from index.skeleton import wrap_degrees
 from index.store import PoseIndex
 
 NEARLY_SQUARE = 0.75
-"""Ratio of width and height from which a silhouette is searched for upright and rotated."""
+"""Ratio of width and height from which a silhouette is searched for as it is and rotated."""
 
 STEP_DEG = 15.0
 """With keypoints, rotations are searched in multiples of this."""
@@ -41,20 +41,20 @@ MAX_SOURCE_PX = 1024
 
 @dataclass(frozen=True)
 class RotatedQuery:
-    """A query silhouette, rotated upright on the assumption that the person is rotated.
+    """A query silhouette with an assumed in-plane rotation of the person undone.
 
     Parameters
     ----------
     rotation_deg : float
         Assumed rotation of the person, clockwise in the frame of the silhouette.
-    upright : (128, 48) uint8 array
+    silhouette : (128, 48) uint8 array
         The silhouette with that rotation undone, normalised.
     to_query : (2, 3) float64 array
-        Affine transform from pixels of ``upright`` to pixels of the query.
+        Affine transform from pixels of ``silhouette`` to pixels of the query.
     """
 
     rotation_deg: float
-    upright: NDArray[np.uint8]
+    silhouette: NDArray[np.uint8]
     to_query: NDArray[np.float64]
 
     @classmethod
@@ -70,7 +70,7 @@ def find_rotated_candidates(
 ) -> Candidates:
     """Find the ``k`` nearest entries to each rotation of a silhouette.
 
-    Few cameras of an index are tilted sideways; rotating the query has the same effect.
+    Few cameras of an index are rolled; rotating the query has the same effect.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def find_rotated_candidates(
     Candidates
         In ascending distance, with the skeletons rotated to fit the query.
     """
-    found = find_candidates_of_each(index, np.stack([query.upright for query in queries]), k)
+    found = find_candidates_of_each(index, np.stack([query.silhouette for query in queries]), k)
     return Candidates.merged(
         [_rotate_candidates(*pair) for pair in zip(found, queries, strict=True)]
     )
@@ -111,7 +111,7 @@ def compare_rotated_entries(
             _rotate_candidates(
                 compare_entries(
                     index,
-                    query.upright,
+                    query.silhouette,
                     nearest.numbers[assigned == position],
                     nearest.mirrored[assigned == position],
                 ),
@@ -133,9 +133,9 @@ def usual_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[flo
         Roll of its camera: not 0 where it was rotated to stand.
     """
     if roll_deg:
-        stood_up: tuple[float, ...] = (0.0, -180.0)
-        upright, _ = rotate_silhouette(silhouette, -roll_deg)
-        return (*stood_up, roll_deg) if _ratio(upright) < 1 / NEARLY_SQUARE else stood_up
+        both_ends: tuple[float, ...] = (0.0, -180.0)
+        unrolled, _ = rotate_silhouette(silhouette, -roll_deg)
+        return (*both_ends, roll_deg) if _ratio(unrolled) < 1 / NEARLY_SQUARE else both_ends
     if _ratio(silhouette) < NEARLY_SQUARE:
         return (0.0,)
     axis_deg = principal_axis_deg(silhouette)

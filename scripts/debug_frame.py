@@ -66,29 +66,23 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
         mask = observed.silhouette.mask(frame.shape)
         cells.append(_titled(_warped(mask, to_cell), "silhouette"))
         normalised = NormalisedPerson.of(observed.silhouette, observed.landmarks)
-        upright = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
-        title = f"128x48, rolled {normalised.roll_deg:.0f} deg"
-        cells.append(_titled(np.repeat(upright[..., None], 3, axis=2), title))
+        enlarged = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
+        title = f"128x48, roll {normalised.roll_deg:.0f} deg"
+        cells.append(_titled(np.repeat(enlarged[..., None], 3, axis=2), title))
         steps, cells = cells, []
         for rank, placed in enumerate(person.hypotheses, start=1):
             hypothesis = placed.hypothesis
             entry, to_frame = placed_entry(index, normalised, hypothesis)
-            to_entry_cell = np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]]), np.float64)
-            cells.append(
-                _titled(_warped(entry, to_entry_cell), f"{rank}: entry {hypothesis.entry}")
-            )
+            drawn = _warped(entry, np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]])))
+            cells.append(_titled(drawn, f"{rank}: entry {hypothesis.entry}"))
             skeleton = photograph.copy()
             points = placed.points_2d[list(NATIVE.indices)]
             draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
             cells.append(_titled(skeleton, f"confidence {placed.confidence:.2f}"))
-        return _stacked(np.hstack(steps), np.hstack(cells))
+        rows = [np.hstack(steps), np.hstack(cells)]
+        widest = max(row.shape[1] for row in rows)
+        return np.vstack([np.pad(r, ((0, 0), (0, widest - r.shape[1]), (0, 0))) for r in rows])
     return np.hstack(cells)
-
-
-def _stacked(above: Picture, below: Picture) -> Picture:
-    widest = max(above.shape[1], below.shape[1])
-    rows = [np.pad(one, ((0, 0), (0, widest - one.shape[1]), (0, 0))) for one in (above, below)]
-    return np.vstack(rows)
 
 
 def describe(number: int, person: Person) -> str:

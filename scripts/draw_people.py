@@ -27,13 +27,13 @@ from app.estimation.estimates import ObservedPerson, Person, Scene
 from app.estimation.estimator import Estimator
 from app.estimation.normalised_person import NormalisedPerson
 from app.estimation.stopwatch import Stopwatch
-from app.estimation.upload import Upload
 from app.settings import Settings
 from app.vision.people import Box
 from index.skeleton import NATIVE
 from scripts.entry_pictures import placed_entry
+from scripts.experiments.asking import found_in
 from scripts.experiments.real import CAMERAS
-from scripts.experiments.real_data import encode_png, read_pose2sim, read_vtest
+from scripts.experiments.real_data import read_pose2sim, read_vtest
 from scripts.experiments.rotation import rotate_box
 from scripts.results import ROOT
 
@@ -48,42 +48,42 @@ SHOWN_FROM_PX = 100
 
 @dataclass(frozen=True)
 class Pictures:
-    """What is shown of one person: BGR cells of equal height, and a line of text."""
+    """What is shown of one person: photograph, silhouette, nearest entry and skeleton."""
 
-    photograph: NDArray[np.uint8]
-    silhouette: NDArray[np.uint8]
-    nearest: NDArray[np.uint8]
-    skeleton: NDArray[np.uint8]
-    caption: str
+    cells: tuple[NDArray[np.uint8], ...]
+    name: str
+    confidence: float
     height_px: float
 
 
-def pictures(
+def draw_all(
+    estimator: Estimator, frame: NDArray[np.uint8], name: str, turns: int, *boxes: Box
+) -> list[Pictures]:
+    """Draw the people of a frame, or in its boxes, after some quarter turns: then they lie."""
+    turned = np.ascontiguousarray(np.rot90(frame, turns))
+    name += ", turned" if turns else ""
+    places = (rotate_box(box, frame.shape, turns) for box in boxes)
+    people = [one for one in found_in(estimator, turned, *places) if one.silhouette]
+    return [_draw(estimator, turned, one, name) for one in people]
+
+
+def _draw(
     estimator: Estimator, frame: NDArray[np.uint8], found: ObservedPerson, name: str
-) -> Pictures | None:
-    """Draw one person; None without a silhouette."""
+) -> Pictures:
     silhouette = found.silhouette
-    if silhouette is None:
-        return None
+    assert silhouette is not None
     (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, lambda: None, Stopwatch())
-    box = silhouette.box
+    box, first = silhouette.box, person.hypotheses[0]
     window, scale = _window(box), CELL_PX / _window(box).height
     photograph = _cut(frame, window, scale, (127, 127, 127))
-    own = _drawn(silhouette.mask(frame.shape), window, scale)
     overlay = photograph.copy()
-    first = person.hypotheses[0]
-    points = (
-        first.points_2d[list(NATIVE.indices)] + 0.5 - (window.x + 0.5, window.y + 0.5)
-    ) * scale
+    corner = (window.x + 0.5, window.y + 0.5)
+    points = (first.points_2d[list(NATIVE.indices)] + 0.5 - corner) * scale
     draw_skeleton(overlay, points - 0.5, NATIVE, 3)
-    return Pictures(
-        photograph,
-        own,
-        _drawn(_nearest(estimator, person, frame.shape), window, scale),
-        overlay,
-        f"{name}\nconfidence {first.confidence:.2f}",
-        box.height,
-    )
+    own = _drawn(silhouette.mask(frame.shape), window, scale)
+    nearest = _drawn(_nearest(estimator, person, frame.shape), window, scale)
+    cells = (photograph, own, nearest, overlay)
+    return Pictures(cells, name, first.confidence, box.height)
 
 
 def _window(box: Box) -> Box:
@@ -130,40 +130,20 @@ def evenly(people: Sequence[Pictures], count: int) -> list[Pictures]:
     return [people[step] for step in steps.tolist()]
 
 
-def vtest_people(estimator: Estimator, folder: Path, quarter_turns: int = 0) -> list[Pictures]:
-    """All people found in evenly chosen frames of the street video.
-
-    In frames rotated by quarter turns, they lie.
-    """
-    found = []
-    for number, frame in read_vtest(folder / "vtest", VTEST_FRAMES):
-        turned = np.ascontiguousarray(np.rot90(frame, quarter_turns))
-        name = f"vtest {number}" + (", turned" if quarter_turns else "")
-        scene = _people(estimator, turned)
-        found += [pictures(estimator, turned, person, name) for person in scene.people]
-    return [person for person in found if person is not None]
+def vtest_people(estimator: Estimator, folder: Path, turns: int = 0) -> list[Pictures]:
+    """All people found in evenly chosen frames of the street video."""
+    frames = read_vtest(folder / "vtest", VTEST_FRAMES)
+    drawn = (draw_all(estimator, frame, f"vtest {number}", turns) for number, frame in frames)
+    return [one for people in drawn for one in people]
 
 
 def video_people(
-    estimator: Estimator, folder: Path, step: int = 10, quarter_turns: int = 0
+    estimator: Estimator, folder: Path, step: int = 10, turns: int = 0
 ) -> list[Pictures]:
-    """The balancing person of both cameras, in the reference's box; lying where turned."""
-    found = []
-    for camera in CAMERAS:
-        for video in read_pose2sim(folder / "pose2sim", camera, step):
-            turned = np.ascontiguousarray(np.rot90(video.frame, quarter_turns))
-            box = rotate_box(video.box, video.frame.shape, quarter_turns)
-            scene = _people(estimator, turned, [box])
-            name = video.name + (", turned" if quarter_turns else "")
-            found += [pictures(estimator, turned, person, name) for person in scene.people]
-    return [person for person in found if person is not None]
-
-
-def _people(
-    estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box] | None = None
-) -> Scene:
-    upload = Upload(encode_png(frame), boxes=boxes)
-    return estimator.find_people(upload, lambda: None, Stopwatch())
+    """The balancing person of both cameras, in the reference's box."""
+    videos = [v for camera in CAMERAS for v in read_pose2sim(folder / "pose2sim", camera, step)]
+    drawn = (draw_all(estimator, video.frame, video.name, turns, video.box) for video in videos)
+    return [one for people in drawn for one in people]
 
 
 def draw_strip(people: Sequence[Pictures], file: Path) -> None:
@@ -174,10 +154,9 @@ def draw_strip(people: Sequence[Pictures], file: Path) -> None:
         layout="constrained",
     )  # fmt: skip
     for column, person in enumerate(people):
-        cells = (person.photograph, person.silhouette, person.nearest, person.skeleton)
-        for row, cell in enumerate(cells):
+        for row, cell in enumerate(person.cells):
             _show(axes[row, column], cell)
-        axes[3, column].set_xlabel(person.caption.split("\n")[1].replace(", ", "\n"), fontsize=9)
+        axes[3, column].set_xlabel(f"confidence {person.confidence:.2f}", fontsize=9)
     for row, stage in enumerate(stages):
         axes[row, 0].set_ylabel(stage, fontsize=10)
     figure.savefig(file, dpi=90)
@@ -193,10 +172,10 @@ def draw_sheet(people: Sequence[Pictures], file: Path, columns: int = 4) -> None
     for place in axes.ravel():
         place.set_axis_off()
     for number, (person, place) in enumerate(zip(people, axes.ravel(), strict=False), start=1):
-        cells = (person.photograph, person.silhouette, person.nearest, person.skeleton)
         place.set_axis_on()
-        _show(place, np.hstack(cells))
-        place.set_title(f"{number}. " + person.caption.replace("\n", ": "), fontsize=9)
+        _show(place, np.hstack(person.cells))
+        title = f"{number}. {person.name}: confidence {person.confidence:.2f}"
+        place.set_title(title, fontsize=9)
     figure.savefig(file, dpi=100)
     plt.close(figure)
 
@@ -219,12 +198,9 @@ def main() -> None:
     tall = [person for person in street if person.height_px >= SHOWN_FROM_PX]
     (options.docs / "results").mkdir(parents=True, exist_ok=True)
     draw_strip(evenly(tall, 4) + evenly(video, 4)[1:3], options.docs / "people.png")
-    lying = (
-        vtest_people(estimator, folder, quarter_turns=1),
-        video_people(estimator, folder, 25, quarter_turns=3),
-    )
+    lying = (vtest_people(estimator, folder, 1), video_people(estimator, folder, 25, 3))
     sheet = evenly(street, VTEST_PEOPLE) + evenly(video, VIDEO_PEOPLE)
-    sheet += evenly(lying[0], LYING_PEOPLE) + evenly(lying[1], LYING_PEOPLE)
+    sheet += [person for people in lying for person in evenly(people, LYING_PEOPLE)]
     draw_sheet(sheet, options.docs / "results" / "real-people.png")
 
 

@@ -14,21 +14,9 @@ from index.store import PoseIndex
 def placed_entry(
     index: PoseIndex, person: NormalisedPerson, hypothesis: Hypothesis
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """The entry's silhouette as its hypothesis means it, and the way to the frame.
+    """The entry's silhouette ``(128, 48)``, mirrored where its hypothesis is, and ``(2, 3)``.
 
-    Parameters
-    ----------
-    index : PoseIndex
-    person : NormalisedPerson
-        Of whom the hypothesis is.
-    hypothesis : Hypothesis
-
-    Returns
-    -------
-    silhouette : (128, 48) uint8 array
-        Mirrored where the hypothesis is.
-    to_frame : (2, 3) float64 array
-        Affine transform from its pixels to pixels of the frame, rotated as the hypothesis is.
+    The affine transform leads from its pixels to pixels of the frame, rotated as the hypothesis is.
     """
     silhouette = index.silhouette(hypothesis.entry)
     if hypothesis.mirrored:

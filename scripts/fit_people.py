@@ -30,7 +30,6 @@ from app.estimation.estimates import Person
 from app.estimation.estimator import Estimator
 from app.estimation.hypotheses import normalise_person
 from app.estimation.posture import GROUNDED, GROUPS, body_features, log_odds
-from app.estimation.upload import Upload
 from app.settings import Settings
 from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detection.detector import NetworkDetector, detection_features
@@ -42,6 +41,7 @@ from index.posture import POSTURES, UPRIGHT, camera_up, classify
 from index.ranking import DISTANCE_WEIGHT
 from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
 from index.store import PoseIndex
+from scripts.experiments.asking import estimate
 from scripts.experiments.real_data import (
     as_array,
     read_pennfudan,
@@ -55,7 +55,6 @@ COMMAND = "python -m scripts.fit_people"
 UPFALL_SHAPE = (352, 640)
 """Fall photographs of this size are frames of UP-Fall."""
 
-HELD_POSTURES = 7
 FOLDS = 10
 SAME = 0.5
 """Overlap (IoU) from which a candidate is an annotated person."""
@@ -166,15 +165,6 @@ def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
         for sample in candidate_samples(detector, frame, athlete(body)):
             sources["lsp"].add(*sample, person["image"])
     return sources
-
-
-def estimate(
-    estimator: Estimator, frame: NDArray[np.uint8], box: Box | None = None
-) -> tuple[Person, ...]:
-    """The people of a frame, or the one in a box."""
-    content = cv2.imencode(".png", frame)[1].tobytes()
-    upload = Upload(content, boxes=None if box is None else (box,))
-    return estimator.estimate(upload, HELD_POSTURES, lambda: None).persons
 
 
 def posture_samples(
@@ -348,10 +338,10 @@ def confidence_samples(
     right: list[bool] = []
 
     def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        upright = normalise_person(person.observed)
-        if upright is None:
+        normalised = normalise_person(person.observed)
+        if normalised is None:
             return
-        to_frame = float(np.sqrt(abs(np.linalg.det(upright.to_frame[:, :2]))))
+        to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
             errors = np.linalg.norm(placed.points_2d[_LIMB_ROWS] - joints, axis=1)[seen]
             agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))

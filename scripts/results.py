@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import platform
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,19 +39,21 @@ def percentile(values: list[float], share: float) -> float:
     return float(np.percentile(values, share)) if values else 0.0
 
 
-def measurement_parser(description: str, page: Path = RELIABILITY) -> argparse.ArgumentParser:
+def measurement_parser(description: str) -> argparse.ArgumentParser:
     """Make a command line with what every measurement of a server takes."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
-    parser.add_argument("--write", action="store_true", help=f"into {page.name}")
+    parser.add_argument("--write", action="store_true", help=f"into {RELIABILITY.name}")
     return parser
 
 
-def conclude(title: str, body: str, *, write: bool, page: Path = RELIABILITY) -> None:
-    """Print a section, and put it into a page of results where that is asked."""
+def conclude(title: str, body: str, failed: Sequence[str], *, write: bool) -> int:
+    """Print a section, put it into the page where that is asked, and return the exit status."""
+    body += f"\n\n{'Failed: ' + '; '.join(failed) if failed else 'Passed.'}"
     print(body)
     if write:
-        write_section(page, title, body)
+        write_section(RELIABILITY, title, body)
+    return 1 if failed else 0
 
 
 def write_section(file: Path, title: str, body: str) -> None:

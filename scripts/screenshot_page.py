@@ -29,30 +29,18 @@ SLOWEST_MS = 120_000
 VIDEO_FRAMES = 80
 
 
-def save_frame(video: Path, number: int, path: Path) -> None:
-    """Write one frame of a video as JPEG."""
+def save(video: Path, number: int, picture: Path, film: Path) -> None:
+    """Write a frame of a video as JPEG, and what follows in a format that browsers play."""
     capture = cv2.VideoCapture(str(video))
     capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-    found, frame = capture.read()
-    if not found:
-        raise SystemExit(f"screenshot_page: {video} has no frame {number}")
-    cv2.imwrite(str(path), frame)
-
-
-def save_video(video: Path, number: int, path: Path) -> None:
-    """Write some frames of a video in a format that browsers play."""
-    capture = cv2.VideoCapture(str(video))
-    capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-    size = (
-        int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
-        int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-    )
+    frames = [capture.read() for _ in range(VIDEO_FRAMES)]
+    if not all(found for found, _ in frames):
+        raise SystemExit(f"screenshot_page: {video} has no {VIDEO_FRAMES} frames from {number}")
+    cv2.imwrite(str(picture), frames[0][1])
+    height, width = frames[0][1].shape[:2]
     codec = cv2.VideoWriter.fourcc(*"VP80")
-    writer = cv2.VideoWriter(str(path), codec, capture.get(cv2.CAP_PROP_FPS), size)
-    for _ in range(VIDEO_FRAMES):
-        found, frame = capture.read()
-        if not found:
-            raise SystemExit(f"screenshot_page: {video} has no {VIDEO_FRAMES} frames from {number}")
+    writer = cv2.VideoWriter(str(film), codec, capture.get(cv2.CAP_PROP_FPS), (width, height))
+    for _, frame in frames:
         writer.write(frame)
     writer.release()
 
@@ -112,16 +100,13 @@ def main() -> int:
         source = options.shared / "real" / "vtest" / "vtest.avi"
         frame = Path(folder) / f"street-{options.frame}.jpg"
         video = Path(folder) / "street.webm"
-        save_frame(source, options.frame, frame)
-        save_video(source, options.frame, video)
+        save(source, options.frame, frame, video)
         server.wait_until_ready()
+        shows = (("", show_photograph, frame), ("-video", show_video, video))
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
             for name, screen in SCREENS.items():
-                for kind, show, file in (
-                    ("", show_photograph, frame),
-                    ("-video", show_video, video),
-                ):
+                for kind, show, file in shows:
                     out = options.output / f"page{kind}-{name}.png"
                     with open_page(browser, server.url, screen) as page:
                         show(page, file)

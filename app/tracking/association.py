@@ -1,4 +1,4 @@
-"""Who is who: sightings of a frame to the tracks that expect them."""
+"""Who is who: sightings of a frame are assigned to tracks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.tracking.appearance import appearance_distance
 from app.tracking.track import Sighting, Track
 from app.vision.people import Box
 
-# How far from the expected place somebody may be seen, in heights of the person: at once, for
+# How far from the predicted place somebody may be seen, in heights of the person: at once, for
 # each second since the last sighting, and at most.
 _NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
 # Largest ratio of two sizes of one person.
@@ -61,13 +61,13 @@ def association_costs(
     """
     costs = np.full((len(tracks), len(sightings)), 10 * _LARGEST_COST)
     for row, track in enumerate(tracks):
-        expected = track.motion.predict(timestamp)
+        predicted = track.motion.predict(timestamp)
         reach = min(_FAR, _NEAR + _NEAR_PER_S * (timestamp - track.seen_at))
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
-            away = _distance(expected, box) / max(_size(expected), _size(box))
-            # Who bends fast is smaller than expected, but not much smaller than just before.
-            growth = min(_growth(expected, box), _growth(track.motion.seen, box))
+            away = _distance(predicted, box) / max(_size(predicted), _size(box))
+            # Who bends fast is smaller than predicted, but not much smaller than just before.
+            growth = min(_growth(predicted, box), _growth(track.motion.seen, box))
             followed = sighting.followed is track
             if not followed and (away > reach or growth > 1):
                 continue
@@ -78,7 +78,7 @@ def association_costs(
             )
             cost = (
                 _PLACE * min(1.0, away / reach)
-                + _OVERLAP * (1 - expected.iou(box))
+                + _OVERLAP * (1 - predicted.iou(box))
                 + _SIZE * min(1.0, growth)
                 + _APPEARANCE * appearance
             )

@@ -12,13 +12,13 @@ from app.tracking.results import Event, EventName, EventState
 from index.posture import POSTURES, UPRIGHT, Posture
 
 SETTLING_S = 0.5
-"""Time constant with which the evidence follows the frames."""
+"""Time constant of the low-pass filter over the frames' probabilities."""
 
 BEGINS_FROM, ENDS_BELOW = 0.5, 0.2
-"""Evidence at which something begins, and at which it ends."""
+"""Filtered probability at which something begins, and at which it ends."""
 
 MOST_STEP_S = 0.34
-"""A frame stands for no more than this, however long none came: a single one takes the evidence
+"""A frame stands for no more than this, however long none came: a single one takes the filter
 just short of where something begins."""
 
 DOWN_WITHIN_S = 4.0
@@ -35,8 +35,8 @@ DOWN: tuple[Posture, ...] = ("lying", "crawling")
 """Who fell need not lie flat."""
 
 
-class _Evidence:
-    """How much the last frames speak for something, from 0 to 1, and whether it holds."""
+class _Hysteresis:
+    """A probability, low-pass filtered over the frames, and whether it holds, with hysteresis."""
 
     def __init__(self) -> None:
         self.level = 0.0
@@ -77,8 +77,8 @@ class EventDetector:
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self._lying, self._arms_raised = _Evidence(), _Evidence()
-        self._down, self._upright = _Evidence(), _Evidence()
+        self._lying, self._arms_raised = _Hysteresis(), _Hysteresis()
+        self._down, self._upright = _Hysteresis(), _Hysteresis()
         self._upright_at: float | None = None
         self._upright_px: float | None = None
         self._fallen = False

@@ -35,7 +35,7 @@ LONGEST_GAP_S = 10.0
 FORGOTTEN_AFTER_S = 0.5
 """How long a track lives that nobody is seen of."""
 
-EXPECTED_FOR_S = 2.0
+PREDICTED_FOR_S = 2.0
 """How long somebody is expected who is hidden behind another one, or who vanished within the
 picture."""
 
@@ -270,10 +270,10 @@ class CameraSession:
     def _forget_unseen(self, timestamp: float) -> None:
         kept = []
         for track in self._tracks:
-            expected = track.track_id is not None and (
+            predicted = track.track_id is not None and (
                 self._hidden(track, timestamp) is not None or self._vanished(track)
             )
-            longest = EXPECTED_FOR_S if expected else FORGOTTEN_AFTER_S
+            longest = PREDICTED_FOR_S if predicted else FORGOTTEN_AFTER_S
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
@@ -283,9 +283,9 @@ class CameraSession:
     def _hidden(self, track: Track, timestamp: float) -> Box | None:
         """Where somebody is expected who is hidden behind another one; None if nobody hides them.
 
-        Who has been hidden for longer than :data:`EXPECTED_FOR_S` is not expected any more.
+        Who has been hidden for longer than :data:`PREDICTED_FOR_S` is not predicted any more.
         """
-        if self._size is None or timestamp - track.seen_at > EXPECTED_FOR_S:
+        if self._size is None or timestamp - track.seen_at > PREDICTED_FOR_S:
             return None
         box = track.motion.predict(timestamp).clip(self._size[1], self._size[0])
         hides = [
@@ -323,7 +323,7 @@ class CameraSession:
             result = (
                 track.update(found[i], timestamp, self.zones)
                 if i in found
-                else track.carry(observed, timestamp)
+                else track.extrapolate(observed, timestamp)
             )
             self._events += track.take_events()
             shown = replace(result.person, hypotheses=result.person.hypotheses[:n])

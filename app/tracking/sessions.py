@@ -76,7 +76,7 @@ class CameraSummary:
     session: SessionSummary | None
 
 
-class _Held:
+class _OpenSession:
     """A session and what is known of it without asking it, which only one thread may do."""
 
     def __init__(self, session: CameraSession, estimator: Estimator, now: float) -> None:
@@ -151,17 +151,17 @@ class CameraSessions:
         self._max_memory_bytes = max_memory_bytes
         self._on_begin, self._on_end = on_begin, on_end
         self._clock = clock
-        self._held: dict[CameraKey, _Held] = {}
+        self._open: dict[CameraKey, _OpenSession] = {}
         self._zones: dict[CameraKey, tuple[Zone, ...]] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        return len(self._held)
+        return len(self._open)
 
     def __contains__(self, key: object) -> bool:
         with self._lock:
             self._end_idle()
-            return key in self._held
+            return key in self._open
 
     def process(
         self,
@@ -175,7 +175,7 @@ class CameraSessions:
     ) -> TrackedFrame:
         """Process the next frame of a camera, whose session begins if there is none.
 
-        A session begins only with a frame that could be used, so rubbish ends no other session.
+        A session begins only with a usable frame, so an unusable one ends no other session.
         Frames of one camera must not be processed at once; :meth:`app.work.executor.Executor.run`
         sees to that.
         A session that was begun with another estimator ends: its tracks hold poses of another
@@ -188,27 +188,27 @@ class CameraSessions:
         """
         with self._lock:
             self._end_idle()
-            held = self._held.get(key)
-            if held is not None and held.estimator is not estimator:
+            opened = self._open.get(key)
+            if opened is not None and opened.estimator is not estimator:
                 self._end(key, "index")
-                held = None
-            if held is not None:
-                held.busy = True
+                opened = None
+            if opened is not None:
+                opened.busy = True
             zones = self._zones.get(key, ())
-        begins = held is None
-        if held is None:
-            held = _Held(self._create(estimator), estimator, self._clock())
-        held.session.zones = zones
+        begins = opened is None
+        if opened is None:
+            opened = _OpenSession(self._create(estimator), estimator, self._clock())
+        opened.session.zones = zones
         try:
-            frame = held.session.process(upload, timestamp, n, check, evidence)
+            frame = opened.session.process(upload, timestamp, n, check, evidence)
             with self._lock:
-                held.note(frame, self._clock())
+                opened.note(frame, self._clock())
                 if begins:
-                    self._held[key] = held
+                    self._open[key] = opened
                     self._on_begin()
                 self._shrink()
         finally:
-            held.busy = False
+            opened.busy = False
         return frame
 
     def configure(self, key: CameraKey, zones: tuple[Zone, ...]) -> CameraSummary:
@@ -235,7 +235,7 @@ class CameraSessions:
         """Return the summaries of a caller's cameras, ordered by name."""
         with self._lock:
             self._end_idle()
-            known = self._held.keys() | self._zones.keys()
+            known = self._open.keys() | self._zones.keys()
             return [self._summary(key) for key in sorted(known) if key.caller == caller]
 
     def summary(self, key: CameraKey) -> CameraSummary:
@@ -254,14 +254,14 @@ class CameraSessions:
             self._end_idle()
             self._check_known(key)
             self._zones.pop(key, None)
-            if key in self._held:
+            if key in self._open:
                 self._end(key, "forgotten")
 
     def end_others(self, estimator: Estimator) -> None:
         """End the sessions of any other estimator, which each would keep in memory."""
         with self._lock:
-            for key, held in list(self._held.items()):
-                if held.estimator is not estimator and not held.busy:
+            for key, opened in list(self._open.items()):
+                if opened.estimator is not estimator and not opened.busy:
                     self._end(key, "index")
 
     def end_idle(self) -> None:
@@ -270,37 +270,39 @@ class CameraSessions:
             self._end_idle()
 
     def _check_known(self, key: CameraKey) -> None:
-        if key not in self._held and key not in self._zones:
+        if key not in self._open and key not in self._zones:
             raise KeyError(key)
 
     def _summary(self, key: CameraKey) -> CameraSummary:
-        held = self._held.get(key)
-        session = held.summary(self._clock()) if held else None
+        opened = self._open.get(key)
+        session = opened.summary(self._clock()) if opened else None
         return CameraSummary(key.camera_id, self._zones.get(key, ()), session)
 
     def _end_idle(self) -> None:
         since = self._clock() - self._idle_s
-        for key in [k for k, held in self._held.items() if held.last < since and not held.busy]:
+        for key in [
+            k for k, opened in self._open.items() if opened.last < since and not opened.busy
+        ]:
             self._end(key, "idle")
 
     def _shrink(self) -> None:
         """End sessions until the limits hold or all others are being worked on."""
-        while len(self._held) > self._max_sessions and self._end_oldest("number"):
+        while len(self._open) > self._max_sessions and self._end_oldest("number"):
             pass
         while self._memory_bytes() > self._max_memory_bytes and self._end_oldest("memory"):
             pass
 
     def _memory_bytes(self) -> int:
-        return sum(held.memory_bytes for held in self._held.values())
+        return sum(opened.memory_bytes for opened in self._open.values())
 
     def _end_oldest(self, reason: EndReason) -> bool:
-        idle = {key: held for key, held in self._held.items() if not held.busy}
+        idle = {key: opened for key, opened in self._open.items() if not opened.busy}
         if not idle:
             return False
-        callers = [key.caller for key in self._held]
+        callers = [key.caller for key in self._open]
         self._end(min(idle, key=lambda k: (-callers.count(k.caller), idle[k].last)), reason)
         return True
 
     def _end(self, key: CameraKey, reason: EndReason) -> None:
-        del self._held[key]
+        del self._open[key]
         self._on_end(reason)

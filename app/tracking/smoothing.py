@@ -33,7 +33,7 @@ from index.skeleton import (
 STATES = 12
 """Most hypotheses of a frame that are states; 30 are no better."""
 
-EVIDENCE_WEIGHT = 1.5
+CONFIDENCE_WEIGHT = 1.5
 """Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
 
 LOW_COST = 2.0
@@ -68,7 +68,7 @@ NEARBY_M = 0.25
 SHARPNESS = 0.5
 """Exponent of the states' probabilities in the average: frames are no independent evidence."""
 
-CARRIED_S = 1.0
+EXTRAPOLATED_S = 1.0
 """How long a pose is kept where the person is seen but not searched for."""
 
 LOST_PER_S = 5.0
@@ -118,14 +118,14 @@ class Smoothed:
 
 @dataclass(frozen=True)
 class _States:
-    """The states of a frame, and their evidence.
+    """The states of a frame and their emission log likelihoods.
 
     Parameters
     ----------
     timestamp : float
     points_3d : (N, 24, 3) float64 array
     confidences : (N,) float64 array
-    log_evidence : (N,) float64 array
+    log_emission : (N,) float64 array
     log_forward : (N,) float64 array
         Log probabilities given all frames up to this one, less a constant.
     log_moves : (M, N) float64 array or None
@@ -135,7 +135,7 @@ class _States:
     timestamp: float
     points_3d: NDArray[np.float64]
     confidences: NDArray[np.float64]
-    log_evidence: NDArray[np.float64]
+    log_emission: NDArray[np.float64]
     log_forward: NDArray[np.float64]
     log_moves: NDArray[np.float64] | None
 
@@ -222,24 +222,24 @@ class PoseSmoother:
             float(weights @ elevations_deg),
         )
         low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
-        log_evidence = EVIDENCE_WEIGHT * np.log(confidences + 1e-3)
+        log_emission = CONFIDENCE_WEIGHT * np.log(confidences + 1e-3)
         line_s, sure = self._line_s, 0.0
         if person.facing.evidence == "image":
             sure = min(1.0, box.height / SURE_PX) ** 2
             line_s = sure * LANDMARK_LINE_S + (1 - sure) * line_s
             distances = np.array([placed.distance for placed in hypotheses])
-            log_evidence = log_evidence - sure * LANDMARK_WEIGHT * np.log(
+            log_emission = log_emission - sure * LANDMARK_WEIGHT * np.log(
                 (distances + 1e-9) / (distances.min() + 1e-9)
             )
         else:
-            log_evidence = log_evidence - self._low_cost * low
+            log_emission = log_emission - self._low_cost * low
         if self._frames:
-            log_evidence *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
-        shares = np.exp(log_evidence - log_evidence.max())
+            log_emission *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
+        shares = np.exp(log_emission - log_emission.max())
         azimuths_deg = azimuth_deg(points_3d)
         turn = self._turns.update(timestamp, azimuths_deg, shares / shares.sum(), sure, velocity)
-        log_evidence = log_evidence + self._turn_weight * turn.log_likelihood(azimuths_deg)
-        self._append(timestamp, points_3d, confidences, log_evidence)
+        log_emission = log_emission + self._turn_weight * turn.log_likelihood(azimuths_deg)
+        self._append(timestamp, points_3d, confidences, log_emission)
         # The frame before stays, however long ago it was.
         while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > line_s:
             self._frames.popleft()
@@ -277,8 +277,8 @@ class PoseSmoother:
             features,
         )
 
-    def carried(self, observed: ObservedPerson, timestamp: float) -> SmoothedPose | None:
-        """The last pose, moved to where the person is in a later frame that was not searched.
+    def extrapolate(self, observed: ObservedPerson, timestamp: float) -> SmoothedPose | None:
+        """The last pose, moved to where the person is in a later frame without hypotheses.
 
         Parameters
         ----------
@@ -290,12 +290,12 @@ class PoseSmoother:
         Returns
         -------
         SmoothedPose or None
-            None if the last pose is older than :data:`CARRIED_S`, or there is none.
+            None if the last pose is older than :data:`EXTRAPOLATED_S`, or there is none.
         """
         if self._last is None:
             return None
         age_s = timestamp - self._frames[-1].timestamp
-        if age_s > CARRIED_S:
+        if age_s > EXTRAPOLATED_S:
             return None
         pose, before = self._last
         odds = _log_odds(pose.confidence) - LOST_PER_S * age_s
@@ -310,18 +310,18 @@ class PoseSmoother:
         timestamp: float,
         points_3d: NDArray[np.float64],
         confidences: NDArray[np.float64],
-        log_evidence: NDArray[np.float64],
+        log_emission: NDArray[np.float64],
     ) -> None:
         """Add a frame's states: the forward step."""
-        log_moves, log_forward = None, log_evidence
+        log_moves, log_forward = None, log_emission
         if self._frames:
             last = self._frames[-1]
             tenths = RATE * (timestamp - last.timestamp)
             log_moves = _log_moves(last.points_3d, points_3d, 2 * self._cost_per_m / (1 + tenths))
-            log_forward = log_evidence + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
+            log_forward = log_emission + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
         self._frames.append(
-            _States(timestamp, points_3d, confidences, log_evidence, log_forward, log_moves)
+            _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
 
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
@@ -335,7 +335,7 @@ class PoseSmoother:
         for states in reversed(self._frames):
             if later is not None and later.log_moves is not None:
                 log_backward = _log_sum_exp(
-                    later.log_moves + (later.log_evidence + log_backward)[None], axis=1
+                    later.log_moves + (later.log_emission + log_backward)[None], axis=1
                 )
                 log_backward -= log_backward.max()
             weights = _weights_near_best(states.points_3d, states.log_forward + log_backward)

@@ -120,7 +120,7 @@ class Track:
         self.posed_at = timestamp
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
-            return self.carry(person.observed, timestamp)
+            return self.extrapolate(person.observed, timestamp)
         observed = person.observed
         presence = 1.0 if observed.presence is None else observed.presence
         self._facing = smoothed.facing
@@ -150,9 +150,9 @@ class Track:
         score = 1.0 if observed.detection_score is None else observed.detection_score
         return Trust(observed.presence, max(observed.presence, score))
 
-    def carry(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
+    def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
-        pose = self._smoother.carried(observed, timestamp)
+        pose = self._smoother.extrapolate(observed, timestamp)
         if pose is None:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)

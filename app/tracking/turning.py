@@ -27,7 +27,7 @@ SUDDEN_PER_S = 0.05
 SEEN_DEG, SURELY_SEEN_DEG = 20.0, 15.0
 """Deviation of the azimuth of a right hypothesis: of small people, and of large ones."""
 
-DOUBT = 0.2
+OUTLIER_SHARE = 0.2
 """Share of frames in which no hypothesis faces the right way."""
 
 HEADING_DEG, OTHERWISE = 40.0, 0.1
@@ -114,12 +114,12 @@ class TurnFilter:
             elapsed = timestamp - before
             independence, front = min(1.0, RATE * elapsed), last.front
             shares = last.shares @ _about(_CENTRES_DEG, TURN_DEG * np.sqrt(elapsed))
-            shares = _doubted(shares, 1 - float(np.exp(-SUDDEN_PER_S * elapsed)))
+            shares = _with_outliers(shares, 1 - float(np.exp(-SUDDEN_PER_S * elapsed)))
         ahead = _about(np.array([_ahead_deg(velocity)]), HEADING_DEG)[0]
         weight = HEADING_WEIGHT * going(velocity) * independence
-        shares = shares * _doubted(ahead, OTHERWISE) ** weight
+        shares = shares * _with_outliers(ahead, OTHERWISE) ** weight
         seen = weights @ _about(azimuths_deg, sure * SURELY_SEEN_DEG + (1 - sure) * SEEN_DEG)
-        shares = shares * _doubted(seen, DOUBT) ** independence
+        shares = shares * _with_outliers(seen, OUTLIER_SHARE) ** independence
         shares /= shares.sum()
         probability = float(shares[_FRONT].sum())
         if front is None:
@@ -148,6 +148,6 @@ def _about(azimuths_deg: NDArray[np.float64], deviation_deg: float) -> NDArray[n
     return np.asarray(mass / mass.sum(axis=1, keepdims=True))
 
 
-def _doubted(shares: NDArray[np.float64], doubt: float) -> NDArray[np.float64]:
+def _with_outliers(shares: NDArray[np.float64], outliers: float) -> NDArray[np.float64]:
     """The same, a share of which may be anywhere."""
-    return (1 - doubt) * shares + doubt / BINS
+    return (1 - outliers) * shares + outliers / BINS

@@ -15,7 +15,7 @@ DISTANCES_M = (3.0, 20.0)
 """From a room to a car park."""
 
 ROLL_STD_DEG = 2.0
-"""Cameras hang a little askew."""
+"""Cameras are rolled a little."""
 
 VIEW_DTYPE = np.dtype(
     [("azimuth_deg", "<f4"), ("elevation_deg", "<f4"), ("roll_deg", "<f4"), ("distance", "<f4")]

@@ -42,13 +42,7 @@ class Annotator:
         self._events: list[Event] = []
 
     def draw(self, frame: TrackedFrame) -> Picture:
-        """Return a copy of the frame with boxes, smoothed skeletons and captions.
-
-        Returns
-        -------
-        (H, W, 3) uint8 array
-            BGR.
-        """
+        """Return a copy of the frame with boxes, smoothed skeletons and captions."""
         picture = frame.frame.copy()
         letter = max(14, max(picture.shape[:2]) // 40)
         for tracked in frame.persons:
@@ -65,7 +59,7 @@ class Annotator:
         ]
         for line, event in enumerate(reversed(self._events)):
             corner = (letter, picture.shape[0] - letter - line * 3 * letter // 2)
-            text = f"{event.track_id} {_words(event.event)}" + " ended" * (event.state == "end")
+            text = f"{event.track_id} {event.event}" + " ended" * (event.state == "end")
             write_text(picture, text, corner, letter, _colour(event.track_id))
         return picture
 
@@ -86,10 +80,10 @@ def _draw_captions(picture: Picture, tracked: TrackedPerson, letter: int) -> Non
     left, small = max(0, round(box.x)), letter * 2 // 3
     corner = (left, max(letter + 2, round(box.y) - 4))
     write_text(picture, str(tracked.track_id), corner, letter, _colour(tracked.track_id))
-    lines = [_words(posture.label)] if posture else []
+    lines = [posture.label.replace("_", " ")] if posture else []
     # Who walks need not be said to be walking as well.
     if action is not None and not (posture and posture.label.startswith(action.label)):
-        lines.append(_words(action.label))
+        lines.append(action.label)
     for line, text in enumerate(lines, start=1):
         bottom = min(picture.shape[0] - 3, round(box.bottom) + line * small * 4 // 3)
         write_text(picture, text, (min(left, picture.shape[1] - 5 * small), bottom), small, _WHITE)
@@ -97,10 +91,6 @@ def _draw_captions(picture: Picture, tracked: TrackedPerson, letter: int) -> Non
 
 def _colour(track_id: int) -> tuple[int, int, int]:
     return PEOPLE[(track_id - 1) % len(PEOPLE)]
-
-
-def _words(label: str) -> str:
-    return label.replace("_", " ")
 
 
 def contact_sheet(cells: Sequence[Picture]) -> Picture:
@@ -138,13 +128,7 @@ def annotated(
 
 
 def write_video(pictures: Iterator[Picture], path: Path, fps: float, shown: int) -> list[Picture]:
-    """Write a video, and return :data:`SHEET_FRAMES` of its first ``shown`` frames, made small.
-
-    Raises
-    ------
-    SystemExit
-        If it cannot be written.
-    """
+    """Write a video, and return :data:`SHEET_FRAMES` of its first ``shown`` frames, made small."""
     path.parent.mkdir(parents=True, exist_ok=True)
     for_sheet = set(np.linspace(0, shown - 1, SHEET_FRAMES).round().astype(int).tolist())
     cells: list[Picture] = []
@@ -185,12 +169,8 @@ def main() -> None:
         parser.error("--stride and --max-frames: expected at least 1")
     capture = cv2.VideoCapture(str(options.video))
     frames = -(-max(1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) // options.stride)
-    pictures = annotated(
-        options.video,
-        options.stride,
-        options.max_frames,
-        Estimator.load(Settings(index=options.index)),
-    )
+    estimator = Estimator.load(Settings(index=options.index))
+    pictures = annotated(options.video, options.stride, options.max_frames, estimator)
     shown = min(frames, options.max_frames or frames)
     cells = write_video(pictures, options.out, _fps(capture) / options.stride, shown)
     if options.sheet and cells:

@@ -18,9 +18,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote, urlencode, urlsplit
 
 import cv2
@@ -31,22 +30,10 @@ STATUS_EVERY_S = 10.0
 RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0)
 RETRY_AFTER_S = 1.0
 _TIMEOUT_S = 20.0
-_STREAM_TIMEOUT_MS = 10_000
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A frame and its time: of the video for a file, else of this machine's monotonic clock.
-
-    Parameters
-    ----------
-    number : int
-        Frames of the source before it.
-    timestamp : float
-        Seconds.
-    pixels : (H, W, 3) uint8 array
-        BGR.
-    """
+class Frame(NamedTuple):
+    """How many frames came before it, seconds of the video or of this machine's clock, and BGR."""
 
     number: int
     timestamp: float
@@ -54,12 +41,7 @@ class Frame:
 
 
 class Source:
-    """Reads frames in a thread of its own and keeps the newest alone.
-
-    Parameters
-    ----------
-    source : str
-    """
+    """Reads frames in a thread of its own and keeps the newest alone."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -100,9 +82,8 @@ class Source:
     def _open(self) -> cv2.VideoCapture:
         if self._source.isdecimal():
             return cv2.VideoCapture(int(self._source))
-        timeouts = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        options = [value for name in timeouts for value in (name, _STREAM_TIMEOUT_MS)]
-        return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, options)
+        timeouts = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 10_000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 10_000)
+        return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts)
 
     def _read_from(self, capture: cv2.VideoCapture) -> None:
         interval_s = 1 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
@@ -123,15 +104,7 @@ class Source:
 
 
 class RefusedError(Exception):
-    """The service refuses a frame; the message says why.
-
-    Parameters
-    ----------
-    status : int
-    detail : str
-    retry_after_s : float
-        When it may accept one.
-    """
+    """The service refuses a frame; the message says why."""
 
     def __init__(self, status: int, detail: str, retry_after_s: float) -> None:
         super().__init__(detail)
@@ -139,31 +112,19 @@ class RefusedError(Exception):
 
 
 class Camera:
-    """A camera session of a service.
-
-    Parameters
-    ----------
-    url : str
-        Of the service.
-    camera_id : str
-    api_key : str or None
-    """
+    """A camera session of a service."""
 
     def __init__(self, url: str, camera_id: str, api_key: str | None) -> None:
         parts = urlsplit(url)
-        secure = parts.scheme == "https"
-        connect = http.client.HTTPSConnection if secure else http.client.HTTPConnection
-        self._connection = connect(parts.netloc, timeout=_TIMEOUT_S)
+        kind = (
+            http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+        )
+        self._connection = kind(parts.netloc, timeout=_TIMEOUT_S)
         self._path = f"{parts.path.rstrip('/')}/cameras/{quote(camera_id, safe='')}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
 
     def track(self, frame: Frame) -> tuple[bool, dict[str, Any]]:
-        """Return whether the session is new, and the service's answer.
-
-        Raises
-        ------
-        RefusedError, OSError, http.client.HTTPException
-        """
+        """Return whether the session is new, and the service's answer."""
         encoded = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
         headers, body = self._send("POST", f"{self._path}/frames?{query}", encoded)
@@ -201,13 +162,7 @@ class Camera:
 
 
 def watch(source: Source, camera: Camera, fps: float) -> None:
-    """Post frames until a file ends, and print what happens.
-
-    Raises
-    ------
-    RefusedError
-        For what does not pass, such as a wrong API key.
-    """
+    """Post frames until a file ends, and print what happens; raise where none can be accepted."""
     answered = 0
     first, last_status = True, time.monotonic()
     for frame in source.frames():
@@ -249,7 +204,7 @@ def watch(source: Source, camera: Camera, fps: float) -> None:
 def status(answer: dict[str, Any]) -> str:
     """Say who is there and how long the service took."""
     people = ", ".join(
-        f"{person['track_id']} {person['posture']['label'] if person['posture'] else 'unclear'}"
+        f"{person['track_id']} {(person['posture'] or {'label': 'unclear'})['label']}"
         for person in answer["persons"]
     )
     return f"{people or 'nobody'}; {answer['timings_ms']['total']:.0f} ms"

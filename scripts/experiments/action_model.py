@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
 from index.skeleton import JOINT_NAMES, POINT_NAMES, camera_rotation
-from scripts.experiments.sequences import CLIP_FPS, on_ground
+from scripts.experiments.sequences import CLIP_FPS, on_ground, unbroken_stretches
 
 ACTIONS = (
     "arm-circle", "jump", "jumping-jack", "knee-raise", "lie", "punch",
@@ -84,16 +83,7 @@ _NOISE_OF_POINT = np.array([
 
 @dataclass(frozen=True)
 class Motion:
-    """Somebody who does one action.
-
-    Parameters
-    ----------
-    clip, subject, action : str
-    start : int
-        First frame of the clip.
-    world : (F, 24, 3) float64 array
-        World axes, metres, y up, 30 frames a second.
-    """
+    """Somebody who does one action, from a frame of a clip on: ``(F, 24, 3)`` m, y up, 30 fps."""
 
     clip: str
     subject: str
@@ -113,16 +103,14 @@ def read_motions(
     wanted = [s for s in segments if s.action in ACTIONS and s.clip not in SEVERAL_ACTIONS]
     subjects = {segment.clip: segment.subject for segment in wanted}
     poses, _ = read_poses(folder, wanted)
-    parted = (np.diff(poses.clip) != 0) | (np.diff(poses.action) != 0) | (np.diff(poses.frame) != 1)
-    bounds = [0, *(np.flatnonzero(parted) + 1).tolist(), len(poses)]
     motions: list[Motion] = []
-    for number, (first, end) in enumerate(pairwise(bounds)):
-        clip, frames = poses.clips[poses.clip[first]], poses.frame[first:end]
+    for number, rows in enumerate(unbroken_stretches(poses)):
+        clip, frames = poses.clips[poses.clip[rows[0]]], poses.frame[rows]
         avatar = avatars[number % len(avatars)]
         transforms = pose_transforms(avatar, retarget(clip, avatar), clip.rotations[frames])
         points = posed_points(avatar, transforms)
         world = points + on_ground(clip, frames, points)[:, None]
-        action = poses.actions[poses.action[first]]
+        action = poses.actions[poses.action[rows[0]]]
         whole = Motion(clip.name, subjects[clip.name], action, int(frames[0]), world)
         motions += _without_waiting(whole)
     motions += [laid_down(m, turn) for m in motions if m.action == "stand" for turn in (0, 1)]
@@ -223,16 +211,7 @@ def _wandering(count: int, rate: float, generator: np.random.Generator) -> NDArr
 
 @dataclass(frozen=True)
 class Windows:
-    """Features of the last seconds before moments of motions.
-
-    Parameters
-    ----------
-    features : (W, D) float64 array
-    motion : (W,) int64 array
-        Which motion, as it was seen once.
-    actions, subjects : tuple of str
-        Of each of these motions.
-    """
+    """Features of the last seconds before moments of motions, and of which motion each is."""
 
     features: NDArray[np.float64]
     motion: NDArray[np.int64]
@@ -309,13 +288,8 @@ def at_temperature(model: ActionModel, temperature: float) -> ActionModel:
 class Unseen:
     """What models say of subjects whom they were not trained on.
 
-    Parameters
-    ----------
-    rows : (U,) int64 array
-        Windows whose action somebody else does as well.
-    odds : (U, A) float64 array
-        Log odds of :data:`ACTIONS`; those that the model was not taught are at -inf.
-    truth : (U,) int64 array
+    Log odds of :data:`ACTIONS` for the windows whose action somebody else does as well; those that
+    the model was not taught are at -inf.
     """
 
     rows: NDArray[np.int64]

@@ -18,7 +18,6 @@ from tqdm import tqdm
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from index.build.learn import view_joints
 from index.skeleton import JOINTS
-from scripts.experiments import paper_motion
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.paper_answers import (
     BANDWIDTH_M,
@@ -62,23 +61,14 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run both experiments and write ``paper-noise.*`` and ``paper-motion.*``."""
-    motion = options.shared / "mocap"
-    data = paper_data(motion, progress=True)
-    options.out.mkdir(parents=True, exist_ok=True)
-    noise(data, options.out)
-    paper_motion.run(data, motion, options.out, COMMAND)
-
-
-def noise(data: PaperData, out: Path) -> None:
     """Fill the table of noise, and write it."""
+    data, out = paper_data(options.shared / "mocap", progress=True), options.out
     errors = measure(data)
     rates = {
         column: {n: [recognised(e, n) for e in rows] for n in COUNTS}
         for column, rows in errors.items()
     }
     means = {column: [float(e[:, 0].mean()) for e in rows] for column, rows in errors.items()}
-    plot(rates, out / "paper-noise.png")
     write(out, "paper-noise", COMMAND, [
         "Noise on the outline",
         "Share of the unseen silhouettes, in percent, of which one of the first N answers has a "
@@ -121,6 +111,7 @@ def noise(data: PaperData, out: Path) -> None:
         "candidates": CANDIDATES,
         "bandwidth_m": BANDWIDTH_M,
     })  # fmt: skip
+    plot(rates, out / "paper-noise.png")
 
 
 def measure(data: PaperData) -> dict[str, list[NDArray[np.floating]]]:

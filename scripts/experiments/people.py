@@ -27,11 +27,11 @@ from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.vision.people import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
+from scripts.experiments.asking import HYPOTHESES, estimate
 from scripts.experiments.real_data import read_pennfudan
 from scripts.results import machine, revision
 
 COMMAND = "python -m scripts.evaluate people"
-HYPOTHESES = 7
 CUT_FROM_PX, SAME_PERSON = 180, 0.3
 """Height of people who are cut off, and overlap (IoU) from which a box is theirs."""
 
@@ -90,12 +90,6 @@ def run(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "people.md").write_text(page)
     print(table)
-
-
-def estimate(estimator: Estimator, content: bytes, box: Box | None = None) -> tuple[Person, ...]:
-    """The people of an encoded photograph, or the one in a box."""
-    upload = Upload(content, boxes=None if box is None else (box,))
-    return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
 
 
 def _encoded(frame: NDArray[np.uint8]) -> bytes:

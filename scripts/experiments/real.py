@@ -9,23 +9,18 @@ The references of poses are MediaPipe's (street people) and a multi-view triangu
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
+import numpy as np
 
 from app.estimation.estimator import Estimator
 from app.settings import Settings
 from app.vision.detection.detector import MIN_SCORE, Detector, NetworkDetector
+from index.build.calibrate import expected_calibration_error
 from index.store import DEFAULT_PATH
-from scripts.experiments.real_confidence import calibration_error, cross_validated, reliability
 from scripts.experiments.real_data import (
     read_pennfudan,
     read_pose2sim,
@@ -33,6 +28,7 @@ from scripts.experiments.real_data import (
     read_vtest,
 )
 from scripts.experiments.real_detection import all_candidates, measure_detection
+from scripts.experiments.real_detection_scores import FOUND_FROM
 from scripts.experiments.real_lying import measure_lying
 from scripts.experiments.real_poses import (
     BOTH,
@@ -40,14 +36,16 @@ from scripts.experiments.real_poses import (
     WAYS,
     Trial,
     Way,
+    cross_validated,
     figures,
     in_photographs,
     in_video,
     observed_pck,
     trials_of,
 )
-from scripts.experiments.real_silhouettes import end_to_end, in_true_boxes
-from scripts.experiments.real_vtest import FOUND_FROM, MARKS, measure_vtest, read_marks
+from scripts.experiments.real_silhouettes import in_true_boxes
+from scripts.experiments.real_vtest import measure_vtest, read_marks
+from scripts.experiments.report import plot_reliability, reliability, table, write
 from scripts.results import machine
 
 COMMAND = "python -m scripts.evaluate real"
@@ -75,34 +73,35 @@ def run(options: argparse.Namespace) -> None:
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
     candidates = all_candidates(photographs, detector)
-    results: dict[str, Any] = {"command": COMMAND, "machine": machine()}
+    results: dict[str, Any] = {"machine": machine()}
     results["detection"] = measure_detection(photographs, candidates)
     results["lying"] = measure_lying(photographs, estimator)
-    results["silhouettes"] = {
-        "true boxes": in_true_boxes(photographs, estimator),
-        "own detections": end_to_end(photographs, estimator),
-    }
+    results["silhouettes"] = in_true_boxes(photographs, estimator)
     asked = in_photographs(people, estimator)
     street = {way: trials_of(asked, estimator, way) for way in WAYS}
     results["street"] = street_figures(street)
     results["observed"] = observed_pck(people, estimator)
     videos, results["pose2sim"] = pose2sim(folder, estimator, options.step)
-    if MARKS.is_file():
-        results["vtest"] = vtest(folder, detector)
+    results["vtest"] = vtest(folder, detector)
     own = cross_validated(street[BOTH])
-    grouped = {
-        "street people": own,
-        "street people, odd": [trial for trial in own if trial.odd],
-        "pose2sim": videos,
-    }
     results["confidence"] = {
-        name: {"ece": calibration_error(trials), "bins": reliability(trials)}
-        for name, trials in grouped.items()
+        "street people": stated_and_met(own),
+        "street people, odd": stated_and_met([trial for trial in own if trial.odd]),
+        "pose2sim": stated_and_met(videos),
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    plot_reliability(results["confidence"], options.out / "real-reliability.png")
-    (options.out / "real.json").write_text(json.dumps(results, indent=1) + "\n")
-    (options.out / "real.md").write_text(report(results))
+    write(options.out, "real", COMMAND, report(results), results)
+    curves = {name: one["bins"] for name, one in results["confidence"].items()}
+    plot_reliability(curves, options.out / "real-reliability.png")
+
+
+def stated_and_met(trials: Sequence[Trial]) -> dict[str, Any]:
+    """Expected calibration error of all hypotheses, and their confidences in five bins."""
+    confidence = np.concatenate([trial.confidence for trial in trials])
+    right = np.concatenate([trial.right for trial in trials])
+    return {
+        "ece": expected_calibration_error(confidence, right),
+        "bins": reliability(confidence, right, 5),
+    }
 
 
 def street_figures(street: Mapping[Way, list[Trial]]) -> dict[str, dict[str, Figures]]:
@@ -136,53 +135,64 @@ def vtest(folder: Path, detector: Detector) -> dict[str, Figures]:
     return {f"{score:g}": measure_vtest(frames, read_marks(), detector, score) for score in SCORES}
 
 
-def report(results: dict[str, Any]) -> str:
-    """Write the results as Markdown."""
-    lines = [
-        "# Real photographs and videos\n",
-        f"`{COMMAND}` on {results['machine']}, one thread.\n",
-        "What is fitted of the detector is cross-validated by photograph. *Odd*: the odd-numbered "
-        "ones, on which no setting of silhouettes or poses was tuned. Times are of a machine that "
-        "did other work as well.\n",
-    ]
-    lines += ["## Detection\n", *_detection(results["detection"]), *_lying(results["lying"])]
-    lines += ["\n## Silhouettes\n", *_silhouettes(results["silhouettes"])]
-    lines += ["\n## Street people\n", *_street(results)]
-    lines += ["\n## A balancing person, two cameras\n", *_pose2sim(results["pose2sim"])]
-    if "vtest" in results:
-        lines += ["\n## Walkers in a street video\n", *_vtest(results["vtest"])]
-    lines += ["\n## Confidence\n", *_confidence(results["confidence"])]
-    return "\n".join(lines) + "\n"
+def report(results: dict[str, Any]) -> list[str]:
+    """The paragraphs of the page."""
+    return [
+        "Real photographs and videos",
+        f"On {results['machine']}, one thread. What is fitted of the detector is cross-validated "
+        "by photograph. *Odd*: the odd-numbered ones, on which no setting of silhouettes or poses "
+        "was tuned. Times are of a machine that did other work as well.",
+        "## Detection",
+        *_detection(results["detection"]),
+        *_lying(results["lying"]),
+        "## Silhouettes",
+        *_silhouettes(results["silhouettes"]),
+        "## Street people",
+        *_street(results["street"], results["observed"]),
+        "## A balancing person, two cameras",
+        "Mean distance of the 12 limb joints, hips on hips, in true boxes.",
+        table(
+            ["camera", "poses from", "frames answered", "first (mm)", "best of 7 (mm)", "PCK"],
+            [[camera, name, f"{one['people']} of {one['frames']}",
+              *(_or_dash(one, key, ".0f") for key in ("first_mm", "best_mm", "pck"))]
+             for camera, rows in results["pose2sim"].items() for name, one in rows.items()],
+        ),
+        "## Walkers in a street video",
+        *_vtest(results["vtest"]),
+        "## Confidence",
+        *_confidence(results["confidence"]),
+    ]  # fmt: skip
+
+
+def _or_dash(figures: Figures, key: str, form: str) -> str:
+    return format(figures[key], form) if key in figures else "-"
 
 
 def _detection(found: dict[str, Figures]) -> list[str]:
-    people = int(next(iter(found.values()))["people"])
+    people = next(iter(found.values()))["people"]
+    keys = ("average_precision", "recall_at_90", "recall", "precision", "highest_recall")
     return [
-        f"Penn-Fudan, {people} labelled people in 74 photographs; a box is right from an overlap "
-        "(IoU) of 0.5. People left unlabelled count as false: of the 24 surest false boxes all "
-        "show somebody. Recall and precision: at a detection score of 0.5.\n",
-        "| detector | AP | recall at a precision of 0.9 | recall | precision "
-        "| recall at any score | ms a photograph |",
-        "|---|---|---|---|---|---|---|",
-        *(
-            f"| {name} | {one['average_precision']:.3f} "
-            f"| {_or_dash(one.get('recall_at_90'), '.3f')} | {one['recall']:.3f} "
-            f"| {one['precision']:.3f} | {one['highest_recall']:.3f} "
-            f"| {one['milliseconds']:.0f} |"
-            for name, one in found.items()
+        f"Penn-Fudan, {people:.0f} labelled people in 74 photographs; a box is right from an "
+        "overlap (IoU) of 0.5. People left unlabelled count as false: of the 24 surest false "
+        "boxes all show somebody. Recall and precision: at a detection score of 0.5.",
+        table(
+            ["detector", "AP", "recall at a precision of 0.9", "recall", "precision",
+             "recall at any score", "ms a photograph"],
+            [[name, *(_or_dash(one, key, ".3f") for key in keys), f"{one['milliseconds']:.0f}"]
+             for name, one in found.items()],
         ),
-    ]
+    ]  # fmt: skip
 
 
 def _lying(found: Figures) -> list[str]:
     return [
-        f"\nPeople who lie: the {int(found['photographs'])} photographs turned by a quarter, the "
-        f"odd ones to the left, the others to the right. Of the {int(found['people'])} people "
+        f"People who lie: the {found['photographs']} photographs turned by a quarter, the "
+        f"odd ones to the left, the others to the right. Of the {found['people']} people "
         f"{100 * found['found']:.0f} % are found (precision {100 * found['precision']:.0f} %, "
         f"unlabelled people counting as false), {100 * found['right_way_up']:.1f} % of them the "
         "right way up. In the photographs as they are, "
         f"{100 * found['upright_taken_for_lying']:.1f} % of those found are taken to lie.",
-        "\nWhere the box of somebody who lies is given, the way up is right for "
+        "Where the box of somebody who lies is given, the way up is right for "
         f"{100 * found['by_box']:.0f} %, and silhouettes overlap the true ones by "
         f"{found['overlap_mean']:.3f} (mean; median {found['overlap_median']:.3f}). Posture, by "
         f"the vote of seven hypotheses: `lying` for {100 * found['posture_lying']:.1f} % of them, "
@@ -191,113 +201,69 @@ def _lying(found: Figures) -> list[str]:
     ]
 
 
-def _silhouettes(found: dict[str, Figures]) -> list[str]:
+def _silhouettes(found: Figures) -> list[str]:
+    overlaps = (f"{found[key]:.3f}" for key in ("mean", "median", "odd_mean", "odd_median"))
     return [
-        "Overlap (IoU) with the true masks; 0 where nobody is found.\n",
-        "| silhouettes | people | mean | median | odd: mean | odd: median | ms a person |",
-        "|---|---|---|---|---|---|---|",
-        *(
-            f"| {name} | {int(one['people'])} | {one['mean']:.3f} | {one['median']:.3f} "
-            f"| {one['odd_mean']:.3f} | {one['odd_median']:.3f} "
-            f"| {_or_dash(one.get('milliseconds'), '.1f')} |"
-            for name, one in found.items()
+        "Overlap (IoU) with the true masks, in true boxes; 0 where nobody is found.",
+        table(
+            ["people", "mean", "median", "odd: mean", "odd: median", "ms a person"],
+            [[str(found["people"]), *overlaps, f"{found['milliseconds']:.1f}"]],
         ),
     ]
 
 
-def _street(results: dict[str, Any]) -> list[str]:
-    rows = [
-        f"| {name} | {part} | {int(one['people'])} | {one['pck']:.1f} % | {one['facing']:.1f} % "
-        f"| {one['within_90']:.1f} % | {one['facing_any']:.1f} % "
-        f"| {one['first_mm']:.0f} | {one['best_mm']:.0f} |"
-        for name, parts in results["street"].items()
-        for part, one in parts.items()
-    ]
-    observed = results["observed"]
+def _street(street: dict[str, dict[str, Figures]], landmarks: Figures) -> list[str]:
     return [
         "The people of `landmarks.json`, in their true boxes. PCK: share of the 12 limb joints "
         "within a tenth of the body height, first hypothesis. Facing: front or back as in the "
         "reference (of somebody seen from the side, either may be); within 90 degrees: of the "
-        "reference's azimuth. 3D: mean distance of the limb joints, hips on hips.\n",
-        "| poses from | people of | people | PCK | facing | within 90 degrees "
-        "| facing of any of 7 | first (mm) | best of 7 (mm) |",
-        "|---|---|---|---|---|---|---|---|---|",
-        *rows,
-        f"\nThe landmarks themselves: PCK {observed['pck']:.1f} % "
-        f"(odd {observed['odd_pck']:.1f} %), left and right as in the reference for "
-        f"{observed['sides']:.1f} % of the people.",
-    ]
-
-
-def _pose2sim(found: dict[str, dict[str, Figures]]) -> list[str]:
-    return [
-        "Mean distance of the 12 limb joints, hips on hips, in true boxes.\n",
-        "| camera | poses from | frames answered | first (mm) | best of 7 (mm) | PCK |",
-        "|---|---|---|---|---|---|",
-        *(
-            f"| {camera} | {name} | {int(one['people'])} of {int(one['frames'])} "
-            f"| {_or_dash(one.get('first_mm'), '.0f')} | {_or_dash(one.get('best_mm'), '.0f')} "
-            f"| {_or_dash(one.get('pck'), '.0f')} |"
-            for camera, rows in found.items()
-            for name, one in rows.items()
+        "reference's azimuth. 3D: mean distance of the limb joints, hips on hips.",
+        table(
+            ["poses from", "people of", "people", "PCK", "facing", "within 90 degrees",
+             "facing of any of 7", "first (mm)", "best of 7 (mm)"],
+            [[name, part, str(one["people"]),
+              *(f"{one[key]:.1f} %" for key in ("pck", "facing", "within_90", "facing_any")),
+              f"{one['first_mm']:.0f}", f"{one['best_mm']:.0f}"]
+             for name, parts in street.items() for part, one in parts.items()],
         ),
-    ]
+        f"The landmarks themselves: PCK {landmarks['pck']:.1f} % "
+        f"(odd {landmarks['odd_pck']:.1f} %), left and right as in the reference for "
+        f"{landmarks['sides']:.1f} % of the people.",
+    ]  # fmt: skip
 
 
 def _vtest(found: dict[str, Figures]) -> list[str]:
     first = next(iter(found.values()))
     return [
-        f"{int(first['walkers'])} walkers marked by hand in {int(first['frames'])} frames chosen "
+        f"{first['walkers']} walkers marked by hand in {first['frames']} frames chosen "
         "evenly (`tests/data/vtest-people.json`); people hidden or cut off by more than half, or "
         f"under 50 px tall, count neither way. Found: a box overlaps by {FOUND_FROM:g} or more. "
-        f"{first['milliseconds']:.0f} ms a frame of 768x576.\n",
-        "| boxes from a score of | walkers found | false boxes a frame |",
-        "|---|---|---|",
-        *(
-            f"| {score} | {100 * one['found']:.1f} % | {one['false_per_frame']:.2f} |"
-            for score, one in found.items()
+        f"{first['milliseconds']:.0f} ms a frame of 768x576.",
+        table(
+            ["boxes from a score of", "walkers found", "false boxes a frame"],
+            [
+                [score, f"{100 * one['found']:.1f} %", f"{one['false_per_frame']:.2f}"]
+                for score, one in found.items()
+            ],
         ),
     ]
 
 
 def _confidence(found: dict[str, Any]) -> list[str]:
-    lines = [
-        "All seven hypotheses; confidences of street people as the other half of the photographs "
-        "gives them. Right: the limb joints lie within "
-        f"{LIMBS_RIGHT_BELOW_PX:g} px of the reference on average, where as many simulated "
-        "hypotheses lie as within 5 px over all 19 joints, as a confidence means it "
-        "([measured](strict.md#limb-joints-alone)), "
-        "in the normalised frame. The reference's joints are defined a little differently (knees "
-        "and elbows 2 to 4 px lower), which counts as error.\n",
-        "| people | confidence | hypotheses | stated | right |",
-        "|---|---|---|---|---|",
-    ]
-    for name, one in found.items():
-        lines += [
-            f"| {name} | {row['from']:.1f} to {row['to']:.1f} | {row['hypotheses']} "
-            f"| {100 * row['stated']:.0f} % | {100 * row['right']:.0f} % |"
-            for row in one["bins"]
-        ]
     errors = ", ".join(f"{name} {one['ece']:.3f}" for name, one in found.items())
-    lines.append(f"\nExpected calibration error: {errors}.")
-    lines.append("\n![reliability](real-reliability.png)")
-    return lines
-
-
-def _or_dash(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def plot_reliability(found: dict[str, Any], file: Path) -> None:
-    """Share of right hypotheses over the confidence stated."""
-    figure, axes = plt.subplots(figsize=(5, 4.5), layout="constrained")
-    axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
-    for name, one in found.items():
-        stated = [row["stated"] for row in one["bins"]]
-        axes.plot(stated, [row["right"] for row in one["bins"]], marker="o", label=name)
-    axes.set(
-        xlabel="confidence", ylabel="share that is right", xlim=(0, 1), ylim=(0, 1), aspect="equal"
-    )
-    axes.legend()
-    figure.savefig(file, dpi=120)
-    plt.close(figure)
+    return [
+        "All seven hypotheses; confidences of street people as the other half of the photographs "
+        f"gives them. Right: the limb joints lie within {LIMBS_RIGHT_BELOW_PX:g} px of the "
+        "reference on average, where as many simulated hypotheses lie as within 5 px over all 19 "
+        "joints, as a confidence means it ([measured](strict.md#limb-joints-alone)), in the "
+        "normalised frame. The reference's joints are defined a little differently (knees and "
+        "elbows 2 to 4 px lower), which counts as error.",
+        table(
+            ["people", "confidence", "hypotheses", "stated", "right"],
+            [[name, f"{row['from']:.1f} to {row['to']:.1f}", str(row["hypotheses"]),
+              f"{100 * row['stated']:.0f} %", f"{100 * row['right']:.0f} %"]
+             for name, one in found.items() for row in one["bins"]],
+        ),
+        f"Expected calibration error: {errors}.",
+        "![reliability](real-reliability.png)",
+    ]  # fmt: skip

@@ -23,17 +23,7 @@ HIPS = (LIMBS.index("left_hip"), LIMBS.index("right_hip"))
 
 @dataclass(frozen=True)
 class Photograph:
-    """A street photograph with its true label image.
-
-    Parameters
-    ----------
-    name : str
-        Of the file.
-    frame : (H, W, 3) uint8 array
-        BGR.
-    labels : (H, W) uint16 array
-        0 background, k = person k.
-    """
+    """A street photograph, BGR, with its true label image: 0 background, k = person k."""
 
     name: str
     frame: NDArray[np.uint8]
@@ -52,15 +42,7 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Reference:
-    """Where somebody's limb joints are.
-
-    Parameters
-    ----------
-    joints_2d : (12, 2) float64 array
-        Pixels; rows are :data:`LIMBS`.
-    joints_3d : (12, 3) float64 array
-        Camera axes, metres, origin between the hips.
-    """
+    """Where somebody's :data:`LIMBS` are: pixels, and metres in camera axes between the hips."""
 
     joints_2d: NDArray[np.float64]
     joints_3d: NDArray[np.float64]
@@ -90,11 +72,6 @@ def tight_box(mask: NDArray[np.bool_]) -> Box:
     """Smallest box around the pixels of a mask."""
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     return Box(x - 0.5, y - 0.5, width, height)
-
-
-def encode_png(picture: NDArray[np.uint8]) -> bytes:
-    """Encode a picture as a caller would send it."""
-    return cv2.imencode(".png", picture)[1].tobytes()
 
 
 def as_array(boxes: Sequence[Box]) -> Boxes:
@@ -137,18 +114,7 @@ def _reference(joints_2d: NDArray[np.float64], joints_3d: NDArray[np.float64]) -
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """A frame of ``pose2sim`` and where the one person's joints are.
-
-    Parameters
-    ----------
-    name : str
-        Camera and frame number.
-    frame : (H, W, 3) uint8 array
-        BGR.
-    reference : Reference
-    box : Box
-        Around the 21 reference joints, padded by what flesh and shoes add.
-    """
+    """A frame of ``pose2sim``, BGR, where the one person's joints are, and a padded box of all."""
 
     name: str
     frame: NDArray[np.uint8]

@@ -16,6 +16,9 @@ from app.vision.boxes import Boxes, iou_matrix
 Scored = tuple[Boxes, NDArray[np.float64]]
 """Detections of one photograph and their scores."""
 
+FOUND_FROM = 0.5
+"""Overlap (IoU) of boxes from which a labelled person counts as found."""
+
 
 def figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[str, float]:
     """Average precision, and recall and precision at a score of 0.5."""
@@ -51,7 +54,7 @@ def rightness(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
     overlaps = iou_matrix(boxes, truth) if len(truth) else np.zeros((len(boxes), 0))
     for index in np.argsort(-scores):
         reachable = np.where(free, overlaps[index], 0)
-        if reachable.size and reachable.max() >= 0.5:
+        if reachable.size and reachable.max() >= FOUND_FROM:
             right[index] = True
             free[reachable.argmax()] = False
     return right

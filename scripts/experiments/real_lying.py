@@ -13,54 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.estimates import ObservedPerson
 from app.estimation.estimator import Estimator
-from app.estimation.stopwatch import Stopwatch
-from app.estimation.upload import Upload
-from app.vision.boxes import iou_matrix
 from app.vision.people import Box
 from index.skeleton import wrap_degrees
-from scripts.experiments.real_data import Photograph, as_array, encode_png
+from scripts.experiments.asking import estimate, found_in
+from scripts.experiments.real_data import Photograph, as_array
+from scripts.experiments.real_detection_scores import rightness
 from scripts.experiments.real_silhouettes import overlap
-from scripts.experiments.real_vtest import FOUND_FROM
 from scripts.experiments.rotation import rotate_box
 
-HYPOTHESES = 7
 UPRIGHT = ("standing", "walking")
 
 
 @dataclass(frozen=True)
 class Turned:
-    """A photograph turned by a quarter.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    labels : (H, W) uint16 array
-    boxes : list of Box
-        Of the labelled people, by label.
-    roll_deg : float
-        Where the heads of people who stood are, clockwise from up.
-    """
+    """A photograph turned by a quarter, and where the heads of people who stood are."""
 
     frame: NDArray[np.uint8]
     labels: NDArray[np.uint16]
     boxes: list[Box]
     roll_deg: float
-
-
-def estimate_boxes(
-    estimator: Estimator, frame: NDArray[np.uint8], boxes: list[Box]
-) -> tuple[Person, ...]:
-    """The people in the given boxes of a frame, with their poses."""
-    upload = Upload(encode_png(frame), boxes=boxes)
-    return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
-
-
-def find(estimator: Estimator, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
-    """The people whom the service finds in a frame."""
-    return estimator.find_people(Upload(encode_png(frame)), lambda: None, Stopwatch()).people
 
 
 def is_turned(person: ObservedPerson, roll_deg: float) -> bool:
@@ -86,20 +59,20 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
     stands: list[bool] = []
     for photograph in tqdm(photographs, desc="lying", unit="photograph"):
         lying = turned(photograph)
-        detections = find(estimator, lying.frame)
-        matrix = iou_matrix(as_array([d.box for d in detections]), as_array(lying.boxes))
+        detections = found_in(estimator, lying.frame)
+        boxes = as_array([detection.box for detection in detections])
+        right = rightness((boxes, -np.arange(float(len(boxes)))), as_array(lying.boxes))
         people += len(lying.boxes)
         taken += len(detections)
-        free = np.ones(len(lying.boxes), bool)
-        for detection, row in zip(detections, matrix, strict=True):
-            reachable = np.where(free, row, 0)
-            if reachable.size and reachable.max() >= FOUND_FROM:
-                free[reachable.argmax()] = False
-                found += 1
-                right_way += is_turned(detection, lying.roll_deg)
-        answers = estimate_boxes(estimator, lying.frame, lying.boxes)
+        found += int(right.sum())
+        right_way += sum(
+            is_turned(detection, lying.roll_deg)
+            for detection, one in zip(detections, right.tolist(), strict=True)
+            if one
+        )
+        answers = estimate(estimator, lying.frame, *lying.boxes)
         lies.extend(person.posture.label == "lying" for person in answers if person.posture)
-        as_taken = estimate_boxes(estimator, photograph.frame, photograph.boxes)
+        as_taken = estimate(estimator, photograph.frame, *photograph.boxes)
         stands.extend(person.posture.label in UPRIGHT for person in as_taken if person.posture)
         by_box = {person.observed.box: person.observed for person in answers}
         for label, box in enumerate(lying.boxes, start=1):
@@ -110,7 +83,7 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> di
             boxed_right += is_turned(person, lying.roll_deg)
             truth = lying.labels == label
             overlaps.append(overlap(person.silhouette.mask(truth.shape), truth))
-        for detection in find(estimator, photograph.frame):
+        for detection in found_in(estimator, photograph.frame):
             upright += 1
             wrongly_turned += not is_turned(detection, 0.0)
     return {

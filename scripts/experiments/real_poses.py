@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimates import ObservedPerson, Person, Scene
@@ -17,6 +18,7 @@ from app.estimation.hypotheses import fit_poses
 from app.estimation.normalised_person import NormalisedPerson
 from app.estimation.stopwatch import Stopwatch
 from app.vision.people import LANDMARK_NAMES, Box, Silhouette
+from app.vision.weights import fitted as constants_of
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees
 from scripts.experiments.real_data import (
@@ -50,39 +52,22 @@ _ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 
 @dataclass(frozen=True)
 class Trial:
-    """One person's hypotheses beside the reference; distances are means over 12 limb joints.
+    """One person's N hypotheses beside the reference; distances are means over 12 limb joints.
 
-    Parameters
-    ----------
-    name : str
-    odd : bool
-        Whether the photograph is of the half that nothing was tuned on.
-    near : (N,) float64 array
-        Share of the joints within a tenth of the body height, of each hypothesis.
-    distance_m : (N,) float64 array
-        3D distance, hips on hips, metres.
-    facing_right : (N,) bool array
-        Whether the camera sees each from the same side, front or back, as the reference.
-    turned_deg : (N,) float64 array
-        Angle between the azimuths of each and of the reference, 0 to 180.
-    confidence : (N,) float64 array
-    apart_px : (N, 12, 2) float64 array
-        From each reference joint to the hypothesis's, in pixels of the normalised frame.
+    ``odd``: the photograph is of the half that nothing was tuned on. ``near`` is the share of the
+    joints within a tenth of the body height, ``distance_m`` the 3D distance, hips on hips,
+    ``facing_right`` whether the camera sees each from the same side, front or back, as the
+    reference, ``turned_deg`` the angle between their azimuths, ``error_px`` the 2D distance in the
+    normalised frame.
     """
 
-    name: str
     odd: bool
     near: NDArray[np.float64]
     distance_m: NDArray[np.float64]
     facing_right: NDArray[np.bool_]
     turned_deg: NDArray[np.float64]
     confidence: NDArray[np.float64]
-    apart_px: NDArray[np.float64]
-
-    @property
-    def error_px(self) -> NDArray[np.float64]:
-        """Mean 2D distance of each hypothesis in the normalised frame, ``(N,)``."""
-        return np.asarray(np.linalg.norm(self.apart_px, axis=-1).mean(axis=-1))
+    error_px: NDArray[np.float64]
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -92,21 +77,8 @@ class Trial:
 
 @dataclass(frozen=True)
 class Asked:
-    """Somebody in a true box, cut out by the service, and where their joints are.
+    """Somebody in a true box, cut out by the service, and where their joints are."""
 
-    Parameters
-    ----------
-    name : str
-    odd : bool
-        Whether the photograph is of the half that nothing was tuned on.
-    frame : (H, W, 3) uint8 array
-        BGR.
-    box : Box
-    silhouette : Silhouette
-    reference : Reference
-    """
-
-    name: str
     odd: bool
     frame: NDArray[np.uint8]
     box: Box
@@ -124,9 +96,8 @@ def in_photographs(people: Sequence[StreetPerson], estimator: Estimator) -> list
             known[photograph.name] = cut_out(estimator, photograph.frame, photograph.boxes)
         silhouette = known[photograph.name][row]
         if silhouette is not None:
-            name, box = f"{photograph.name}-{person.label}", photograph.boxes[row]
-            frame = photograph.frame
-            asked.append(Asked(name, photograph.odd, frame, box, silhouette, person.reference))
+            frame, box = photograph.frame, photograph.boxes[row]
+            asked.append(Asked(photograph.odd, frame, box, silhouette, person.reference))
     return asked
 
 
@@ -136,17 +107,14 @@ def in_video(frames: Sequence[VideoFrame], estimator: Estimator) -> list[Asked]:
     for one in frames:
         (silhouette,) = cut_out(estimator, one.frame, [one.box])
         if silhouette is not None:
-            asked.append(Asked(one.name, False, one.frame, one.box, silhouette, one.reference))
+            asked.append(Asked(False, one.frame, one.box, silhouette, one.reference))
     return asked
 
 
 class _NotWhole(NormalisedPerson):
-    """Somebody whose silhouette is not searched for."""
+    """Somebody whose silhouette is not searched for: it is said not to show all of the body."""
 
-    @property
-    def whole(self) -> bool:
-        """Say that the silhouette does not show all of the body."""
-        return False
+    whole = False
 
 
 def estimate(estimator: Estimator, asked: Asked, way: Way) -> Person | None:
@@ -185,19 +153,18 @@ def judge(asked: Asked, person: Person) -> Trial:
     points_2d = np.array([one.points_2d[_ROWS] for one in person.hypotheses])
     points_3d = np.array([one.hypothesis.points_3d[_ROWS] for one in person.hypotheses])
     points_3d = points_3d - points_3d[:, list(HIPS)].mean(axis=1, keepdims=True)
-    apart = points_2d - reference.joints_2d
+    apart = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
     front = np.cos(np.deg2rad(azimuth)) > 0
     turned = np.abs(wrap_degrees(azimuth - reference.azimuth_deg))
     return Trial(
-        name=asked.name,
         odd=asked.odd,
-        near=(np.linalg.norm(apart, axis=-1) < NEAR * asked.box.height).mean(axis=1),
+        near=(apart < NEAR * asked.box.height).mean(axis=1),
         distance_m=np.linalg.norm(points_3d - reference.joints_3d, axis=-1).mean(axis=-1),
         facing_right=front == (np.cos(np.deg2rad(reference.azimuth_deg)) > 0),
         turned_deg=turned,
         confidence=np.array([one.confidence for one in person.hypotheses]),
-        apart_px=scale * apart,
+        error_px=scale * apart.mean(axis=-1),
     )
 
 
@@ -208,15 +175,11 @@ def figures(trials: Sequence[Trial]) -> dict[str, float]:
     return {
         "people": len(trials),
         "pck": 100 * _mean([t.near[0] for t in trials]),
-        "pck_best": 100 * _mean([t.near.max() for t in trials]),
         "facing": 100 * _mean([t.facing_right[0] for t in trials]),
         "facing_any": 100 * _mean([t.facing_right.any() for t in trials]),
         "within_90": 100 * _mean([t.turned_deg[0] < 90 for t in trials]),
         "first_mm": 1000 * _mean([t.distance_m[0] for t in trials]),
         "best_mm": 1000 * _mean([t.distance_m.min() for t in trials]),
-        "error_px": _mean([t.error_px[0] for t in trials]),
-        "stated": 100 * _mean([t.confidence[0] for t in trials]),
-        "right": 100 * _mean([t.right[0] for t in trials]),
     }
 
 
@@ -244,3 +207,35 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
         "odd_pck": 100 * float(np.array(near)[odd].mean()),
         "sides": 100 * _mean(sides),
     }
+
+
+def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
+    """Fit slope and bias that :mod:`app.estimation.reranking` makes a confidence with."""
+    agreement = np.concatenate([_agreement(t) for t in trials])
+    model = LogisticRegression(C=1e3).fit(
+        agreement[:, None], np.concatenate([t.right for t in trials])
+    )
+    return float(model.coef_[0, 0]), float(model.intercept_[0])
+
+
+def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
+    """The same trials with the confidences that people in the other half of the photographs give.
+
+    Slope and bias of the service are fitted to both halves.
+    """
+    fitted = {odd: fit_confidence([t for t in trials if t.odd != odd]) for odd in (False, True)}
+
+    def refitted(trial: Trial) -> Trial:
+        slope, bias = fitted[trial.odd]
+        confidence = 1 / (1 + np.exp(-slope * _agreement(trial) - bias))
+        return replace(trial, confidence=confidence)
+
+    return [refitted(trial) for trial in trials]
+
+
+def _agreement(trial: Trial) -> NDArray[np.float64]:
+    """What the confidences of the service, ``(N,)``, were made of."""
+    confidence = np.clip(trial.confidence, 1e-9, 1 - 1e-9)
+    constants = constants_of("confidence")
+    odds = np.log(confidence / (1 - confidence))
+    return np.asarray((odds - constants["offset"]) / constants["slope"])

@@ -15,26 +15,20 @@ from app.vision.boxes import iou_matrix
 from app.vision.detection.detector import Detector
 from app.vision.people import Box
 from scripts.experiments.real_data import as_array
+from scripts.experiments.real_detection_scores import rightness
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 MARKS = ROOT / "tests" / "data" / "vtest-people.json"
-FOUND_FROM = 0.5
-"""Overlap (IoU) of boxes from which a marked walker counts as found."""
+IGNORED_FROM = 0.3
+"""Overlap (IoU) from which a box is of somebody who counts neither way."""
 
 
 @dataclass(frozen=True)
 class Marks:
-    """The people of one frame.
+    """The people of one numbered frame.
 
-    Parameters
-    ----------
-    frame : int
-        Number in the video, from 0.
-    people : list of Box
-        Walkers of whom at least half is seen, 50 px tall or more.
-    ignored : list of Box
-        People hidden or cut off by more than half, or smaller: neither finding nor missing them
-        counts.
+    ``people`` are walkers of whom at least half is seen, 50 px tall or more. Whether the others are
+    found counts neither way.
     """
 
     frame: int
@@ -61,19 +55,9 @@ def measure_vtest(
     detector: Detector,
     min_score: float,
 ) -> dict[str, float]:
-    """Share of the marked walkers that are found, and false boxes per frame.
-
-    Parameters
-    ----------
-    frames : sequence of (int, (H, W, 3) uint8 array)
-        Numbered frames; those without marks are left out.
-    marks : sequence of Marks
-    detector : Detector
-    min_score : float
-        Detections below count as not made.
-    """
+    """Share of the marked walkers that are found in numbered frames, and false boxes per frame."""
     by_number = dict(frames)
-    marked = found = boxes = false = frames_seen = 0
+    marked = found = boxes = false = 0
     spent = []
     for one in marks:
         frame = by_number[one.frame]
@@ -85,27 +69,19 @@ def measure_vtest(
         found += hits
         boxes += len(detections)
         false += wrong
-        frames_seen += 1
     return {
-        "frames": frames_seen,
+        "frames": len(marks),
         "walkers": marked,
         "found": found / max(1, marked),
         "boxes": boxes,
-        "false_per_frame": false / max(1, frames_seen),
+        "false_per_frame": false / max(1, len(marks)),
         "milliseconds": float(np.median(spent)),
     }
 
 
 def compare(boxes: Sequence[Box], marks: Marks) -> tuple[int, int]:
     """Count walkers found and false boxes; boxes come best first."""
-    overlaps = iou_matrix(as_array(boxes), as_array(marks.people + marks.ignored))
-    free = np.ones(len(marks.people), bool)
-    found = false = 0
-    for row in overlaps:
-        reachable = np.where(free, row[: len(free)], 0)
-        if reachable.size and reachable.max() >= FOUND_FROM:
-            free[reachable.argmax()] = False
-            found += 1
-        elif row[len(free) :].max(initial=0) < 0.3:
-            false += 1
-    return found, false
+    places = as_array(boxes)
+    right = rightness((places, -np.arange(float(len(places)))), as_array(marks.people))
+    ignored = iou_matrix(places, as_array(marks.ignored)).max(axis=1, initial=0) >= IGNORED_FROM
+    return int(right.sum()), int((~right & ~ignored).sum())

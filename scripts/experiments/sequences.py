@@ -44,26 +44,9 @@ _MARGIN_PX = 8
 class Filmed:
     """A stretch of motion as one fixed camera sees it.
 
-    Parameters
-    ----------
-    clip, action : str
-    subject : str
-        Who moved.
-    frames : (F,) int64 array
-        Of the clip.
-    timestamps : (F,) float64 array
-        Seconds from 0.
-    silhouettes : tuple of Silhouette
-        In pixels of the camera's frame.
-    points_3d : (F, 24, 3) float64 array
-        Camera axes turned towards the pelvis, metres, origin at the pelvis.
-    points_2d : (F, 24, 2) float64 array
-        Pixels of the camera's frame.
-    world : (F, 24, 3) float64 array
-        World axes, metres, y up.
-    speeds : (F,) float64 array
-        Of the pelvis over the ground, metres per second.
-    elevation_deg : float
+    ``timestamps`` count from 0, silhouettes and ``points_2d`` are in pixels of the camera's frame;
+    ``points_3d`` in metres in camera axes turned towards the pelvis, which is the origin; ``world``
+    in metres, y up; ``speeds`` of the pelvis over the ground, metres a second.
     """
 
     clip: str
@@ -91,20 +74,9 @@ def film(
     views: int = 1,
     fps: int = FPS,
 ) -> list[Filmed]:
-    """Film every stretch of motion, with avatars in turn and cameras by chance.
+    """Film every stretch of recorded motion, with avatars in turn and ``views`` random cameras.
 
-    Parameters
-    ----------
-    poses : Poses
-        As they were recorded, not laid down.
-    subjects : dict
-        Who moved in which clip.
-    avatars : sequence of Avatar
-    seed : int
-    views : int
-        Cameras for each stretch.
-    fps : int
-        Frames a second, a divisor of 30.
+    ``subjects`` says who moved in which clip; ``fps`` is a divisor of 30.
     """
     generator = np.random.default_rng(seed)
     filmed: list[Filmed] = []

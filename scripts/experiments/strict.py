@@ -11,7 +11,6 @@ near the ground, and of both laid down.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,10 +35,8 @@ from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.posture import LOW, POSTURES, classify
 from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
 from index.store import PoseIndex
-from scripts.experiments.contour import disturb_all
-from scripts.experiments.strict_pictures import draw_hard_queries, plot_reliability
-from scripts.experiments.strict_ranking import COLUMNS as STEP_COLUMNS
-from scripts.experiments.strict_ranking import by_step, shipped_reranker
+from scripts.experiments.report import confusion, plot_reliability, reliability, table, write
+from scripts.experiments.strict_ranking import shipped_reranker, steps
 
 ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground whose actions have too few clips for one to be held out of each."""
@@ -48,24 +45,29 @@ ASKED = Asked(upright=4000, near_ground=2000, laid_down=1200)
 """So many that a share of upright people is known to 0.8 points (one standard deviation)."""
 
 QUERY_SEED = 99
-DISTURBED_EVERY = 2
-"""Of the upright queries, one in so many is asked again with noise."""
+DEGRADED_EVERY = 2
+"""Of the upright queries, one in so many is asked again, degraded."""
 
-NOISE_STD_PX = (1.0, 2.0)
 ELEVATIONS_DEG = ((-5, 10), (10, 25), (25, 45), (45, 60))
 
 COLUMNS = (
-    "| queries | right at 1 | right within 7 | 3D first (mm) | 3D best of 7 (mm) | ECE |\n"
-    "|---|---|---|---|---|---|"
-)
-
-
-POSTURE_COLUMNS = (
-    "| queries | right at 1 | right within 7 | 3D first (mm) | 3D best of 7 (mm) | ECE "
-    "| posture right |\n|---|---|---|---|---|---|---|"
+    "queries",
+    "right at 1",
+    "right within 7",
+    "3D first (mm)",
+    "3D best of 7 (mm)",
+    "ECE",
 )
 
 LOW_GROUP = "low: " + ", ".join(LOW)
+
+HARD_QUERIES = (
+    "## Ten hard queries\n\nEvenly chosen at revision 24b3b49 (later ones do not draw them) among "
+    "those whose first hypothesis was wrong: the query with its true skeleton, then its seven "
+    "hypotheses over the silhouettes of their entries, with confidence and joint error; framed in "
+    "green where right. Orange is the person's left, blue the right.\n\n"
+    "![hard queries](strict-hard.png)"
+)
 
 COMMAND = "python -m scripts.evaluate simulation"
 
@@ -75,124 +77,77 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the experiment as the command line asks."""
-    strict(options.shared, options.out, options.strict_index)
-
-
-def strict(shared: Path, out: Path, folder: Path | None) -> None:
-    """Run the experiment and write ``strict.md``, ``strict.json`` and pictures.
-
-    Parameters
-    ----------
-    shared : Path
-        Folder with ``mocap/`` and ``garments/``.
-    out : Path
-        Folder of the results.
-    folder : Path or None
-        See :func:`strict_index`.
-    """
-    motion, garments = shared / "mocap", shared / "garments"
+    """Run the experiment and write ``strict.md``, ``strict.json`` and the reliability diagram."""
+    motion, garments = options.shared / "mocap", options.shared / "garments"
     _, held = hold_out(read_manifest(motion))
-    index = replace(strict_index(shared, folder), reranker=shipped_reranker(held))
+    index = replace(
+        strict_index(options.shared, options.strict_index), reranker=shipped_reranker(held)
+    )
     avatars = make_avatars(HELD_OUT_AVATARS, garments)
     simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)
     queries = Queries.of(simulated)
-    upright = queries.take(np.arange(ASKED.upright))
     everybody = run_trial(index, queries, progress=True)
     clean = everybody.take(np.arange(ASKED.upright))
-    trials = {"contour noise 0 px": clean}
-    some = upright.take(np.arange(0, ASKED.upright, DISTURBED_EVERY))
-    for std in NOISE_STD_PX:
-        disturbed_trial = run_trial(index, disturbed(some, std), progress=True)
-        trials[f"contour noise {std:g} px"] = disturbed_trial
-    degraded = some.degraded(QUERY_SEED)
-    trials["degraded"] = run_trial(index, degraded, progress=True)
+    some = np.arange(0, ASKED.upright, DEGRADED_EVERY)
+    degraded = queries.take(some).degraded(QUERY_SEED)
+    trials = {"upright": clean, "degraded": run_trial(index, degraded, progress=True)}
     postures = true_postures(simulated)
-    lines = [
-        "# Strict: unseen bodies, clips and views\n",
-        f"`{COMMAND}`\n",
+    low = np.flatnonzero(posture_groups(postures)[LOW_GROUP])
+    by_step = steps(index, {
+        "upright": (queries.take(some), everybody.take(some)),
+        "degraded": (degraded, trials["degraded"]),
+        "low postures": (queries.take(low), everybody.take(low)),
+    })  # fmt: skip
+    limb_px = {name: limb_threshold_px(trial) for name, trial in trials.items()}
+    figures: dict[str, object] = {name: summary(trial) for name, trial in trials.items()}
+    write(options.out, "strict", COMMAND, [
+        "Strict: unseen bodies, clips and views",
         f"Index: {len(index):,} entries: {index.parameters['poses']:,} poses, each on "
         f"{index.parameters['bodies_per_pose']} of the {len(index.subjects)} avatars, "
         f"{index.parameters['views_per_body']} views of each; each stands for its mirror image "
-        "too. Queries: "
-        f"{ASKED.upright:,} frames spread evenly over the held-out clips of upright motion, on 4 "
-        "bodies and in clothes of their own, one random view each (elevation -5 to "
+        f"too. Queries: {ASKED.upright:,} frames spread evenly over the held-out clips of upright "
+        "motion, on 4 bodies and in clothes of their own, one random view each (elevation -5 to "
         "60 degrees, 3 to 20 m, 2 degrees of roll). Right: mean joint reprojection error "
         "under 5 px in the 128x48 frame. ECE: expected calibration error of all seven "
         "confidences, ten bins. Degraded: as silhouettes cut out of photographs are, with gaps "
-        "filled, background attached, hands, feet or heads missing (index/build/noise.py).\n",
-        COLUMNS,
-        *(row(name, trial) for name, trial in trials.items()),
-        *ranking_section(index, queries, everybody, postures, degraded, trials["degraded"]),
-        "\n## By posture\n",
+        "filled, background attached, hands, feet or heads missing (index/build/noise.py).",
+        table(COLUMNS, [row(name, trial) for name, trial in trials.items()]),
+        "## What ranks the hypotheses",
+        "The descriptor alone: the nearest entries as they are. Modes: distinct and interpolated, "
+        "in the order of their distance. The network: in the order of distance and of the "
+        "likelihood that it gives their joints (docs/index.md); alone: the likeliest place of each "
+        "joint by itself.",
+        table(["queries", "ranked by", *COLUMNS[1:]], by_step),
+        "## By posture",
         f"The same and {ASKED.near_ground:,} frames of held-out clips near the ground and "
         f"{ASKED.laid_down:,} of all held-out clips laid on the ground (elevation 5 to 70 degrees "
         "for those who lie or crawl). Held out are "
         f"{', '.join(sorted({s.clip for s in held}))}. Postures are told by the rules of "
         "docs/index.md from the true skeleton and, for the last column, from the silhouette: the "
-        "vote of seven hypotheses, weighted by confidence.\n",
-        POSTURE_COLUMNS,
+        "vote of seven hypotheses, weighted by confidence.",
         *by_posture(postures, everybody),
-        "\n### Which posture is taken for which\n",
-        *confusion(postures, everybody),
-        "\n## By action\n",
-        COLUMNS,
-        *by_action(simulated, everybody),
-        "\n## By elevation of the camera\n",
-        COLUMNS,
-        *by_elevation(simulated.take(np.arange(ASKED.upright)), clean),
-        "\n## What limits it\n",
-        *limits(clean),
-        "\n## Limb joints alone\n",
+        "### Which posture is taken for which\n\nTrue postures in rows.",
+        confusion(POSTURES, postures, voted_postures(everybody)),
+        "## By action",
+        table(COLUMNS, by_action(simulated, everybody)),
+        "## By elevation of the camera",
+        table(COLUMNS, by_elevation(simulated.take(np.arange(ASKED.upright)), clean)),
+        "## What limits it",
+        limits(clean),
+        "## Limb joints alone",
         "Real people are measured at the 12 joints of their limbs, which err more than all 19 do: "
-        f"as many of the hypotheses above come within {limb_threshold_px(clean):.1f} px there as "
-        f"within {RIGHT_BELOW_PX:g} px over all joints; of the degraded, within "
-        f"{limb_threshold_px(trials['degraded']):.1f} px.",
-    ]
-    results: dict[str, object] = {name: summary(t) for name, t in trials.items()}
-    results["postures"] = posture_figures(postures, everybody)
-    results["limb_threshold_px"] = {name: limb_threshold_px(t) for name, t in trials.items()}
-    out.mkdir(parents=True, exist_ok=True)
-    plot_reliability(clean, out / "strict-reliability.png")
-    draw_hard_queries(index, upright, clean, out / "strict-hard.png")
-    lines += [
-        "\n## Calibration\n\n![reliability diagram](strict-reliability.png)",
-        "\n## Ten hard queries\n\nEvenly chosen among those whose first hypothesis is wrong: the "
-        "query with its true skeleton, then its seven hypotheses over the silhouettes of their "
-        "entries, with confidence and joint error; framed in green where right. Orange is the "
-        "person's left, blue the right.\n\n![hard queries](strict-hard.png)\n",
-    ]
-    (out / "strict.md").write_text("\n".join(lines) + "\n")
-    (out / "strict.json").write_text(json.dumps({"command": COMMAND, **results}, indent=1) + "\n")
-
-
-def ranking_section(
-    index: PoseIndex,
-    queries: Queries,
-    everybody: Trial,
-    postures: NDArray[np.int64],
-    degraded: Queries,
-    degraded_trial: Trial,
-) -> list[str]:
-    """What each step of the matching adds; empty without a network."""
-    if index.reranker is None:
-        return []
-    upright = np.arange(0, ASKED.upright, DISTURBED_EVERY)
-    low = np.flatnonzero(posture_groups(postures)[LOW_GROUP])
-    groups = {
-        "upright": (queries.take(upright), everybody.take(upright)),
-        "degraded": (degraded, degraded_trial),
-        "low postures": (queries.take(low), everybody.take(low)),
-    }
-    return [
-        "\n## What ranks the hypotheses\n",
-        "The descriptor alone: the nearest entries as they are. Modes: distinct and interpolated, "
-        "in the order of their distance. The network: in the order of distance and of the "
-        "likelihood that it gives their joints (docs/index.md); alone: the likeliest place of each "
-        "joint by itself.\n",
-        STEP_COLUMNS,
-        *by_step(index, groups),
-    ]
+        f"as many of the hypotheses above come within {limb_px['upright']:.1f} px there "
+        f"as within {RIGHT_BELOW_PX:g} px over all joints; of the degraded, within "
+        f"{limb_px['degraded']:.1f} px.",
+        "## Calibration\n\n![reliability diagram](strict-reliability.png)",
+        HARD_QUERIES,
+    ], {
+        **figures,
+        "postures": posture_figures(postures, everybody),
+        "limb_threshold_px": limb_px,
+    })  # fmt: skip
+    bins = reliability(clean.confidence.ravel(), clean.right.ravel(), 10)
+    plot_reliability({"upright": bins}, options.out / "strict-reliability.png")
 
 
 def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
@@ -262,34 +217,17 @@ def by_posture(postures: NDArray[np.int64], trial: Trial) -> list[str]:
     right_of_lying = 100 * ((told == lying) == (postures == lying)).mean()
     nearest = np.take_along_axis(trial.postures, trial.error_m.argmin(axis=1)[:, None], axis=1)
     offered = (trial.postures == postures[:, None]).any(axis=1)
-    return [
-        f"{row(name, trial, rows)} {100 * (told == postures)[rows].mean():.1f} % |"
+    rows = [
+        [*row(name, trial, rows), f"{100 * (told == postures)[rows].mean():.1f} %"]
         for name, rows in posture_groups(postures).items()
-    ] + [
-        f"\nPosture right for {100 * (told == postures).mean():.1f} % of all, lying against all "
+    ]
+    return [
+        table([*COLUMNS, "posture right"], rows),
+        f"Posture right for {100 * (told == postures).mean():.1f} % of all, lying against all "
         f"else for {right_of_lying:.1f} %. At the best: of the seven hypotheses the nearest in 3D "
         f"is in the right posture for {100 * (nearest[:, 0] == postures).mean():.1f} %, any for "
-        f"{100 * offered.mean():.1f} %."
+        f"{100 * offered.mean():.1f} %.",
     ]
-
-
-def confusion(postures: NDArray[np.int64], trial: Trial) -> list[str]:
-    """True postures in rows, those told in columns."""
-    counts = np.zeros((len(POSTURES), len(POSTURES)), int)
-    np.add.at(counts, (postures, voted_postures(trial)), 1)
-    return [
-        f"| true | {' | '.join(POSTURES)} |",
-        "|---" * (len(POSTURES) + 1) + "|",
-        *(
-            f"| {name} | {' | '.join(map(str, line))} |"
-            for name, line in zip(POSTURES, counts.tolist(), strict=True)
-        ),
-    ]
-
-
-def disturbed(queries: Queries, std_px: float) -> Queries:
-    """Queries with noise on their contours, as the paper's."""
-    return replace(queries, silhouettes=disturb_all(queries.silhouettes, std_px, QUERY_SEED))
 
 
 def summary(trial: Trial, rows: NDArray[np.bool_] | None = None) -> dict[str, float]:
@@ -312,22 +250,22 @@ def limb_threshold_px(trial: Trial) -> float:
     return float(np.quantile(limbs[offered], trial.right[offered].mean()))
 
 
-def row(name: str, trial: Trial, rows: NDArray[np.bool_] | None = None) -> str:
+def row(name: str, trial: Trial, rows: NDArray[np.bool_] | None = None) -> list[str]:
     """One line of a table."""
     s = summary(trial, rows)
-    return (
-        f"| {name} ({int(s['queries'])}) | {s['right_1']:.1f} % | {s['right_7']:.1f} % "
-        f"| {s['first_mm']:.0f} | {s['best_mm']:.0f} | {s['ece']:.3f} |"
-    )
+    return [
+        f"{name} ({s['queries']})", f"{s['right_1']:.1f} %", f"{s['right_7']:.1f} %",
+        f"{s['first_mm']:.0f}", f"{s['best_mm']:.0f}", f"{s['ece']:.3f}",
+    ]  # fmt: skip
 
 
-def by_action(queries: Simulation, trial: Trial) -> list[str]:
+def by_action(queries: Simulation, trial: Trial) -> list[list[str]]:
     """A line for each action."""
     action = queries.skeleton_labels["action"][queries.entries["skeleton"]]
     return [row(queries.actions[a], trial, action == a) for a in np.unique(action)]
 
 
-def by_elevation(queries: Simulation, trial: Trial) -> list[str]:
+def by_elevation(queries: Simulation, trial: Trial) -> list[list[str]]:
     """A line for each band of elevations."""
     elevation = queries.entries["elevation_deg"]
     return [
@@ -336,7 +274,7 @@ def by_elevation(queries: Simulation, trial: Trial) -> list[str]:
     ]
 
 
-def limits(trial: Trial) -> list[str]:
+def limits(trial: Trial) -> str:
     """How the first hypothesis goes wrong, by what the others say."""
     first, best = trial.error_px[:, 0], trial.error_px.min(axis=1)
     wrong = first >= RIGHT_BELOW_PX
@@ -347,7 +285,7 @@ def limits(trial: Trial) -> list[str]:
     outlines = trial.features[..., FEATURES.index("reprojection_error_px")]
     wrong_px = outlines[twin, 0]
     right_px = outlines[twin, trial.error_px[twin].argmin(axis=1)]
-    return [
+    lines = [
         f"- {share * wrong.sum():.1f} % of the first hypotheses are wrong.",
         f"- {share * near.sum():.1f} % are near: 5 to 8 px off.",
         f"- {share * (either < RIGHT_BELOW_PX).sum():.1f} % would be right at rank 1 if left and "
@@ -360,3 +298,4 @@ def limits(trial: Trial) -> list[str]:
         f"- {share * (wrong & ~near & ~twin).sum():.1f} % are farther off and none of the seven is "
         "right: the pose or the view is not covered.",
     ]
+    return "\n".join(lines)

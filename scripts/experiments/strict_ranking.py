@@ -27,11 +27,6 @@ from index.rotations import (
 from index.skeleton import JOINTS
 from index.store import DEFAULT_PATH, PoseIndex
 
-COLUMNS = (
-    "| queries | ranked by | right at 1 | right within 7 | 3D first (mm) | 3D best of 7 (mm) | ECE "
-    "|\n|---|---|---|---|---|---|---|"
-)
-
 
 def shipped_reranker(held: Sequence[Segment]) -> Reranker | None:
     """The network beside the default index, which must not know the clips that are asked for.
@@ -52,28 +47,28 @@ def shipped_reranker(held: Sequence[Segment]) -> Reranker | None:
     return reranker
 
 
-def by_step(index: PoseIndex, groups: Mapping[str, tuple[Queries, Trial]]) -> list[str]:
-    """Lines of what each step adds.
+def steps(index: PoseIndex, groups: Mapping[str, tuple[Queries, Trial]]) -> list[list[str]]:
+    """Rows of what each step adds; none without a network.
 
     Parameters
     ----------
     index : PoseIndex
-        With a network.
     groups : mapping
         Queries by name, with what the index answered them.
     """
-    assert index.reranker is not None
+    if index.reranker is None:
+        return []
     plain = replace(index, reranker=None)
     order = replace(index, reranker=replace(index.reranker, support_weight=0.0))
     lines = []
     for name, (queries, answered) in groups.items():
-        lines.append(_line(name, "the descriptor alone", *_nearest(index, queries)))
-        lines.append(_trial_line(name, "modes", run_trial(plain, queries)))
+        lines.append(_row(name, "the descriptor alone", *_nearest(index, queries)))
+        lines.append(_trial_row(name, "modes", run_trial(plain, queries)))
         if index.reranker.support_weight:
-            lines.append(_trial_line(name, "the network, order", run_trial(order, queries)))
-        lines.append(_trial_line(name, "the network", answered))
+            lines.append(_trial_row(name, "the network, order", run_trial(order, queries)))
+        lines.append(_trial_row(name, "the network", answered))
         own = 100 * float(_right_by_itself(index.reranker, queries).mean())
-        lines.append(f"| {name} | the network alone, no search | {own:.1f} % | | | | |")
+        lines.append([name, "the network alone, no search", f"{own:.1f} %", *4 * [""]])
     return lines
 
 
@@ -103,21 +98,21 @@ def _right_by_itself(reranker: Reranker, queries: Queries) -> NDArray[np.bool_]:
     return np.asarray(errors < RIGHT_BELOW_PX)
 
 
-def _trial_line(name: str, step: str, trial: Trial) -> str:
+def _trial_row(name: str, step: str, trial: Trial) -> list[str]:
     ece = expected_calibration_error(trial.confidence, trial.right)
-    return _line(name, step, trial.error_px, trial.error_m, f"{ece:.3f}")
+    return _row(name, step, trial.error_px, trial.error_m, f"{ece:.3f}")
 
 
-def _line(
+def _row(
     name: str,
     step: str,
     error_px: NDArray[np.float64],
     error_m: NDArray[np.float64],
     ece: str = "",
-) -> str:
+) -> list[str]:
     right = error_px < RIGHT_BELOW_PX
-    return (
-        f"| {name} ({len(right)}) | {step} | {100 * right[:, 0].mean():.1f} % "
-        f"| {100 * right.any(axis=1).mean():.1f} % | {1000 * error_m[:, 0].mean():.0f} "
-        f"| {1000 * error_m.min(axis=1).mean():.0f} | {ece} |"
-    )
+    return [
+        f"{name} ({len(right)})", step,
+        f"{100 * right[:, 0].mean():.1f} %", f"{100 * right.any(axis=1).mean():.1f} %",
+        f"{1000 * error_m[:, 0].mean():.0f}", f"{1000 * error_m.min(axis=1).mean():.0f}", ece,
+    ]  # fmt: skip

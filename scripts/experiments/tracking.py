@@ -22,7 +22,6 @@ from tqdm import tqdm
 from app.estimation.estimates import ObservedPerson, Person
 from app.estimation.facing import azimuth_deg
 from app.estimation.hypotheses import fit_poses, normalise_person
-from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from app.work.cores import available_cores
@@ -38,7 +37,6 @@ from index.store import PoseIndex
 from scripts.experiments.report import table, write
 from scripts.experiments.sequences import FPS, Filmed, film
 from scripts.experiments.strict import hold_out, strict_index
-from scripts.experiments.tracking_pictures import draw_sequences
 
 COMMAND = "python -m scripts.evaluate tracking"
 VIEWS, SEED = 4, 7
@@ -61,61 +59,52 @@ VARIANTS: dict[str, dict[str, float]] = {
 }
 """What is left out of smoothing, to see what it is worth."""
 
-CARRIED = {
-    "poses searched for on every second frame": 2,
-    "poses searched for on every third frame": 3,
+COLUMNS = {
+    "frames": ("frames", ",.0f"),
+    "px": ("2D (px)", ".1f"),
+    "right": ("right (%)", ".1f"),
+    "mm": ("3D (mm)", ".0f"),
+    "front_back": ("front/back flipped (%)", ".1f"),
+    "left_right": ("left/right flipped (%)", ".1f"),
+    "change_mm": ("change a frame (mm)", ".0f"),
+    "jitter_mm": ("beyond the true motion (mm)", ".0f"),
+    "ece": ("ECE", ".3f"),
 }
-"""What it costs to keep the pose of a frame before, as sessions do for people who are hidden."""
+"""Title and form of each figure."""
 
-HEADER = (
-    "frames", "2D (px)", "right (%)", "3D (mm)", "front/back flipped (%)",
-    "left/right flipped (%)", "change a frame (mm)", "beyond the true motion (mm)", "ECE",
-)  # fmt: skip
+HEADER = tuple(title for title, _ in COLUMNS.values())
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A filmed sequence and what was estimated: every frame alone, or smooth.
-
-    Parameters
-    ----------
-    filmed : Filmed
-    points_3d : (F, 24, 3) float64 array
-    points_2d : (F, 24, 2) float64 array
-    confidences : (F,) float64 array
-    """
+    """A filmed sequence and what was estimated: every frame alone, or smooth."""
 
     filmed: Filmed
     points_3d: NDArray[np.float64]
     points_2d: NDArray[np.float64]
     confidences: NDArray[np.float64]
 
-    def errors_m(self) -> NDArray[np.float64]:
-        """Mean joint errors ``(F,)`` in metres."""
-        return mean_joint_distance(self.points_3d, self.filmed.points_3d)
-
-    def errors_px(self) -> NDArray[np.float64]:
-        """Mean joint errors ``(F,)`` in pixels of the normalised frame."""
-        scales = np.array([_to_normalised(s) for s in self.filmed.silhouettes])
-        return scales * mean_joint_distance(self.points_2d, self.filmed.points_2d)
-
-    def front_back(self) -> NDArray[np.bool_]:
-        """Frames ``(F,)`` in which the body faces the other half of the horizon."""
-        turned = azimuth_deg(self.points_3d) - azimuth_deg(self.filmed.points_3d)
-        return np.asarray(np.abs(wrap_degrees(turned)) > 90)
-
-    def left_right(self) -> NDArray[np.bool_]:
-        """Frames ``(F,)`` that face the right way with the limbs of left and right exchanged."""
-        exchanged = mean_joint_distance(exchange_sides(self.points_3d), self.filmed.points_3d)
-        return ~self.front_back() & (exchanged < EXCHANGED * self.errors_m())
-
-    def changes_m(self) -> NDArray[np.float64]:
-        """Mean ways ``(F - 1,)`` of the joints from frame to frame."""
-        return mean_joint_distance(self.points_3d[1:], self.points_3d[:-1])
-
-    def true_changes_m(self) -> NDArray[np.float64]:
-        """As they truly are."""
-        return mean_joint_distance(self.filmed.points_3d[1:], self.filmed.points_3d[:-1])
+    def measures(self) -> dict[str, NDArray[np.floating]]:
+        """What :data:`COLUMNS` shows the means of, frame by frame."""
+        truth = self.filmed
+        scales = np.array([_to_normalised(silhouette) for silhouette in truth.silhouettes])
+        error_px = scales * mean_joint_distance(self.points_2d, truth.points_2d)
+        error_m = mean_joint_distance(self.points_3d, truth.points_3d)
+        exchanged_m = mean_joint_distance(exchange_sides(self.points_3d), truth.points_3d)
+        turned = np.abs(wrap_degrees(azimuth_deg(self.points_3d) - azimuth_deg(truth.points_3d)))
+        change_m, true_change_m = (
+            mean_joint_distance(points[1:], points[:-1])
+            for points in (self.points_3d, truth.points_3d)
+        )
+        return {
+            "px": error_px,
+            "right": 100.0 * (error_px < RIGHT_BELOW_PX),
+            "mm": 1000 * error_m,
+            "front_back": 100.0 * (turned > 90),
+            "left_right": 100.0 * ((turned <= 90) & (exchanged_m < EXCHANGED * error_m)),
+            "change_mm": 1000 * change_m,
+            "jitter_mm": 1000 * (change_m - true_change_m),
+        }
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
@@ -182,10 +171,7 @@ def smoothed(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> li
 
 def followed(filmed: Filmed, updates: Sequence[Smoothed]) -> Followed:
     """Smooth poses beside the truth."""
-    return _beside_truth(filmed, [update.pose for update in updates])
-
-
-def _beside_truth(filmed: Filmed, poses: Sequence[SmoothedPose]) -> Followed:
+    poses = [update.pose for update in updates]
     return Followed(
         filmed,
         np.array([pose.points_3d for pose in poses]),
@@ -194,67 +180,38 @@ def _beside_truth(filmed: Filmed, poses: Sequence[SmoothedPose]) -> Followed:
     )
 
 
-def carried(filmed: Filmed, persons: Sequence[Person], every: int) -> Followed:
-    """The smooth poses of one frame in ``every``, kept on the frames between."""
-    smoother = PoseSmoother()
-    poses: list[SmoothedPose] = []
-    for frame, (person, timestamp) in enumerate(
-        zip(persons, filmed.timestamps.tolist(), strict=True)
-    ):
-        if frame % every == 0:
-            update = smoother.update(person, timestamp)
-            pose = update.pose if update else None
-        else:
-            pose = smoother.carried(person.observed, timestamp)
-        if pose is None:
-            raise ValueError("expected a pose on every frame")
-        poses.append(pose)
-    return _beside_truth(filmed, poses)
-
-
 def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out: Path) -> None:
     """Compare single frames with tracks, and write ``tracking.md``, ``.json`` and ``.png``."""
-    single = [alone(*pair) for pair in zip(sequences, persons, strict=True)]
-    tracks = [
-        followed(filmed, smoothed(filmed, people))
-        for filmed, people in zip(sequences, persons, strict=True)
-    ]
-    groups = {"all": [True] * len(sequences)}
-    groups["walk or run over the ground"] = [
-        filmed.action in ("walk", "run") and _mean_speed(filmed) > OVER_GROUND_M_S
-        for filmed in sequences
-    ]
-    groups["walk or run on the spot"] = [
-        filmed.action in ("walk", "run") and _mean_speed(filmed) <= OVER_GROUND_M_S
-        for filmed in sequences
-    ]
-    for action in sorted({filmed.action for filmed in sequences}):
-        groups[action] = [filmed.action == action for filmed in sequences]
+    pairs = list(zip(sequences, persons, strict=True))
+    single = [alone(*pair) for pair in pairs]
+    tracks = [followed(filmed, smoothed(filmed, people)) for filmed, people in pairs]
+    going = np.array([_mean_speed(filmed) > OVER_GROUND_M_S for filmed in sequences])
+    actions = np.array([filmed.action for filmed in sequences])
+    walks = np.isin(actions, ("walk", "run"))
+    groups = {
+        "all": np.ones(len(sequences), bool),
+        "walk or run over the ground": walks & going,
+        "walk or run on the spot": walks & ~going,
+        **{action: actions == action for action in sorted(set(actions.tolist()))},
+    }
     figures: dict[str, dict[str, dict[str, float]]] = {}
     rows = []
     for name, chosen in groups.items():
-        if not any(chosen):
+        if not chosen.any():
             continue
         figures[name] = {
-            kind: summary([track for track, wanted in zip(those, chosen, strict=True) if wanted])
+            kind: summary([those[number] for number in np.flatnonzero(chosen)])
             for kind, those in (("alone", single), ("smooth", tracks))
         }
         rows += [
             [name if kind == "alone" else "", kind, *_cells(values)]
             for kind, values in figures[name].items()
         ]
-    pairs = list(zip(sequences, persons, strict=True))
     variants = {
         name: summary([followed(filmed, smoothed(filmed, people, **left_out))
                        for filmed, people in pairs])
         for name, left_out in VARIANTS.items()
     }  # fmt: skip
-    variants |= {
-        name: summary([carried(filmed, people, every) for filmed, people in pairs])
-        for name, every in CARRIED.items()
-    }
-    alone_2d, smooth_2d = ([track.points_2d for track in those] for those in (single, tracks))
-    draw_sequences(sequences, alone_2d, smooth_2d, out / "tracking.png")
     write(out, "tracking", COMMAND, [
         "Tracks against single frames",
         f"{len(sequences)} sequences of held-out clips, each stretch of motion of one action "
@@ -268,34 +225,26 @@ def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out
         "*Beyond the true motion*: how much more the joints move between frames than they truly "
         "do. ECE: expected calibration error of the confidence.",
         table(["sequences", "", *HEADER], rows),
-        "## What each part is worth\n\nAll sequences, smooth. The last lines keep the pose of "
-        "the frame before, as sessions do for people who are hidden.",
+        "## What each part is worth\n\nAll sequences, smooth.",
         table(["", *HEADER], [[name, *_cells(values)] for name, values in variants.items()]),
         "## What limits it\n\nWhere nobody goes anywhere, nothing but the silhouette tells front "
         "from back: a track settles on the side that most frames prefer, which is the wrong one "
         "for some (running on the spot, arms in circles). Poses that the index lacks (breakdance, "
         "lying on the side) stay wrong however smooth they are.",
         "![Sequences, alone and smooth](tracking.png)",
+        "Drawn at revision 508dd52; later ones do not draw it.",
     ], {**figures, "variants": variants})  # fmt: skip
 
 
 def summary(tracks: Sequence[Followed]) -> dict[str, float]:
     """Figures of some sequences."""
-    errors_px = np.concatenate([track.errors_px() for track in tracks])
+    measures = [track.measures() for track in tracks]
+    frames = {name: np.concatenate([one[name] for one in measures]) for name in measures[0]}
     confidences = np.concatenate([track.confidences for track in tracks])
-    changes = np.concatenate([track.changes_m() for track in tracks])
-    true_changes = np.concatenate([track.true_changes_m() for track in tracks])
-    right = errors_px < RIGHT_BELOW_PX
     return {
-        "frames": len(errors_px),
-        "px": float(errors_px.mean()),
-        "right": 100 * float(right.mean()),
-        "mm": 1000 * float(np.concatenate([t.errors_m() for t in tracks]).mean()),
-        "front_back": 100 * float(np.concatenate([t.front_back() for t in tracks]).mean()),
-        "left_right": 100 * float(np.concatenate([t.left_right() for t in tracks]).mean()),
-        "change_mm": 1000 * float(changes.mean()),
-        "jitter_mm": 1000 * float((changes - true_changes).mean()),
-        "ece": expected_calibration_error(confidences[:, None], right[:, None]),
+        "frames": len(confidences),
+        **{name: float(values.mean()) for name, values in frames.items()},
+        "ece": expected_calibration_error(confidences, frames["right"] > 0),
     }
 
 
@@ -313,17 +262,13 @@ def fit(shared: Path) -> None:
     for filmed in tqdm(sequences, desc="matching", unit="sequence"):
         poses = smoothed(filmed, ask(index, filmed))
         features += [smooth.confidence_features for smooth in poses]
-        right.append(followed(filmed, poses).errors_px() < RIGHT_BELOW_PX)
+        right.append(followed(filmed, poses).measures()["right"] > 0)
     fitted = LogisticRegression(C=1e3).fit(np.array(features), np.concatenate(right))
     print(f"offset {fitted.intercept_[0]:.2f}, weights {np.round(fitted.coef_[0], 2).tolist()}")
 
 
 def _cells(values: dict[str, float]) -> list[str]:
-    return [
-        f"{values['frames']:,.0f}", f"{values['px']:.1f}", f"{values['right']:.1f}",
-        f"{values['mm']:.0f}", f"{values['front_back']:.1f}", f"{values['left_right']:.1f}",
-        f"{values['change_mm']:.0f}", f"{values['jitter_mm']:.0f}", f"{values['ece']:.3f}",
-    ]  # fmt: skip
+    return [format(values[name], form) for name, (_, form) in COLUMNS.items()]
 
 
 def _mean_speed(filmed: Filmed) -> float:

@@ -43,14 +43,7 @@ Mask = NDArray[np.generic]
 
 @dataclass(frozen=True)
 class Film:
-    """Masks of one person who does one action.
-
-    Parameters
-    ----------
-    person, action : str
-    masks : tuple of (H, W) array
-        0 and 1, in order; frames without a person are left out.
-    """
+    """Masks ``(H, W)`` of one person who does one action, in order; none without a person."""
 
     person: str
     action: str
@@ -64,14 +57,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Recording:
-    """Silhouettes of one person who does one action.
-
-    Parameters
-    ----------
-    person, action : str
-    silhouettes : (F, 128, 48) uint8 array
-        Normalised; 1 on the person.
-    """
+    """Normalised silhouettes ``(F, 128, 48)`` of one person who does one action."""
 
     person: str
     action: str
@@ -79,13 +65,7 @@ class Recording:
 
 
 def read_films(file: Path) -> list[Film]:
-    """Read ``classification_masks.mat``.
-
-    Raises
-    ------
-    ValueError
-        If the file is not of the published layout; the message says what is missing.
-    """
+    """Read ``classification_masks.mat``; a ValueError says what is not of the published layout."""
     from scipy.io import loadmat
 
     expected = f"expected classification_masks.mat of the Weizmann data set, but {file}"
@@ -147,15 +127,9 @@ class Pixels:
 class Recognition:
     """What a vote over frames recognises of people who were left out.
 
-    Parameters
-    ----------
-    actions : tuple of str
-    truth, answer : (S,) int64 arrays
-        Positions in ``actions``, of each recording.
-    frames_right : float
-        Share of all frames, or of all stretches of frames.
-    lead : (S,) float64 array
-        By which share of a recording's votes the answer leads the next action.
+    ``truth`` and ``answer`` are positions in ``actions``, of each recording; ``frames_right`` is
+    the share of all frames, or of all stretches of frames; ``lead`` by which share of a recording's
+    votes the answer leads the next action.
     """
 
     actions: tuple[str, ...]
@@ -177,10 +151,7 @@ class Recognition:
 
 
 def stretches(vectors: NDArray[np.float32], frames: int) -> NDArray[np.float32]:
-    """Vectors ``(F, D)`` of each ``frames`` consecutive frames, ``(F - frames + 1, frames * D)``.
-
-    Of fewer frames than that, the last is repeated.
-    """
+    """Vectors ``(F - frames + 1, frames * D)`` of stretches; the last of few is repeated."""
     padded = np.pad(vectors, ((0, max(0, frames - len(vectors))), (0, 0)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, frames, axis=0)
     return np.ascontiguousarray(windows.swapaxes(1, 2)).reshape(len(windows), -1)
@@ -191,14 +162,8 @@ def leave_one_person_out(
 ) -> Recognition:
     """Recognise the recordings of each person by those of all others.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    descriptor : Descriptor
-    mirrored : bool
-        Whether known frames stand for their mirror images too.
-    frames : int
-        Consecutive frames that are compared at a time.
+    ``mirrored``: known frames stand for their mirror images too. ``frames`` consecutive ones are
+    compared at a time.
     """
     actions = tuple(sorted({recording.action for recording in recordings}))
     described = [descriptor.describe(recording.silhouettes) for recording in recordings]

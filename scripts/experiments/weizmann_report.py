@@ -6,6 +6,7 @@ import argparse
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -17,13 +18,12 @@ from app.estimation.upload import Upload
 from app.settings import Settings
 from app.tracking.session import CameraSession
 from descriptor.descriptor import DiagonalDescriptor
-from scripts.experiments.report import percent, table, write
+from scripts.experiments.report import confusion, percent, table, write
 from scripts.experiments.weizmann import (
     IN_ORDER,
     PUBLISHED,
     Film,
     Pixels,
-    Recognition,
     leave_one_person_out,
     read_films,
 )
@@ -58,15 +58,12 @@ def run(options: argparse.Namespace) -> None:
     estimator = Estimator.load(Settings(index=ROOT / "index" / "data"))
     recordings = [film.normalised() for film in films]
     own = estimator.index.descriptor
+    recognise = partial(leave_one_person_out, recordings)
     votes = {
-        "paper's descriptor": leave_one_person_out(
-            recordings, DiagonalDescriptor(), mirrored=False
-        ),
-        "ours": leave_one_person_out(recordings, own, mirrored=True),
-        "pixels": leave_one_person_out(recordings, Pixels(), mirrored=True),
-        f"ours, {IN_ORDER} frames in order": leave_one_person_out(
-            recordings, own, mirrored=True, frames=IN_ORDER
-        ),
+        "paper's descriptor": recognise(DiagonalDescriptor(), mirrored=False),
+        "ours": recognise(own, mirrored=True),
+        "pixels": recognise(Pixels(), mirrored=True),
+        f"ours, {IN_ORDER} frames in order": recognise(own, mirrored=True, frames=IN_ORDER),
     }
     sessions = [watch(film, estimator) for film in films]
     write(options.out, "weizmann", COMMAND, [
@@ -84,10 +81,12 @@ def run(options: argparse.Namespace) -> None:
         table(
             ["", "sequences right (%)", "frames right (%)", "votes led by under 10 %"],
             [["published (Atrevi et al., 2016)", percent(PUBLISHED), "-", "-"],
-             *([name, percent(100 * r.right), percent(100 * r.frames_right), str(close(r))]
+             *([name, percent(100 * r.right), percent(100 * r.frames_right), 
+               str(int((r.lead < CLOSE).sum()))]
                for name, r in votes.items())],
         ),
-        *(f"## Confusions, {name}\n\n{confusion(r)}" for name, r in votes.items()),
+        *(f"## Confusions, {name}\n\n{confusion(r.actions, r.truth, r.answer)}"
+          for name, r in votes.items()),
         "## As camera sessions",
         "The same masks, one after the other at 25 a second in frames of 180x144, to a camera "
         "session without photographs, as the service runs it. Its model tells twelve actions, "
@@ -110,36 +109,12 @@ def run(options: argparse.Namespace) -> None:
     })  # fmt: skip
 
 
-def close(recognition: Recognition) -> int:
-    """Count the sequences whose vote a few frames decide."""
-    return int((recognition.lead < CLOSE).sum())
-
-
-def confusion(recognition: Recognition) -> str:
-    """Counts: truth in rows, answers in columns."""
-    return table(
-        ["", *recognition.actions],
-        [
-            [action, *(str(count) if count else "" for count in counts)]
-            for action, counts in zip(
-                recognition.actions, recognition.confusion().tolist(), strict=True
-            )
-        ],
-    )
-
-
 @dataclass(frozen=True)
 class Session:
-    """What a camera session told of a film.
+    """What a camera session told of a film, None if nothing.
 
-    Parameters
-    ----------
-    told : str or None
-        The action of the highest sum of probabilities; None if none was told.
-    frames : tuple of str
-        The action told at each frame from the first one on.
-    vote : str or None
-        The action of most frames' first hypotheses.
+    ``told`` is the action of the highest sum of probabilities, ``frames`` the action told at each
+    frame from the first one on, ``vote`` that of most frames' first hypotheses.
     """
 
     told: str | None

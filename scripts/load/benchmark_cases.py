@@ -25,17 +25,10 @@ SMALL = (640, 480)
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of request.
+    """One kind of request, sent in turn.
 
-    Parameters
-    ----------
-    what : str
-    calls : tuple of Call
-        Sent in turn.
-    wanted_ms : float
-        Target of the median on two quiet cores.
-    wanted_ratio : float, optional
-        The same as a multiple of the yardstick's median; None if only the time was set.
+    ``wanted_ms`` is the target of the median on two quiet cores, ``wanted_ratio`` the same as a
+    multiple of the yardstick's; None if only the time was set.
     """
 
     what: str
@@ -46,17 +39,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Street:
-    """Pictures of the street video.
-
-    Parameters
-    ----------
-    busy : tuple of (H, W, 3) uint8 arrays
-        BGR; frames with four walkers.
-    empty : (480, 640, 3) uint8 array
-        The same street with nobody in it.
-    box : Box
-        About the tallest walker of the first busy frame.
-    """
+    """BGR frames with four walkers, the empty street, and a box about the tallest of the first."""
 
     busy: tuple[NDArray[np.uint8], ...]
     empty: NDArray[np.uint8]
@@ -74,13 +57,7 @@ class Street:
 
     @classmethod
     def read(cls, folder: Path) -> Street:
-        """Read the video.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the folder holds none.
-        """
+        """Read the video; a FileNotFoundError where there is none."""
         marks = read_marks()
         frames = dict(read_vtest(folder, len(marks)))
         chosen = with_four(marks)
@@ -126,16 +103,12 @@ def street_cases(street: Street, mask: bytes) -> list[Case]:
     empty = Call("POST", "/pose", {"frame": encode(".jpg", street.empty)})
     boxed = Call("POST", "/pose", {"frame": street.frame, "boxes": street.boxes})
     masked = {"frame": street.frame, "mask": mask}
+    silhouette = Call("POST", "/pose?evidence=silhouette", masked)
     return [
         Case(f"{size}, four walkers", busy, 200, 1.65),
         Case(f"{SMALL[0]}x{SMALL[1]}, nobody", (empty,), 75, 0.6),
         Case(f"{size}, one caller's box", (boxed,), 50, 0.42),
-        Case(
-            f"{size}, one mask, `evidence=silhouette`",
-            (Call("POST", "/pose?evidence=silhouette", masked),),
-            8,
-            0.08,
-        ),
+        Case(f"{size}, one mask, `evidence=silhouette`", (silhouette,), 8, 0.08),
         Case(f"{size}, one mask", (Call("POST", "/pose", masked),), 30),
     ]
 

@@ -14,17 +14,7 @@ READY_WANTED_S, MEMORY_WANTED_MB = 2, 300
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table.
-
-    Parameters
-    ----------
-    what : str
-    milliseconds : list of float
-    people : str, optional
-        How many were found in each picture.
-    wanted_ms, wanted_ratio : float, optional
-        See :class:`scripts.load.benchmark_cases.Case`.
-    """
+    """A line of the table; for what is wanted see :class:`scripts.load.benchmark_cases.Case`."""
 
     what: str
     milliseconds: list[float]
@@ -55,18 +45,8 @@ class Row:
 class Measured:
     """What a run of the benchmark found.
 
-    Parameters
-    ----------
-    yardstick : Row
-    rows : list of Row
-    stolen : float
-        Share of the processors' time that the host of a virtual machine gave to others.
-    index : str
-        Described in a line.
-    ready_s : float
-        From the server's start.
-    memory_mb, most_memory_mb : float
-        Resident after the requests, and at the most.
+    ``stolen`` is the share of the processors' time that the host of a virtual machine gave to
+    others; memory is resident, after the requests and at the most.
     """
 
     yardstick: Row

@@ -111,9 +111,8 @@ class Fuzz:
         self._server = server
         self._frames, self._masks = seeds(index)
         self._shaped = shaped(np.random.default_rng(0))
-        self._uploads = uploads
+        self._numbers = iter(range(uploads))
         self._lock = threading.Lock()
-        self._sent = 0
         self.statuses: Counter[int] = Counter()
         self.broken: Counter[str] = Counter()
         self.latencies: list[float] = []
@@ -150,11 +149,9 @@ class Fuzz:
     def _client(self, number: int) -> None:
         rng = np.random.default_rng(1000 + number)
         client = Client(self._server.url, timeout_s=30)
-        while self._server.alive():
-            with self._lock:
-                if self._sent >= self._uploads:
-                    return
-                self._sent += 1
+        for _ in self._numbers:
+            if not self._server.alive():
+                return
             call = self._call(rng)
             started = time.perf_counter()
             try:
@@ -173,15 +170,13 @@ def report(fuzz: Fuzz, server: ServerProcess, seconds: float) -> tuple[str, list
     peak = server.memory_mb("VmHWM")
     slowest = max(fuzz.latencies)
     faults = {status: n for status, n in fuzz.statuses.items() if status >= 500}
-    failed = []
-    if faults:
-        failed.append(f"5xx: {faults}")
-    if fuzz.broken:
-        failed.append(f"broken connections: {dict(fuzz.broken)}")
-    if slowest > SLOWEST_MS:
-        failed.append(f"the slowest answer took {slowest:.0f} ms")
-    if peak > MOST_MB:
-        failed.append(f"memory reached {peak:.0f} MB")
+    criteria = {
+        f"5xx: {faults}": not faults,
+        f"broken connections: {dict(fuzz.broken)}": not fuzz.broken,
+        f"the slowest answer took {slowest:.0f} ms": slowest <= SLOWEST_MS,
+        f"memory reached {peak:.0f} MB": peak <= MOST_MB,
+    }
+    failed = [what for what, met in criteria.items() if not met]
     answers = ", ".join(f"{n} x {status}" for status, n in sorted(fuzz.statuses.items()))
     uploads = sum(fuzz.statuses.values())
     body = f"""`python -m scripts.load.fuzz --uploads {uploads}`, revision {revision()}.
@@ -196,7 +191,7 @@ Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %). {100 * SHAPE
 {percentile(fuzz.latencies, 99):.1f} / {slowest:.0f} ms |
 | resident memory at the most | {peak:.0f} MB |
 
-{"Failed: " + "; ".join(failed) if failed else "Passed."}"""
+The server ended with status {server.stop()}."""
     return body, failed
 
 
@@ -215,9 +210,7 @@ def main() -> int:
             print("fuzz: the server has died", file=sys.stderr)
             return 1
         body, failed = report(fuzz, server, seconds)
-        body += f"\nThe server ended with status {server.stop()}."
-    conclude("Fuzzed uploads", body, write=options.write)
-    return 1 if failed else 0
+    return conclude("Fuzzed uploads", body, failed, write=options.write)
 
 
 if __name__ == "__main__":

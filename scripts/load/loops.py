@@ -27,16 +27,7 @@ MAX_CONNECTIONS = 400
 
 @dataclass(frozen=True)
 class Answer:
-    """One answered request.
-
-    Parameters
-    ----------
-    status : int
-    ms : float
-        From sending it to the last byte of the answer.
-    retry_after : bool
-        Whether the answer says when to come back.
-    """
+    """Status of an answer, milliseconds to its last byte, and whether it says when to come back."""
 
     status: int
     ms: float
@@ -47,15 +38,9 @@ class Answer:
 class Tally:
     """Outcome of the requests of one run.
 
-    Parameters
-    ----------
-    answers : list of Answer
-    unsent, broken : int
-        Requests not sent for want of connections, and connections that failed.
-    seconds : float
-        From the first request to the last answer.
-    late_ms : list of float
-        Delay of each request after its time: large values mean that the client was the bottleneck.
+    ``unsent`` for want of connections, ``broken`` ones, ``seconds`` from the first request to the
+    last answer. ``late_ms`` is the delay of each request after its time: large values mean that the
+    client was the bottleneck.
     """
 
     answers: list[Answer] = field(default_factory=list)
@@ -70,13 +55,7 @@ class Tally:
 
 
 class _Loop:
-    """Sends calls in turn over idle or new connections.
-
-    Parameters
-    ----------
-    url : str
-    calls : list of Call
-    """
+    """Sends calls in turn over idle or new connections."""
 
     def __init__(self, url: str, calls: list[Call]) -> None:
         self._url = url

@@ -14,22 +14,9 @@ from index.store import PoseIndex
 def street(
     index: PoseIndex, *, width: int = 768, height: int = 576, person_px: int = 200, seed: int = 0
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Draw a blurred scene with one dark person in it.
+    """Draw a blurred scene ``(height, width, 3)`` with one dark person in it, and their mask.
 
-    Parameters
-    ----------
-    index : PoseIndex
-        Whose entry number ``seed`` lends the silhouette.
-    width, height, person_px : int
-        Pixels.
-    seed : int
-
-    Returns
-    -------
-    frame : (height, width, 3) uint8 array
-        BGR.
-    mask : (height, width) uint8 array
-        1 on the person.
+    Entry number ``seed`` of the index lends the silhouette.
     """
     rng = np.random.default_rng(seed)
     coarse = rng.integers(90, 200, (height // 16, width // 16, 3), np.uint8)

@@ -26,17 +26,7 @@ def free_ports(count: int) -> list[int]:
 
 
 class ServerProcess:
-    """``python -m app`` as a context manager.
-
-    Parameters
-    ----------
-    index : Path
-        Folder of the index artefact.
-    log : Path, optional
-        Where its log goes; by default nowhere.
-    **environment : str
-        Further variables.
-    """
+    """``python -m app`` as a context manager, with further environment variables."""
 
     def __init__(self, index: Path, log: Path | None = None, **environment: str) -> None:
         (port,) = free_ports(1)
@@ -85,24 +75,6 @@ class ServerProcess:
             if line.startswith(f"{what}:"):
                 return int(line.split()[1]) / 1024
         raise ValueError(f"/proc tells no {what}")
-
-    def shared_out_memory_mb(self) -> float:
-        """Memory of the process and its workers in megabytes, shared pages counted once."""
-        total, processes = 0, [self._process.pid]
-        while processes:
-            process = Path(f"/proc/{processes.pop()}")
-            for line in (process / "smaps_rollup").read_text().splitlines():
-                if line.startswith("Pss:"):
-                    total += int(line.split()[1])
-            for task in (process / "task").iterdir():
-                processes += [int(child) for child in (task / "children").read_text().split()]
-        return total / 1024
-
-    def cpu_s(self) -> float:
-        """Seconds of processor time used so far."""
-        # User and system time; the fields are counted behind the name in brackets.
-        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def stop(self) -> int:
         """Ask it to end and return its exit status."""

@@ -21,6 +21,7 @@ import numpy as np
 
 from index.artefact import load_index
 from index.store import PoseIndex
+from scripts.experiments.report import table
 from scripts.load.client import Call, Client
 from scripts.load.scenes import encode, street
 from scripts.load.server import ServerProcess
@@ -109,12 +110,12 @@ class Soak:
 
     def __init__(self, server: ServerProcess, mixture: list[Kind], requests: int) -> None:
         self._server = server
-        self._mixture = mixture
+        self.mixture = mixture
         self._requests = requests
         self._lock = threading.Lock()
         # Each is held while its client has a request in flight.
         self._in_flight = [threading.Lock() for _ in range(CLIENTS)]
-        self.sent = 0
+        self._positions = iter(range(1, requests + 1))
         self.statuses: Counter[tuple[str, int]] = Counter()
         self.broken: Counter[str] = Counter()
         self.main_latencies: list[tuple[int, float]] = []
@@ -135,17 +136,12 @@ class Soak:
 
     def _client(self, number: int) -> None:
         rng = np.random.default_rng(number)
-        weights = np.array([kind.weight for kind in self._mixture])
+        weights = np.array([kind.weight for kind in self.mixture])
         client = Client(self._server.url)
-        while True:
-            with self._lock:
-                if self.sent >= self._requests:
-                    return
-                self.sent += 1
-                position = self.sent
+        for position in self._positions:
             if position % max(1, self._requests // 40) == 0:
                 self._measure_memory(position)
-            kind = self._mixture[rng.choice(len(weights), p=weights / weights.sum())]
+            kind = self.mixture[rng.choice(len(weights), p=weights / weights.sum())]
             call = kind.calls[rng.integers(len(kind.calls))]
             started = time.perf_counter()
             try:
@@ -161,11 +157,13 @@ class Soak:
             elapsed = (time.perf_counter() - started) * 1000
             with self._lock:
                 self.statuses[kind.name, status] += 1
-                if kind is self._mixture[0] and status == 200:
+                if kind is self.mixture[0] and status == 200:
                     self.main_latencies.append((position, elapsed))
 
 
-def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
+def report(
+    soak: Soak, server: ServerProcess, requests: int, seconds: float
+) -> tuple[str, list[str]]:
     """Return the section in Markdown and what has failed."""
     warm = requests // 10
     fifth = requests // 5
@@ -178,25 +176,22 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
     late = [ms for position, ms in soak.main_latencies if position >= requests - fifth]
     deliberate = sum(n for (_, status), n in soak.statuses.items() if status == 503)
     faults = {key: n for key, n in soak.statuses.items() if key[1] >= 500 and key[1] != 503}
-    failed = []
-    if faults:
-        failed.append(f"5xx besides 503: {faults}")
-    if soak.broken:
-        failed.append(f"broken connections: {dict(soak.broken)}")
-    if at_end > after_warm_up * (1 + MEMORY_GROWTH):
-        failed.append(f"memory grew from {after_warm_up:.0f} to {at_end:.0f} MB")
-    if percentile(late, 99) > LATENCY_GROWTH * percentile(early, 99):
-        failed.append("the p99 of good requests grew")
+    slower = percentile(late, 99) > LATENCY_GROWTH * percentile(early, 99)
+    larger = at_end > after_warm_up * (1 + MEMORY_GROWTH)
+    criteria = {
+        f"5xx besides 503: {faults}": not faults,
+        f"broken connections: {dict(soak.broken)}": not soak.broken,
+        f"memory grew from {after_warm_up:.0f} to {at_end:.0f} MB": not larger,
+        "the p99 of good requests grew": not slower,
+    }
+    failed = [what for what, met in criteria.items() if not met]
     along = [f"{mb:.0f}" for position, mb in soak.memory if position % (requests // 10) == 0]
     rows = [
-        f"| {kind.name} | "
-        + ", ".join(
+        [kind.name, "nobody waits" if kind.hang_up else ", ".join(
             f"{n} x {status}" for (name, status), n in sorted(soak.statuses.items())
             if name == kind.name
-        )
-        + (" (nobody waits)" if kind.hang_up else "")
-        + " |"
-        for kind in soak._mixture
+        )]
+        for kind in soak.mixture
     ]  # fmt: skip
     body = f"""`python -m scripts.load.soak --requests {requests}`, revision {revision()}.
 {machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s,
@@ -212,11 +207,9 @@ def report(soak: Soak, requests: int, seconds: float) -> tuple[str, list[str]]:
 Resident memory in megabytes after each tenth: {", ".join(along)}.
 5xx besides deliberate 503s: {sum(faults.values())}; deliberate 503s: {deliberate};
 broken connections: {sum(soak.broken.values())}.
-{"Failed: " + "; ".join(failed) if failed else "Passed."}
+The server ended with status {server.stop()}.
 
-| request | answers |
-|---|---|
-""" + "\n".join(rows)
+{table(["request", "answers"], rows)}"""
     return body, failed
 
 
@@ -232,10 +225,8 @@ def main() -> int:
         started = time.perf_counter()
         soak.run()
         seconds = time.perf_counter() - started
-        body, failed = report(soak, options.requests, seconds)
-        body += f"\n\nThe server ended with status {server.stop()}."
-    conclude("Soak", body, write=options.write)
-    return 1 if failed else 0
+        body, failed = report(soak, server, options.requests, seconds)
+    return conclude("Soak", body, failed, write=options.write)
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ def test_sides_that_are_exchanged_are_fitted_as_they_are_meant(toy_index: PoseIn
     """Keypoints that take left for right pull the other side's points, not across the body."""
     points_3d, placed = toy_index.points(np.array([100]))
     mistaken = keypoints_of(exchange_sides(placed[0]))
-    assert mistaken.compare(placed, points_3d).side_odds[0] < 0
+    assert mistaken.compare(placed, points_3d).side_log_odds[0] < 0
     fitted, _ = fit_to_keypoints(mistaken, points_3d, placed)
     assert_allclose(fitted, points_3d, atol=1e-9)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.keypoints import DOUBT, Keypoints
+from index.keypoints import OUTLIER_WEIGHT, Keypoints
 from index.landmark_search import rotate_clockwise
 from index.skeleton import LIMBS, POINT_NAMES, POINTS, exchange_sides
 
@@ -58,29 +58,29 @@ def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
 @given(seed=seeds)
 def test_the_skeleton_shown_is_likelier_than_its_twin(seed: int) -> None:
     points = skeleton(seed)
-    assert shown(points).compare(points[None], NO_DEPTH).side_odds[0] > 0
+    assert shown(points).compare(points[None], NO_DEPTH).side_log_odds[0] > 0
 
 
 @given(seed=seeds, x=st.floats(-6, 6), y=st.floats(-6, 6))
-def test_pulls_lead_towards_the_keypoints_and_never_past_them(
+def test_residuals_lead_towards_the_keypoints_and_never_past_them(
     seed: int, x: float, y: float
 ) -> None:
     points = skeleton(seed)
-    (pulls,) = shown(points).compare(points[None] - (x, y), NO_DEPTH).pulls
-    assert pulls.shape == (len(ROWS), 2)
-    wanted = np.broadcast_to([x, y], pulls.shape)
-    assert (pulls * wanted >= 0).all()
-    assert (np.abs(pulls) <= np.abs(wanted) + 1e-12).all()
+    (residuals,) = shown(points).compare(points[None] - (x, y), NO_DEPTH).residuals
+    assert residuals.shape == (len(ROWS), 2)
+    wanted = np.broadcast_to([x, y], residuals.shape)
+    assert (residuals * wanted >= 0).all()
+    assert (np.abs(residuals) <= np.abs(wanted) + 1e-12).all()
     # So near, they lead most of the way.
-    assert_allclose(pulls, wanted, atol=0.4 * np.hypot(x, y) + 1e-9)
+    assert_allclose(residuals, wanted, atol=0.4 * np.hypot(x, y) + 1e-9)
 
 
-def test_pulls_vanish_where_a_point_is_too_far_to_be_meant() -> None:
+def test_residuals_vanish_where_a_point_is_too_far_to_be_meant() -> None:
     points = skeleton(3)
     far = points.copy()
     far[ROWS[0]] += 90
-    (pulls,) = shown(points).compare(far[None], NO_DEPTH).pulls
-    assert np.abs(pulls[0]).max() < 1e-3
+    (residuals,) = shown(points).compare(far[None], NO_DEPTH).residuals
+    assert np.abs(residuals[0]).max() < 1e-3
 
 
 @given(seed=seeds, row=st.integers(0, len(ROWS) - 1))
@@ -92,7 +92,7 @@ def test_one_keypoint_that_misleads_rules_nothing_out(seed: int, row: int) -> No
         shown(points).compare(points[None], NO_DEPTH).log_likelihood
         - keypoints.compare(points[None], NO_DEPTH).log_likelihood
     )
-    assert 0 < lost[0] <= np.log((1 + DOUBT) / DOUBT) + 1e-9
+    assert 0 < lost[0] <= np.log((1 + OUTLIER_WEIGHT) / OUTLIER_WEIGHT) + 1e-9
 
 
 @given(seed=seeds)
@@ -148,7 +148,7 @@ def test_exchanging_the_sides_in_depth_as_well_turns_the_odds_over(seed: int, ot
     agreement = keypoints.compare(
         np.stack([points, exchange_sides(points)]), np.stack([points_3d, exchange_sides(points_3d)])
     )
-    assert agreement.side_odds[0] == pytest.approx(-agreement.side_odds[1])
+    assert agreement.side_log_odds[0] == pytest.approx(-agreement.side_log_odds[1])
     assert agreement.log_likelihood[0] == pytest.approx(agreement.log_likelihood[1])
 
 
@@ -163,7 +163,7 @@ def test_rotated_keypoints_agree_with_rotated_skeletons(seed: int, angle: float)
         (points @ matrix)[None], rotate_clockwise(points_3d, angle)[None]
     )
     assert_allclose(there.log_likelihood, here.log_likelihood, atol=1e-6)
-    assert_allclose(there.side_odds, here.side_odds, atol=1e-6)
+    assert_allclose(there.side_log_odds, here.side_log_odds, atol=1e-6)
     assert_allclose(keypoints.rotated(angle).rotated(-angle).positions, keypoints.positions)
 
 

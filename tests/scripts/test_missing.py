@@ -16,7 +16,7 @@ from tests.conftest import ROOT
 
 @pytest.mark.parametrize(
     "command",
-    ["draw_avatars", "draw_people", "evaluate real", "evaluate paper", "evaluate actions"],
+    ["draw_people", "evaluate real", "evaluate paper", "evaluate actions"],
 )
 def test_without_data(command: str, tmp_path: Path) -> None:
     module, *names = command.split()

@@ -9,7 +9,7 @@ import pytest
 
 from app.estimation.estimates import Person
 from app.estimation.facing import azimuth_deg
-from app.tracking.smoothing import CARRIED_S, PoseSmoother, Smoothed
+from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.posture import POSTURES
 from index.skeleton import NATIVE, POINTS, wrap_degrees
@@ -120,23 +120,23 @@ def test_without_hypotheses_there_is_no_pose() -> None:
     assert smoother.update(person, 0.2) is not None
 
 
-def test_a_pose_is_carried_along_with_the_person_for_a_second() -> None:
+def test_a_pose_is_extrapolated_along_with_the_person_for_a_second() -> None:
     smoother = PoseSmoother()
     person = person_of([seen_from(0.0)], [0.5])
-    assert smoother.carried(person.observed, 0.0) is None
+    assert smoother.extrapolate(person.observed, 0.0) is None
     before = smoother.update(person, 0.0)
     assert before is not None
     box = person.observed.box
     moved = replace(person.observed, box=replace(box, x=box.x + 8, y=box.y - 3))
-    carried = smoother.carried(moved, CARRIED_S)
-    assert carried is not None
-    np.testing.assert_allclose(carried.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
-    np.testing.assert_array_equal(carried.points_3d, before.pose.points_3d)
-    assert carried.confidence < before.pose.confidence  # It may have changed meanwhile.
-    assert smoother.carried(person.observed, CARRIED_S + 0.1) is None
+    extrapolated = smoother.extrapolate(moved, EXTRAPOLATED_S)
+    assert extrapolated is not None
+    np.testing.assert_allclose(extrapolated.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
+    np.testing.assert_array_equal(extrapolated.points_3d, before.pose.points_3d)
+    assert extrapolated.confidence < before.pose.confidence  # It may have changed meanwhile.
+    assert smoother.extrapolate(person.observed, EXTRAPOLATED_S + 0.1) is None
 
 
-def test_a_limb_that_swings_does_not_move_a_carried_pose_as_far_as_the_box() -> None:
+def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box() -> None:
     crop = np.zeros((60, 40), bool)
     crop[:, :20] = True
     standing = Silhouette(crop[:, :20], 100, 50, "mask", truncated=False)
@@ -147,9 +147,9 @@ def test_a_limb_that_swings_does_not_move_a_carried_pose_as_far_as_the_box() -> 
     before = smoother.update(
         replace(person, observed=replace(person.observed, silhouette=standing)), 0.0
     )
-    carried = smoother.carried(replace(person.observed, silhouette=reaching), 0.1)
-    assert before is not None and carried is not None
-    shift = carried.points_2d - before.pose.points_2d
+    extrapolated = smoother.extrapolate(replace(person.observed, silhouette=reaching), 0.1)
+    assert before is not None and extrapolated is not None
+    shift = extrapolated.points_2d - before.pose.points_2d
     expected = reaching.centroid - standing.centroid
     np.testing.assert_allclose(shift, np.broadcast_to(expected, shift.shape))
     assert 0 < expected[0] < 2  # The box's middle has moved by 10.
