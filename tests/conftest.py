@@ -273,7 +273,7 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Resp
 
 @contextmanager
 def running_server(
-    index: Path | None, timeout_s: float = 60, **environment: str
+    index: Path | None, timeout_s: float = 120, **environment: str
 ) -> Iterator[Server]:
     """Start a server as :func:`start_server` does, wait until it is ready, and end it."""
     running = start_server(index, **environment)

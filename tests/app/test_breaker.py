@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.serving import loading
-from app.serving.breaker import CircuitBreaker, GuardedNeighbours
+from app.serving.breaker import OPEN_AFTER, CircuitBreaker, GuardedNeighbours
 from app.serving.runtime import Runtime
 from app.settings import Settings
 from index.artefact import load_index, save_index
@@ -229,7 +229,7 @@ class TestFollowing:
         self, ready: TestClient, remote: FakeRemote, flaky: Flaky, photo: Photo
     ) -> None:
         flaky.failing = True
-        while sample(ready, "pose_search_breaker_open") == 0:
+        for _ in range(OPEN_AFTER):
             check_problem(ready.post("/pose", files=photo.files), 503)
         connections = remote.connections
         eventually(lambda: remote.connections >= connections + 2)

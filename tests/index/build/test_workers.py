@@ -30,7 +30,7 @@ def test_takes_tasks_only_as_they_are_worked_on() -> None:
             yield number
 
     def perform(task: int) -> int:
-        done.acquire()
+        assert done.acquire(timeout=10)
         return task
 
     with ThreadPoolExecutor(2) as pool:
