@@ -351,8 +351,8 @@ class Person(Model):
 
     box: Box
     detection_score: FiniteFloat | None = Field(
-        description="Score of the detector, higher is more certain; null if the caller said where "
-        "people are.",
+        description="The detector's probability that this is a person; of somebody who is followed "
+        "over frames, the highest so far. Null if the caller said where people are.",
         examples=[0.93],
     )
     source: PersonSource = Field(

@@ -123,7 +123,7 @@ class PeopleFollower:
             if silhouette is None:
                 continue
             owner, by_track = owners[row], wanted[row].score == 0
-            score = max(owner.score, reading.presence) if owner else wanted[row].score
+            score = owner.score if owner else wanted[row].score
             place = silhouette.box if by_track else box
             person = observed(frame, place, "detector", score, silhouette, reading)
             people.append((person, owner))
