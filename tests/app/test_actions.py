@@ -12,14 +12,20 @@ from app.estimation.estimates import ObservedPerson, Person, PlacedHypothesis
 from app.estimation.facing import Facing
 from app.estimation.posture import EstimatedPosture, vote_posture
 from app.tracking.action_features import RATE_HZ, action_features
-from app.tracking.actions import ActionModel, ActionRecogniser, shipped_model, window_features
+from app.tracking.actions import (
+    ActionModel,
+    ActionRecogniser,
+    posture_factors,
+    shipped_model,
+    window_features,
+)
 from app.tracking.ground import STILL
 from app.tracking.measures import Measured
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import Smoothed
 from app.vision.people import Box
 from index.matching import Hypothesis
-from index.posture import camera_up
+from index.posture import POSTURES, Posture, camera_up
 from index.skeleton import camera_rotation, mirror_3d
 from index.store import Label
 from tests.conftest import stick_figure
@@ -149,6 +155,30 @@ def test_the_shipped_model_knows_a_body_that_stands_still() -> None:
     features = action_features(pose, UP, path_of(pose))
     even = np.full(len(model.actions), 1 / len(model.actions))
     assert model.actions[int(model.probabilities(features, even).argmax())] == "stand"
+
+
+@pytest.mark.parametrize(
+    ("posture", "best", "worst"),
+    [
+        ("lying", "lie", "squat"), ("sitting", "sit", "walk"), ("walking", "walk", "arm-circle"),
+        ("running", "run", "stand"), ("crouching", "squat", "lie"), ("standing", "stand", "sit"),
+    ],
+)  # fmt: skip
+def test_an_action_goes_with_the_posture(posture: Posture, best: str, worst: str) -> None:
+    actions = shipped_model().actions
+    factors = dict(zip(actions, posture_factors(actions, one_hot(posture)), strict=True))
+    assert factors[best] == max(factors.values()) > 5 * factors[worst] > 0
+    assert factors[worst] == min(factors.values())
+
+
+def one_hot(posture: Posture) -> NDArray[np.float64]:
+    return np.array([name == posture for name in POSTURES], np.float64)
+
+
+def test_no_action_is_told_that_is_less_likely_than_not(undecided: ActionModel) -> None:
+    size = undecided.weights.shape[1]
+    model = ActionModel(("walk", "sit", "lie"), np.zeros((3, size)), np.zeros(3), 0.0)
+    assert set(recognise(model, [0.1 * step for step in range(20)])) == {None}
 
 
 def test_a_model_of_the_wrong_shape_is_refused(tmp_path: Path) -> None:

@@ -18,11 +18,12 @@ from app.estimation.posture import (
     grounded_probability,
     posture_of,
     vote_posture,
+    with_bent_legs,
     with_grounded,
 )
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.landmark_search import rotate_clockwise
-from index.posture import POSTURES
+from index.posture import POSTURES, UPRIGHT
 from index.skeleton import camera_rotation
 
 HEIGHTS = {
@@ -90,6 +91,39 @@ def test_who_stands_does_not_lie_and_the_same_body_on_its_side_does() -> None:
 @pytest.mark.parametrize("angle_deg", [-30, -15, 15, 30])
 def test_who_leans_or_is_seen_by_a_rolled_camera_does_not_lie(angle_deg: float) -> None:
     assert grounded_probability(turned(standing(), angle_deg)) < 0.5
+
+
+def with_knees_bent(landmarks: Landmarks, *sides: str) -> Landmarks:
+    """The same, with thighs that point at the camera."""
+    metres = landmarks.metres.copy()
+    for side in sides:
+        hip, *below = (
+            LANDMARK_NAMES.index(f"{side}_{part}")
+            for part in ("hip", "knee", "ankle", "heel", "foot_index")
+        )
+        metres[below, 1] -= metres[below[0], 1] - metres[hip, 1]
+        metres[below, 2] -= 0.42
+    return Landmarks(landmarks.positions, landmarks.visibility, metres)
+
+
+@given(weights=st.lists(st.floats(0, 1), min_size=len(POSTURES), max_size=len(POSTURES)))
+def test_only_who_bends_both_knees_does_not_stand(weights: list[float]) -> None:
+    votes = vote_posture(POSTURES, weights)
+    one = with_knees_bent(standing(), "left")
+    both = with_knees_bent(standing(), "left", "right")
+    for landmarks, presence in ((standing(), 1.0), (one, 1.0), (both, 0.0)):
+        assert_allclose(with_bent_legs(votes, landmarks, presence), votes, atol=1e-3)
+    shares = with_bent_legs(votes, both, 1.0)
+    assert shares.sum() == pytest.approx(1) and (shares >= 0).all()
+    assert share(shares, *UPRIGHT) < 1e-3
+    assert share(shares, *GROUNDED) == pytest.approx(share(votes, *GROUNDED))
+
+
+def test_whether_bent_knees_sit_or_crouch_is_left_to_the_votes() -> None:
+    both = with_knees_bent(standing(), "left", "right")
+    assert estimate_posture(vote_posture(["standing"], [1.0]), both).label == "unclear"
+    votes = vote_posture(["standing", "sitting"], [0.9, 0.1])
+    assert estimate_posture(votes, both).label == "sitting"
 
 
 def test_left_and_right_count_alike() -> None:

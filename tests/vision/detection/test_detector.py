@@ -140,6 +140,19 @@ def test_who_is_less_sure_than_asked_is_left_out(
         assert make(1.0).detect(street) == []
 
 
+def test_who_was_lost_is_believed_more_easily_near_that_place(
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    before = {one.box: one.score for one in detector.detect(street)}
+    for lost in walkers:
+        after = {one.box: one.score for one in detector.detect(street, [lost])}
+        raised = [box for box, score in after.items() if score > before.get(box, 0)]
+        assert len(raised) == 1 and raised[0].iou(lost) > 0.5
+        assert {box for box in after if box not in raised} == set(before) - set(raised)
+    far = Box(0, 0, 10, 20)
+    assert {one.box: one.score for one in detector.detect(street, [far])} == before
+
+
 class SeesNobody(PoseDetection):
     """Sees nobody, so that MoveNet is on its own."""
 
