@@ -83,33 +83,7 @@ class PeopleFollower:
         list of (ObservedPerson, Track or None)
             The track in whose window the person was read, None where the search found them.
         """
-        followed = [
-            (track, track.motion.predict(timestamp))
-            for track in tracks
-            if track.next_window is not None and timestamp - track.seen_at <= FOLLOWED_FOR_S
-        ]
-        readings: list[Reading | None] = []
-        lost = {track for track in tracks if track.seen_at < self._read_at}
-        unread = any(
-            track.next_window is None and timestamp - track.seen_at <= FOLLOWED_FOR_S
-            for track in tracks
-        )
-        if timestamp - self._searched_at < SEARCH_EVERY_S and followed and not unread:
-            wanted, owners = _assign((), followed)
-            readings = self._read_all(frame, wanted, owners, check, stopwatch)
-            lost |= {
-                owner
-                for owner, reading in zip(owners, readings, strict=True)
-                if owner is not None and reading is None
-            }
-        if not readings or None in readings:
-            with stopwatch.stage("detect"):
-                detections = self._finder.detector.detect(
-                    frame, [track.motion.seen for track in tracks if track in lost]
-                )[: self._finder.max_persons]
-            self._searched_at = timestamp
-            wanted, owners = _assign(detections, followed)
-            readings = self._read_all(frame, wanted, owners, check, stopwatch)
+        wanted, owners, readings = self._read_people(frame, timestamp, tracks, check, stopwatch)
         self._read_at = timestamp
         found, rows = _distinct(readings, wanted)
         boxes = [
@@ -128,6 +102,41 @@ class PeopleFollower:
             person = observed(frame, place, "detector", score, silhouette, reading)
             people.append((person, owner))
         return people
+
+    def _read_people(
+        self,
+        frame: NDArray[np.uint8],
+        timestamp: float,
+        tracks: Sequence[Track],
+        check: Check,
+        stopwatch: Stopwatch,
+    ) -> tuple[list[Detection], list[Track | None], list[Reading | None]]:
+        """Read the tracks by their windows or, where that does not do, whoever a search finds.
+
+        Who was lost at the frame before, or is lost at this one, is believed more easily.
+        """
+        recent = [track for track in tracks if timestamp - track.seen_at <= FOLLOWED_FOR_S]
+        followed = [
+            (track, track.motion.predict(timestamp)) for track in recent if track.next_window
+        ]
+        lost = [track for track in tracks if track.seen_at < self._read_at]
+        due = timestamp - self._searched_at >= SEARCH_EVERY_S
+        if followed and len(followed) == len(recent) and not due:
+            wanted, owners = _assign((), followed)
+            readings = self._read_all(frame, wanted, owners, check, stopwatch)
+            if None not in readings:
+                return wanted, owners, readings
+            lost += [
+                owner
+                for owner, reading in zip(owners, readings, strict=True)
+                if reading is None and owner is not None and owner not in lost
+            ]
+        with stopwatch.stage("detect"):
+            places = [track.motion.seen for track in lost]
+            detections = self._finder.detector.detect(frame, places)[: self._finder.max_persons]
+        self._searched_at = timestamp
+        wanted, owners = _assign(detections, followed)
+        return wanted, owners, self._read_all(frame, wanted, owners, check, stopwatch)
 
     def _read_all(
         self,
