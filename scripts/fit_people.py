@@ -29,10 +29,11 @@ from tqdm import tqdm
 from app.estimation.estimates import Person
 from app.estimation.estimator import Estimator
 from app.estimation.hypotheses import normalise_person
-from app.estimation.posture import GROUNDED, GROUPS, body_features, log_odds
+from app.estimation.posture import GROUNDED, GROUPS, body_features
 from app.settings import Settings
 from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detection.detector import NetworkDetector, detection_features
+from app.vision.odds import log_odds
 from app.vision.people import LANDMARK_NAMES, Box, Landmarks
 from app.vision.weights import write_fitted
 from index.confidence import RIGHT_BELOW_PX

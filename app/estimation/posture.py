@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.odds import log_odds, probability_of
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from app.vision.weights import fitted
 from index.posture import POSTURES, UPRIGHT, Posture
@@ -133,14 +134,7 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
 def group_probability(share: float) -> float:
     """Probability that the group of the likeliest posture is right, by the group's share."""
     constants = fitted("posture")
-    odds = constants["slope"] * log_odds(share) + constants["offset"]
-    return float(1 / (1 + np.exp(-odds)))
-
-
-def log_odds(share: float) -> float:
-    """Log odds of a share, finite."""
-    clipped = min(max(share, 1e-3), 1 - 1e-3)
-    return float(np.log(clipped / (1 - clipped)))
+    return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
 
 
 def with_bent_legs(
@@ -167,7 +161,7 @@ def bent_probability(landmarks: Landmarks) -> float:
     cosines = [_unit(knee - hip) @ _unit(ankle - knee)
                for hip, knee, ankle in zip(hips, knees, ankles, strict=True)]  # fmt: skip
     straighter_deg = np.rad2deg(np.arccos(np.clip(max(cosines), -1, 1)))
-    return float(1 / (1 + np.exp((BENT_FROM_DEG - straighter_deg) / BENT_SLOPE_DEG)))
+    return probability_of(float(straighter_deg - BENT_FROM_DEG) / BENT_SLOPE_DEG)
 
 
 def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
@@ -188,7 +182,7 @@ def grounded_probability(landmarks: Landmarks) -> float:
     constants = fitted("grounded")
     features = (body_features(landmarks) - constants["means"]) / constants["scales"]
     odds = float(features @ np.array(constants["weights"]) + constants["offset"])
-    return float(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
+    return probability_of(odds)
 
 
 def body_features(landmarks: Landmarks) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from app.estimation.posture import vote_posture
 from app.tracking.ground import GroundMotion, GroundVelocity
 from app.tracking.results import SmoothedPose
 from app.tracking.turning import Turn, TurnFilter, going
+from app.vision.odds import log_odds, probability_of
 from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
 from index.skeleton import (
     JOINTS,
@@ -253,7 +254,7 @@ class PoseSmoother:
         if person.facing.evidence == "image" and upright * (1 - sure) > 0.5:
             smoothed_3d = _kept_beside(smoothed_3d, turn)
         agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
-        features = odds, _log_odds(agreement)
+        features = odds, log_odds(agreement)
         pose = SmoothedPose(
             smoothed_3d,
             np.einsum("n,npd->pd", near, points_2d),
@@ -298,11 +299,11 @@ class PoseSmoother:
         if age_s > EXTRAPOLATED_S:
             return None
         pose, before = self._last
-        odds = _log_odds(pose.confidence) - LOST_PER_S * age_s
+        odds = log_odds(pose.confidence) - LOST_PER_S * age_s
         return replace(
             pose,
             points_2d=pose.points_2d + _Place.of(observed).minus(before),
-            confidence=_probability(odds),
+            confidence=probability_of(odds),
         )
 
     def _append(
@@ -341,7 +342,7 @@ class PoseSmoother:
             weights = _weights_near_best(states.points_3d, states.log_forward + log_backward)
             averages.append(np.einsum("n,npd->pd", weights, states.points_3d))
             lengths.append(weights @ _bone_lengths(states.points_3d))
-            odds.append(_log_odds(float(weights @ states.confidences)))
+            odds.append(log_odds(float(weights @ states.confidences)))
             later = states
         ages = timestamp - np.array([states.timestamp for states in reversed(self._frames)])
         smoothed = _line_at_zero(ages, np.array(averages))
@@ -413,16 +414,7 @@ def _nearness(
 
 def _confidence(odds: float, agreement_odds: float) -> float:
     """Probability that a smooth pose is right."""
-    return _probability(CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds)
-
-
-def _probability(odds: float) -> float:
-    """The probability of log odds."""
-    return float(1 / (1 + np.exp(-odds)))
-
-
-def _log_odds(probability: float) -> float:
-    return float(np.log((probability + 1e-3) / (1 - probability + 1e-3)))
+    return probability_of(CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds)
 
 
 def _line_at_zero(ages: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

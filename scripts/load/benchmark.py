@@ -38,6 +38,9 @@ from scripts.results import ROOT
 REPEATS = 3
 """Consecutive requests of a kind: most then find warm caches."""
 
+FEW = 3
+"""Answers of a kind in which people are counted."""
+
 HOG = "yardstick: OpenCV's `detectMultiScale`, 640x480, one thread"
 Task = Callable[[], object]
 
@@ -66,8 +69,8 @@ def answer(client: Client, call: Call) -> bytes:
 
 def sender(client: Client, calls: Sequence[Call]) -> Task:
     """Return a task that sends the next of the calls, in turn, and reads the whole answer."""
-    quarter_turns = itertools.cycle(calls)
-    return lambda: answer(client, next(quarter_turns))
+    turns = itertools.cycle(calls)
+    return lambda: answer(client, next(turns))
 
 
 def people_found(client: Client, calls: Sequence[Call]) -> str:
@@ -105,8 +108,9 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> Meas
     spent = processor_time() - before
     rows = [
         Row(
-            case.what, times[case.what], people_found(client, case.calls),
-            case.wanted_ms, case.wanted_ratio,
+            case.what, times[case.what],
+            "" if "camera" in case.what else people_found(client, case.calls[:FEW]),
+            case.wanted_ratio,
         )
         for case in cases
     ]  # fmt: skip
@@ -134,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=30, help=f"of {REPEATS} requests a kind")
     parser.add_argument("--write", type=Path, help="also write the report to this file")
     options = parser.parse_args(arguments)
-    street, left_out = read_street(options.shared / "real" / "vtest")
+    street, left_out = read_street(options.shared / "real")
     try:
         with ServerProcess(options.index) as server:
             measured = benchmark(server, street, options.rounds)

@@ -22,28 +22,38 @@ WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 SMALL = (640, 480)
 """Width and height of the frame with nobody in it, and of the yardstick's."""
 
+LARGE = (1920, 1080)
+FILM = 30
+"""Frames of a film."""
+
+MOST_CALLS = 1000
+"""Frames of a camera have an order, and are not sent twice."""
+
 
 @dataclass(frozen=True)
 class Case:
     """One kind of request, sent in turn.
 
-    ``wanted_ms`` is the target of the median on two quiet cores, ``wanted_ratio`` the same as a
-    multiple of the yardstick's; None if only the time was set.
+    ``wanted_ratio`` is the target of the median, as a multiple of the yardstick's.
     """
 
     what: str
     calls: tuple[Call, ...]
-    wanted_ms: float
     wanted_ratio: float | None = None
 
 
 @dataclass(frozen=True)
 class Street:
-    """BGR frames with four walkers, the empty street, and a box about the tallest of the first."""
+    """BGR frames with four walkers, the empty street, and a box about the tallest of the first.
+
+    ``film`` are consecutive frames of the street, ``tall`` those of one person, 1080x1920.
+    """
 
     busy: tuple[NDArray[np.uint8], ...]
     empty: NDArray[np.uint8]
     box: Box
+    film: tuple[NDArray[np.uint8], ...]
+    tall: tuple[NDArray[np.uint8], ...]
 
     @property
     def frame(self) -> bytes:
@@ -57,15 +67,27 @@ class Street:
 
     @classmethod
     def read(cls, folder: Path) -> Street:
-        """Read the video; a FileNotFoundError where there is none."""
+        """Read the videos of a folder; a FileNotFoundError where there is none."""
         marks = read_marks()
-        frames = dict(read_vtest(folder, len(marks)))
+        frames = dict(read_vtest(folder / "vtest", len(marks)))
         chosen = with_four(marks)
         return cls(
             tuple(frames[mark.frame] for mark in chosen),
             without_people(list(frames.values())),
             max(chosen[0].people, key=lambda box: box.height),
+            film_of(folder / "vtest" / "vtest.avi"),
+            film_of(folder / "pose2sim" / "cam01.mp4"),
         )
+
+
+def film_of(video: Path) -> tuple[NDArray[np.uint8], ...]:
+    """The first frames of a video; a FileNotFoundError where there is none."""
+    reader = cv2.VideoCapture(str(video))
+    read = [reader.read() for _ in range(FILM)]
+    frames = tuple(np.asarray(frame, np.uint8) for done, frame in read if done)
+    if len(frames) < FILM:
+        raise FileNotFoundError(f"expected a video of {FILM} frames or more at {video}")
+    return frames
 
 
 def with_four(marks: Sequence[Marks]) -> list[Marks]:
@@ -87,7 +109,7 @@ def resized(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def walkers_case() -> Case:
     """The case that needs nothing outside the repository."""
     call = Call("POST", "/pose", {"frame": WALKERS.read_bytes()})
-    return Case("298x320, four walkers", (call,), 120)
+    return Case("298x320, four walkers", (call,), 1.9)
 
 
 def mask_call(street: Street) -> Call:
@@ -104,13 +126,32 @@ def street_cases(street: Street, mask: bytes) -> list[Case]:
     boxed = Call("POST", "/pose", {"frame": street.frame, "boxes": street.boxes})
     masked = {"frame": street.frame, "mask": mask}
     silhouette = Call("POST", "/pose?evidence=silhouette", masked)
+    tall = tuple(Call("POST", "/pose", {"frame": encode(".jpg", frame)}) for frame in street.tall)
+    large = encode(".jpg", np.asarray(cv2.resize(street.empty, LARGE), np.uint8))
     return [
-        Case(f"{size}, four walkers", busy, 200, 1.65),
-        Case(f"{SMALL[0]}x{SMALL[1]}, nobody", (empty,), 75, 0.6),
-        Case(f"{size}, one caller's box", (boxed,), 50, 0.42),
-        Case(f"{size}, one mask, `evidence=silhouette`", (silhouette,), 8, 0.08),
-        Case(f"{size}, one mask", (Call("POST", "/pose", masked),), 30),
+        Case(f"{size}, four walkers", busy, 1.9),
+        Case(f"{SMALL[0]}x{SMALL[1]}, nobody", (empty,), 0.7),
+        Case(f"{size}, one caller's box", (boxed,), 0.36),
+        Case(f"{size}, one mask, `evidence=silhouette`", (silhouette,), 0.10),
+        Case(f"{size}, one mask", (Call("POST", "/pose", masked),), 0.28),
+        Case(f"{LARGE[0]}x{LARGE[1]}, nobody", (Call("POST", "/pose", {"frame": large}),), 1.4),
+        Case("1080x1920, one person", tall, 1.8),
+        Case(f"{size}, next frame of a camera", camera_calls("street", street.film), 1.2),
+        Case("1080x1920, next frame of a camera", camera_calls("tall", street.tall), 0.8),
     ]
+
+
+def camera_calls(camera: str, film: Sequence[NDArray[np.uint8]]) -> tuple[Call, ...]:
+    """Frames of a camera at ten a second: a film played forwards and backwards again and again."""
+    frames = [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
+    return tuple(
+        Call(
+            "POST",
+            f"/cameras/{camera}/frames",
+            {"frame": frames[number % len(frames)], "timestamp": str(number / 10).encode()},
+        )
+        for number in range(MOST_CALLS)
+    )
 
 
 def yardstick(picture: NDArray[np.uint8]) -> Callable[[], object]:

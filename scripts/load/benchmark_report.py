@@ -19,7 +19,6 @@ class Row:
     what: str
     milliseconds: list[float]
     people: str = ""
-    wanted_ms: float | None = None
     wanted_ratio: float | None = None
 
     @property
@@ -34,7 +33,6 @@ class Row:
             self.people,
             f"{np.percentile(self.milliseconds, 10):.1f} ms",
             f"{self.median:.1f} ms",
-            "" if self.wanted_ms is None else f"{self.wanted_ms:.0f} ms",
             f"{self.median / yardstick_ms:.3f}",
             "" if self.wanted_ratio is None else f"{self.wanted_ratio:.2f}",
         ]
@@ -68,15 +66,14 @@ def report(measured: Measured, command: str, left_out: Sequence[str]) -> str:
 Machine: {machine()}; its host gave {measured.stolen:.0%} of the processors' time to others.
 Index: {measured.index}.
 
-Whole requests to `/pose` over a real socket, {len(measured.yardstick.milliseconds)} of each kind \
+Whole requests over a real socket, {len(measured.yardstick.milliseconds)} of each kind \
 and the yardstick as often, in turns.
 
-| | people found | fastest tenth within | median | wanted | median over yardstick's | wanted |
-|---|---|---|---|---|---|---|
+| | people found | fastest tenth within | median | median over yardstick's | wanted |
+|---|---|---|---|---|---|
 {chr(10).join(rows)}
 
 Ready {measured.ready_s:.2f} s after the start (wanted: {READY_WANTED_S} s); \
 {measured.memory_mb:.0f} MB resident after the requests (wanted: {MEMORY_WANTED_MB} MB), \
 {measured.most_memory_mb:.0f} MB at the most.
-Wanted times are for two quiet cores; where the machine is slower, the ratio decides.
 {"".join(f"{chr(10)}Left out: {reason}.{chr(10)}" for reason in left_out)}"""

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from app.vision.people import Box
 from scripts.load.benchmark import interleaved, read_street, sender
-from scripts.load.benchmark_cases import Street, without_people
+from scripts.load.benchmark_cases import camera_calls, without_people
 from scripts.load.client import Call, Client
-
-BOX = Box(40, 20, 30, 90)
-
-
-@pytest.fixture
-def street() -> Street:
-    """Two plain frames; one box in the first."""
-    busy = tuple(np.full((144, 192, 3), grey, np.uint8) for grey in (90, 160))
-    return Street(busy, np.full((480, 640, 3), 120, np.uint8), BOX)
 
 
 def test_tasks_take_turns_round_by_round() -> None:
@@ -53,6 +45,21 @@ def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPat
     assert sent == ["/a", "/b", "/a"]
     with pytest.raises(RuntimeError, match="got 422: no such thing"):
         send()
+
+
+def test_a_film_goes_back_and_forth_and_its_time_on() -> None:
+    film = [np.full((24, 32, 3), level, np.uint8) for level in (50, 100, 150, 200)]
+    calls = camera_calls("yard", film)
+    assert {call.path for call in calls} == {"/cameras/yard/frames"}
+    times = [float(call.parts["timestamp"]) for call in calls]
+    np.testing.assert_allclose(np.diff(times), 0.1)
+    order = [film_number(call, film) for call in calls[:8]]
+    assert order == [0, 1, 2, 3, 2, 1, 0, 1]
+
+
+def film_number(call: Call, film: list[NDArray[np.uint8]]) -> int:
+    frame = cv2.imdecode(np.frombuffer(call.parts["frame"], np.uint8), cv2.IMREAD_COLOR)
+    return int(np.argmin([abs(int(frame.mean()) - int(one.mean())) for one in film]))
 
 
 def test_without_the_video_it_says_what_is_left_out(tmp_path: Path) -> None:

@@ -255,14 +255,9 @@ def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     MoveNet's log odds, HOG's margin where it sees a person, the score of BlazePose's detector.
     """
     movenet, margin, body = scores.T
-    odds = logit(np.maximum(movenet, _LEAST_NETWORK_SCORE))
+    clipped = np.clip(movenet, _LEAST_NETWORK_SCORE, 1 - 1e-4)
+    odds = np.log(clipped / (1 - clipped))
     return np.stack([odds, np.maximum(0.0, margin), body], axis=1)
-
-
-def logit(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Log odds of scores from 0 to 1, finite."""
-    clipped = np.clip(scores, 1e-4, 1 - 1e-4)
-    return np.asarray(np.log(clipped / (1 - clipped)))
 
 
 def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:
