@@ -22,7 +22,7 @@ WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 SMALL = (640, 480)
 """Width and height of the frame with nobody in it, and of the yardstick's."""
 
-LARGE = (1920, 1080)
+LARGE = (1440, 1080)
 FILM = 30
 """Frames of a film."""
 
@@ -46,7 +46,7 @@ class Case:
 class Street:
     """BGR frames with four walkers, the empty street, and a box about the tallest of the first.
 
-    ``film`` are consecutive frames of the street, ``tall`` those of one person, 1080x1920.
+    ``film`` are consecutive frames of the street, ``tall`` those of two people, 1080x1920.
     """
 
     busy: tuple[NDArray[np.uint8], ...]
@@ -135,7 +135,7 @@ def street_cases(street: Street, mask: bytes) -> list[Case]:
         Case(f"{size}, one mask, `evidence=silhouette`", (silhouette,), 0.10),
         Case(f"{size}, one mask", (Call("POST", "/pose", masked),), 0.28),
         Case(f"{LARGE[0]}x{LARGE[1]}, nobody", (Call("POST", "/pose", {"frame": large}),), 1.4),
-        Case("1080x1920, one person", tall, 1.8),
+        Case("1080x1920, two people", tall, 1.8),
         Case(f"{size}, next frame of a camera", camera_calls("street", street.film), 1.2),
         Case("1080x1920, next frame of a camera", camera_calls("tall", street.tall), 0.8),
     ]
