@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.estimates import Person, PlacedHypothesis
+from app.estimation.posture import CLEAR_FROM, EstimatedPosture
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.measures import Measured, ground_path
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import Smoothed
-from index.posture import POSTURES, Posture, camera_up
+from index.posture import Posture, camera_up
 
 WINDOW_S, LEAST_S = 3.0, 1.0
 """Seconds of motion that are looked at, and from which an action is told."""
@@ -34,9 +35,6 @@ MOST_GAP_S = 1.0
 
 LEAST_SHARE = 0.02
 """Of the hypotheses' votes, for actions that no hypothesis shows."""
-
-CLEAR_FROM = 0.5
-"""Probability from which an action is told."""
 
 SHOWN_BY: dict[str, tuple[Posture, ...]] = {
     "lie": ("lying", "crawling"),
@@ -142,7 +140,7 @@ class ActionRecogniser:
         timestamp: float,
         person: Person,
         smoothed: Smoothed,
-        postures: NDArray[np.float64] | None = None,
+        posture: EstimatedPosture | None = None,
     ) -> RecognisedAction | None:
         """Take in a frame of the track.
 
@@ -154,8 +152,8 @@ class ActionRecogniser:
             With at least one hypothesis.
         smoothed : Smoothed
             The track's pose at this frame.
-        postures : (10,) float64 array, optional
-            Shares of the track's postures, where they are surer than its motion: with landmarks.
+        posture : EstimatedPosture, optional
+            The track's, where it is surer than the motion: with landmarks.
 
         Returns
         -------
@@ -177,8 +175,8 @@ class ActionRecogniser:
         features = window_features([measured for measured, _ in self._seen])
         votes = np.mean([votes for _, votes in self._seen], axis=0)
         probabilities = self._model.probabilities(features, votes)
-        if postures is not None:
-            probabilities = probabilities * posture_factors(self._model.actions, postures)
+        if posture is not None:
+            probabilities = probabilities * posture_factors(self._model.actions, posture)
             probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
         self._told_at = timestamp
@@ -188,14 +186,10 @@ class ActionRecogniser:
         return self._told
 
 
-def posture_factors(actions: Sequence[str], postures: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How well shares ``(10,)`` of postures go with each action, ``(A,)``."""
-    return np.array([
-        LEAST_POSTURE + sum(
-            postures[POSTURES.index(posture)] for posture in SHOWN_BY.get(action, ON_THE_SPOT)
-        )
-        for action in actions
-    ])  # fmt: skip
+def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArray[np.float64]:
+    """How well a posture goes with each action, ``(A,)``."""
+    shown = [posture.share(SHOWN_BY.get(action, ON_THE_SPOT)) for action in actions]
+    return LEAST_POSTURE + np.array(shown)
 
 
 def window_features(measured: Sequence[Measured]) -> NDArray[np.float64]:

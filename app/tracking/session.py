@@ -36,12 +36,11 @@ FORGOTTEN_AFTER_S = 0.5
 """How long a track lives that nobody is seen of."""
 
 PREDICTED_FOR_S = 2.0
-"""How long somebody is expected who is hidden behind another one, or who vanished within the
-picture."""
+"""How long the place of somebody is predicted who is hidden behind another one, or who vanished
+within the picture."""
 
 HIDDEN_FROM = 0.5
 """Share of somebody that another one has to cover to hide them."""
-
 
 TRACK_BYTES = 100_000
 """Of a track that has been followed for some seconds; a test measures it."""

@@ -127,7 +127,7 @@ class Track:
         self._posture, shares = self._postures.update(
             timestamp, smoothed.votes, observed.landmarks, presence, observed.whole_box
         )
-        surer = self._posture.shares if observed.landmarks is not None else None
+        surer = self._posture if observed.landmarks is not None else None
         self._action = self._recogniser.update(timestamp, person, smoothed, surer)
         self._locate(person.observed, zones)
         if self.track_id is not None:

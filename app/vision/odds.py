@@ -23,7 +23,12 @@ def probability_of(odds: float) -> float:
     return float(sigmoid(np.array(odds, np.float64)))
 
 
+def logit(probabilities: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Log odds of probabilities, none of which counts as surer than ``least`` or its opposite."""
+    clipped = np.clip(probabilities, least, 1 - least)
+    return np.asarray(np.log(clipped / (1 - clipped)))
+
+
 def log_odds(probability: float) -> float:
     """The log odds of a probability, finite."""
-    clipped = min(max(probability, LEAST_PROBABILITY), 1 - LEAST_PROBABILITY)
-    return float(np.log(clipped / (1 - clipped)))
+    return float(logit(np.array(probability, np.float64), LEAST_PROBABILITY))

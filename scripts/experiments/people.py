@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -28,7 +28,7 @@ from app.tracking.session import CameraSession
 from app.vision.people import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.asking import HYPOTHESES, estimate
-from scripts.experiments.real_data import read_pennfudan
+from scripts.experiments.real_data import read_frames, read_pennfudan
 from scripts.results import machine, revision
 
 COMMAND = "python -m scripts.evaluate people"
@@ -94,16 +94,6 @@ def run(options: argparse.Namespace) -> None:
 
 def _encoded(frame: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
-
-
-def frames_of(video: Path) -> Iterator[NDArray[np.uint8]]:
-    """Frames of a video."""
-    reader = cv2.VideoCapture(str(video))
-    while True:
-        read, frame = reader.read()
-        if not read:
-            return
-        yield np.asarray(frame, np.uint8)
 
 
 def grounded(person: Person) -> bool:
@@ -244,7 +234,7 @@ def leaning(estimator: Estimator, folder: Path) -> list[Row]:
         truths, places = np.array(document["joints_3d"]), np.array(document["joints_2d"])
         session = CameraSession(estimator)
         single, followed, told, identities = [], [], [], set()
-        frames = enumerate(frames_of(folder / document["video"]))
+        frames = read_frames(folder / document["video"])
         for number, frame in tqdm(list(frames)[: len(truths)], desc=camera):
             truth = truths[number][order]
             if number % 4 == 0:
@@ -311,7 +301,7 @@ def fall_videos(estimator: Estimator, folder: Path) -> list[Row]:
     for name, upright_until, fallen_from in FALL_VIDEOS:
         video = cv2.VideoCapture(str(folder / f"{name}.mp4"))
         fps = float(video.get(cv2.CAP_PROP_FPS)) or 25.0
-        frames = list(frames_of(folder / f"{name}.mp4"))
+        frames = [frame for _, frame in read_frames(folder / f"{name}.mp4")]
         session = CameraSession(estimator)
         shown = [(i, frames[i], i / fps) for i in range(0, len(frames), 2)]
         end = (len(frames) - 1) / fps
@@ -342,7 +332,7 @@ def upfall(estimator: Estimator, folder: Path) -> list[Row]:
     for file in tqdm(sorted(folder.glob("*.mp4")), desc="UP-Fall"):
         activity = int(file.name.split("_")[0].removeprefix("activity"))
         session, hit, low = CameraSession(estimator), False, []
-        for number, frame in enumerate(frames_of(file)):
+        for number, frame in read_frames(file):
             if activity > 5 and number >= 144:
                 break
             if number % 3:
@@ -404,7 +394,7 @@ def street(estimator: Estimator, folder: Path, frames: int = 300) -> list[Row]:
     sides: dict[int, list[float]] = {}
     actions: list[str] = []
     left, right = POINT_NAMES.index("left_shoulder"), POINT_NAMES.index("right_shoulder")
-    for number, frame in enumerate(tqdm(list(frames_of(folder / "vtest.avi"))[:frames])):
+    for number, frame in tqdm(list(read_frames(folder / "vtest.avi"))[:frames]):
         result = session.process(Upload(_encoded(frame)), number / 10, HYPOTHESES, lambda: None)
         for one in result.persons:
             if one.person.posture is not None:

@@ -109,7 +109,7 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> Meas
     rows = [
         Row(
             case.what, times[case.what],
-            "" if "camera" in case.what else people_found(client, case.calls[:FEW]),
+            "" if case.in_order else people_found(client, case.calls[:FEW]),
             case.wanted_ratio,
         )
         for case in cases

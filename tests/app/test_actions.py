@@ -171,8 +171,9 @@ def test_an_action_goes_with_the_posture(posture: Posture, best: str, worst: str
     assert factors[worst] == min(factors.values())
 
 
-def one_hot(posture: Posture) -> NDArray[np.float64]:
-    return np.array([name == posture for name in POSTURES], np.float64)
+def one_hot(posture: Posture) -> EstimatedPosture:
+    shares = np.array([name == posture for name in POSTURES], np.float64)
+    return EstimatedPosture(posture, 1.0, shares)
 
 
 def test_no_action_is_told_that_is_less_likely_than_not(undecided: ActionModel) -> None:

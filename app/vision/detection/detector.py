@@ -14,7 +14,7 @@ from app.vision.detection.hog import person_margin, person_windows
 from app.vision.detection.pose_detection import BodyCircle, PoseDetection
 from app.vision.detection.tiles import LONGEST_PX, SMALLEST_SHARE, Tile, tiles_of
 from app.vision.keypoints.movenet import MoveNet
-from app.vision.odds import sigmoid
+from app.vision.odds import logit, sigmoid
 from app.vision.people import Box, Detection, PersonWindow
 from app.vision.person.landmarks import LandmarkNetwork
 from app.vision.person.window import window_about
@@ -255,8 +255,7 @@ def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     MoveNet's log odds, HOG's margin where it sees a person, the score of BlazePose's detector.
     """
     movenet, margin, body = scores.T
-    clipped = np.clip(movenet, _LEAST_NETWORK_SCORE, 1 - 1e-4)
-    odds = np.log(clipped / (1 - clipped))
+    odds = logit(np.maximum(movenet, _LEAST_NETWORK_SCORE), least=1e-4)
     return np.stack([odds, np.maximum(0.0, margin), body], axis=1)
 
 
