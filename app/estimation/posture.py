@@ -37,6 +37,10 @@ BENT_FROM_DEG, BENT_SLOPE_DEG = 45.0, 5.0
 point at the camera look like those of somebody who stands; of who walks, one knee is straight."""
 
 _LEAST_SHARE = 0.02
+_GROUNDED, _UPRIGHT, _BETWEEN = (
+    np.array([posture in group for posture in POSTURES]) for group in GROUPS
+)
+_LYING = np.array([posture == "lying" for posture in POSTURES])
 
 
 def _rows(*joints: str) -> list[int]:
@@ -142,15 +146,11 @@ def with_bent_legs(
 ) -> NDArray[np.float64]:
     """Votes ``(10,)`` without those for straight legs, as far as both knees are seen to be bent.
 
-    Where no vote is for bent legs, it stays open whether they sit or crouch.
+    Where no vote is for bent legs, it stays open whether they sit, crouch or kneel.
     """
-    upright, between = (np.array([p in group for p in POSTURES]) for group in GROUPS[1:])
-    taken = presence * bent_probability(landmarks) * votes[upright].sum()
-    shares = np.where(between, votes, 0.0)
-    if shares.sum() < _LEAST_SHARE:
-        shares[[POSTURES.index("sitting"), POSTURES.index("crouching")]] += _LEAST_SHARE
-    kept = np.where(upright, 1 - presence * bent_probability(landmarks), 1.0)
-    return np.asarray(kept * votes + taken * shares / shares.sum())
+    bent = presence * bent_probability(landmarks)
+    kept = np.where(_UPRIGHT, 1 - bent, 1.0) * votes
+    return np.asarray(kept + bent * votes[_UPRIGHT].sum() * _within(votes, _BETWEEN, _BETWEEN))
 
 
 def bent_probability(landmarks: Landmarks) -> float:
@@ -166,15 +166,19 @@ def bent_probability(landmarks: Landmarks) -> float:
 
 def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
     """Votes ``(10,)``, scaled so that those for the ground have this probability."""
-    grounded = np.array([posture in GROUNDED for posture in POSTURES])
-    # Where nobody votes for one of the two, its first posture stands for it.
-    shares = np.where(votes > 0, votes, 0.0)
-    for group, stand_in in ((grounded, "lying"), (~grounded, "sitting")):
-        if shares[group].sum() < _LEAST_SHARE:
-            shares[POSTURES.index(stand_in)] += _LEAST_SHARE
-    scale = np.where(grounded, probability, 1 - probability)
-    totals = np.where(grounded, shares[grounded].sum(), shares[~grounded].sum())
-    return np.asarray(scale * shares / totals)
+    # Where all hypotheses lie and the landmarks do not, it stays open what they do.
+    lying, others = _within(votes, _GROUNDED, _LYING), _within(votes, ~_GROUNDED, _BETWEEN)
+    return np.asarray(probability * lying + (1 - probability) * others)
+
+
+def _within(
+    votes: NDArray[np.float64], group: NDArray[np.bool_], stand_in: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Shares ``(10,)`` within a group; where hardly any vote is for it, those of stand-ins."""
+    shares = np.where(group, votes, 0.0)
+    if shares.sum() < _LEAST_SHARE:
+        shares = shares + _LEAST_SHARE * stand_in / stand_in.sum()
+    return np.asarray(shares / shares.sum())
 
 
 def grounded_probability(landmarks: Landmarks) -> float:

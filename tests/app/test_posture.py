@@ -93,6 +93,10 @@ def test_who_leans_or_is_seen_by_a_rolled_camera_does_not_lie(angle_deg: float) 
     assert grounded_probability(turned(standing(), angle_deg)) < 0.5
 
 
+def test_where_all_hypotheses_lie_and_the_landmarks_stand_nothing_is_told() -> None:
+    assert estimate_posture(vote_posture(["lying"], [1.0]), standing()).label == "unclear"
+
+
 def with_knees_bent(landmarks: Landmarks, *sides: str) -> Landmarks:
     """The same, with thighs that point at the camera."""
     metres = landmarks.metres.copy()
