@@ -96,9 +96,10 @@ class PeopleFollower:
         for row, box, reading, silhouette in zip(rows, boxes, found, silhouettes, strict=True):
             if silhouette is None:
                 continue
-            owner, by_track = owners[row], wanted[row].score == 0
+            owner = owners[row]
             score = owner.score if owner else wanted[row].score
-            place = silhouette.box if by_track else box
+            # A detector's box may hold more than the body that is read in it.
+            place = silhouette.box if reading.presence >= LEAST_PRESENCE else box
             person = observed(frame, place, "detector", score, silhouette, reading)
             people.append((person, owner))
         return people

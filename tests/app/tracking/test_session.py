@@ -37,6 +37,7 @@ class ColourDetector:
     def __init__(self) -> None:
         self.whole = 0
         self.parts = 0
+        self.room = 0
 
     def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
         if frame.shape[:2] == (ROWS, COLUMNS):
@@ -48,7 +49,9 @@ class ColourDetector:
             mask = (np.abs(frame.astype(int) - colour).sum(axis=2) < 60).astype(np.uint8)
             left, top, width, height = cv2.boundingRect(mask)
             if height >= PERSON // 2:
-                boxes.append(Detection(Box(left - 0.5, top - 0.5, width, height), 0.9))
+                room = self.room
+                box = Box(left - 0.5 - room, top - 0.5, width + 2 * room, height)
+                boxes.append(Detection(box, 0.9))
         return boxes
 
 
@@ -114,7 +117,7 @@ def loaded() -> Estimator:
 def detector(loaded: Estimator) -> ColourDetector:
     detector = loaded.finder.detector
     assert isinstance(detector, ColourDetector)
-    detector.whole = detector.parts = 0
+    detector.whole = detector.parts = detector.room = 0
     return detector
 
 
@@ -155,6 +158,19 @@ def test_everybody_is_read_on_every_frame_and_the_whole_frame_searched_every_so_
             assert observed.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
             assert len(tracked.person.hypotheses) == 3
     assert detector.whole == 1 + 1 // SEARCH_EVERY_S
+
+
+def test_a_detection_that_holds_more_than_the_body_moves_nobody(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    """The walking frame beside somebody, say, that the detector takes for a part of them."""
+    send(session, 0.0, (0, 100))
+    for step in range(1, 21):
+        detector.room = 60 * (step % 2)
+        result = send(session, step / 2, (0, 100))
+        assert ids(result) == [1]
+        box = result.persons[0].person.observed.box
+        assert (box.x, box.width) == (pytest.approx(99.5, abs=2), pytest.approx(30, abs=3))
 
 
 @pytest.mark.parametrize(("place", "told_after_s"), [(2, 0.5), (100, 2.0)])
