@@ -78,7 +78,9 @@ def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> st
     return version
 
 
-def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
+def load_index(
+    path: Path, searched_by: Neighbours | None = None, *, reranked: bool = True
+) -> PoseIndex:
     """Read and verify an index.
 
     Parameters
@@ -87,6 +89,8 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
         Folder of the artefact.
     searched_by : Neighbours, optional
         Searches its vectors; by default exactly, in this process.
+    reranked : bool
+        Whether to read the network beside it, if there is one.
 
     Raises
     ------
@@ -97,7 +101,8 @@ def load_index(path: Path, searched_by: Neighbours | None = None) -> PoseIndex:
     manifest = _read_manifest(path)
     try:
         files = _read_files(path, manifest["files"])
-        return _restore(manifest, files, searched_by, load_reranker(path))
+        reranker = load_reranker(path) if reranked else None
+        return _restore(manifest, files, searched_by, reranker)
     except ArtefactError:
         raise
     except KeyError as error:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.keypoints import SPREAD_M, Keypoints
-from index.modes import with_bones_of
-from index.skeleton import JOINTS, LIMBS, OTHER_SIDE, POINT_NAMES
+from index.modes import pixels_per_metre, with_bones_of
+from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES
 
 STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 10))
 """Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
@@ -50,7 +50,7 @@ def fit_to_keypoints(
         Same shapes; bones keep their lengths, and the face moves with the head.
     """
     fitted, placed = points_3d, points_normalised
-    px_per_metre = _scale(points_3d, points_normalised)[:, None, None]
+    px_per_metre = pixels_per_metre(points_3d, points_normalised)[:, None, None]
     if keypoints.limbs_3d is not None:
         fitted = with_bones_of(points_3d, _deepened(keypoints, points_3d))
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
@@ -108,13 +108,3 @@ def _residuals(
     residuals = np.zeros_like(points_normalised)
     residuals[skeletons, rows] = trust[..., None] * offsets
     return residuals
-
-
-def _scale(
-    points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Pixels per metre ``(M,)`` of a weak-perspective projection, by least squares."""
-    metres = points_3d[:, :JOINTS, :2] - points_3d[:, :JOINTS, :2].mean(axis=1, keepdims=True)
-    pixels = points_normalised[:, :JOINTS]
-    pixels = pixels - pixels.mean(axis=1, keepdims=True)
-    return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))

@@ -348,8 +348,11 @@ def _modes_of_silhouette(
     k = max(CANDIDATES if ranking is None else RANKED_CANDIDATES, wanted)
     while True:
         candidates = find_rotated_candidates(index, queries, k)
-        support = None if ranking is None else ranking.support(candidates)
-        modes = find_modes(candidates, n + SPARE_MODES, support=support)
+        if ranking is None:
+            modes = find_modes(candidates, n + SPARE_MODES)
+        else:
+            support = ranking.support(candidates)
+            modes = find_modes(candidates, n + SPARE_MODES, support=support, fit=ranking.fitted)
         if len(modes) >= n or len(candidates) < k or k >= MAX_GROWTH * CANDIDATES:
             return candidates, modes
         k *= 2

@@ -14,7 +14,7 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -111,6 +111,7 @@ def find_modes(
     *,
     agreement: Agreement | None = None,
     support: NDArray[np.float64] | None = None,
+    fit: Callable[[Modes], Modes] = lambda modes: modes,
     bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
     """Up to ``count`` distinct modes, densest first.
@@ -123,6 +124,8 @@ def find_modes(
         Of the candidates with keypoints: weights the candidates and pulls modes to the keypoints.
     support : (K,) array, optional
         Factors of the candidates' weights.
+    fit : callable, optional
+        Takes interpolated modes closer to what is seen; those that then coincide are one.
     bandwidth_m : float
         Smaller for an index that covers few motions densely, as in the paper's experiments.
 
@@ -140,13 +143,13 @@ def find_modes(
         offsets = np.concatenate([offsets, -residuals], axis=1)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     densest = _densest(weights, apart, bandwidth_m)
-    modes = _interpolate(candidates, offsets, list(islice(densest, count)))
+    modes = fit(_interpolate(candidates, offsets, list(islice(densest, count))))
     while len(distinct := _distinct(modes)[:count]) < count:
-        # Interpolation made modes coincide: take as many as should make up for those.
+        # Interpolation or the fit made modes coincide: take as many as should make up for those.
         missing = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
         if not (next_densest := list(islice(densest, missing))):
             break
-        modes = modes.append(_interpolate(candidates, offsets, next_densest))
+        modes = modes.append(fit(_interpolate(candidates, offsets, next_densest)))
     return modes.take(distinct)
 
 
@@ -272,6 +275,16 @@ def with_bones_of(
     joints = _PATHS @ bones
     face = points[..., JOINTS:, :] - points[..., _HEAD : _HEAD + 1, :]
     return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
+
+
+def pixels_per_metre(
+    points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares."""
+    metres = points_3d[:, :JOINTS, :2] - points_3d[:, :JOINTS, :2].mean(axis=1, keepdims=True)
+    pixels = points_normalised[:, :JOINTS]
+    pixels = pixels - pixels.mean(axis=1, keepdims=True)
+    return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))
 
 
 def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -22,10 +22,14 @@ from index.verified_files import ArtefactError, npy_bytes
 
 FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 ORDER_WEIGHT, SUPPORT_WEIGHT = 3.0, 1.0
 """Chosen on clips and bodies that neither the network nor the strict experiment has."""
+
+SPREAD = (3.0, 3.0, 0.04)
+"""How far a joint may be from where a mode has it, one standard deviation: columns and rows in
+pixels, depth in metres. Chosen on every second clip of the strict experiment; 2 to 4 pixels do."""
 
 RERANKING_FEATURES = (
     *FEATURES,
@@ -33,12 +37,15 @@ RERANKING_FEATURES = (
     "log_likelihood_below_best",
     "log_likelihood_below_peak",
     "log_share",
+    "log_expected_error_px",
+    "log_expected_error_px_squared",
 )
 """Features of a hypothesis where there is a network: those of the match, and
 
 - the log-likelihood of its joints, what it lacks of the likeliest hypothesis, and what it lacks of
   the likeliest places of the joints, each by itself;
-- logarithm of its share of the probability; see :data:`index.reranking.SHARE_POWER`.
+- logarithm of its share of the probability; see :data:`index.reranking.SHARE_POWER`;
+- logarithm of its joint error, expected by the network alone, and the square of that logarithm.
 """
 
 
@@ -56,6 +63,9 @@ class Reranker:
     order_weight, support_weight : float
         What a unit of the joints' log-likelihood counts, beside the logarithm of the distance, in
         the order of hypotheses, and in the weights of the candidates that they are made of.
+    spread : (float, float, float)
+        How far joints may move to where the network sees them; see :data:`SPREAD`. Zeros: not at
+        all.
     """
 
     network: JointNetwork
@@ -63,6 +73,7 @@ class Reranker:
     training: dict[str, Any] = field(default_factory=dict)
     order_weight: float = ORDER_WEIGHT
     support_weight: float = SUPPORT_WEIGHT
+    spread: tuple[float, float, float] = SPREAD
 
     def __post_init__(self) -> None:
         if self.calibration.features != RERANKING_FEATURES:
@@ -92,6 +103,7 @@ def reranker_files(reranker: Reranker) -> dict[str, bytes]:
         "sha256": hashlib.sha256(weights).hexdigest(),
         "order_weight": reranker.order_weight,
         "support_weight": reranker.support_weight,
+        "spread": list(reranker.spread),
         "confidence": reranker.calibration.parameters(),
         "training": reranker.training,
     }
@@ -136,6 +148,7 @@ def load_reranker(folder: Path) -> Reranker | None:
             dict(manifest["training"]),
             float(manifest["order_weight"]),
             float(manifest["support_weight"]),
+            _spread(manifest["spread"]),
         )
     except ArtefactError:
         raise
@@ -143,3 +156,11 @@ def load_reranker(folder: Path) -> Reranker | None:
         raise ArtefactError(f"the network {weights} cannot be read: {error.strerror}") from error
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ArtefactError(f"{file} and {weights.name} do not hold together: {error}") from error
+
+
+def _spread(values: list[float]) -> tuple[float, float, float]:
+    """The spread that a manifest names; ``ValueError`` if it is none."""
+    columns, rows, depths = (float(value) for value in values)
+    if not min(columns, rows, depths) >= 0:
+        raise ValueError(f"expected a spread of 0 or more, got {values}")
+    return columns, rows, depths

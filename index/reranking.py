@@ -1,19 +1,22 @@
-"""The hypotheses of a silhouette, re-ranked by how likely a network finds their joints."""
+"""The hypotheses of a silhouette, fitted to where a network sees its joints, and re-ranked."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.joint_network import Distributions
-from index.modes import Modes
+from index.joint_network import Distributions, joint_positions
+from index.modes import Modes, pixels_per_metre, with_bones_of
 from index.reranker import Reranker
+from index.skeleton import JOINT_NAMES, JOINTS
 
 SHARE_POWER = 4.0
 """Hypotheses share the probability by the inverse of their fused distances to this power."""
+
+_PELVIS, _HEAD = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("head")
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,28 @@ class Ranking:
 
     def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
         """Mean log probability ``(N,)`` of the joints of candidates or modes."""
-        return self.seen.log_likelihood(found.points_3d, found.points_normalised)
+        return self.seen.log_likelihood(joint_positions(found.points_3d, found.points_normalised))
+
+    def fitted(self, modes: Modes) -> Modes:
+        """Modes whose joints have moved to where the network sees them nearby.
+
+        Each to its posterior mean, where the mode's own place is the prior, so that a mode stays
+        another one than the next. Bones keep their lengths, and the face moves with the head.
+        """
+        spread = self.reranker.spread
+        if not all(spread):
+            return modes
+        positions = joint_positions(modes.points_3d, modes.points_normalised)
+        moves = self.seen.posterior_means(positions, spread) - positions
+        scale = pixels_per_metre(modes.points_3d, modes.points_normalised)[:, None, None]
+        metres = np.concatenate([moves[..., :2] / scale, moves[..., 2:]], axis=-1)
+        moved = modes.points_3d.copy()
+        moved[:, :JOINTS] += metres
+        moved[:, JOINTS:] += metres[:, _HEAD, None]
+        moved = with_bones_of(modes.points_3d, moved)
+        placed = modes.points_normalised + (moved - modes.points_3d)[..., :2] * scale
+        placed += moves[:, _PELVIS, None, :2]
+        return replace(modes, points_3d=moved, points_normalised=placed)
 
     def support(self, candidates: Candidates) -> NDArray[np.float64] | None:
         """Factors ``(K,)`` of the weights of candidates, 1 for the likeliest; None if all are 1."""
@@ -67,7 +91,9 @@ class Ranking:
         distances : (M,) float64 array
             See :meth:`distances`.
         """
-        likelihood = self.log_likelihood(modes)
+        positions = joint_positions(modes.points_3d, modes.points_normalised)
+        likelihood = self.seen.log_likelihood(positions)
+        error = np.log(self.seen.expected_errors(positions))
         odds = -SHARE_POWER * np.log(distances + 1e-6)
         odds -= odds.max()
         return np.column_stack(
@@ -77,5 +103,7 @@ class Ranking:
                 likelihood - likelihood.max(),
                 likelihood - self.seen.peak(),
                 odds - np.log(np.exp(odds).sum()),
+                error,
+                error**2,
             ]
         )

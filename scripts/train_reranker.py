@@ -37,7 +37,7 @@ def main() -> int:
     try:
         kept, _ = hold_out(read_manifest(arguments.mocap))
         reranker = train_reranker(
-            load_index(arguments.index),
+            load_index(arguments.index, reranked=False),
             arguments.mocap,
             arguments.garments,
             kept,

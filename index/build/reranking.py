@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import nn
 
 from index.build.avatars import CALIBRATION_AVATARS, make_avatars
 from index.build.builder import NOT_HELD_OUT, Asked, Plan, entries_of, simulate_queries, split
@@ -18,11 +19,14 @@ from index.build.calibrate import (
     fit_calibration,
     run_trial,
 )
-from index.build.joint_training import Course, train
+from index.build.joint_training import Course, in_whole_numbers, train
 from index.build.motion import Segment
-from index.joint_network import JointNetwork
+from index.joint_network import JointNetwork, network_input
 from index.reranker import RERANKING_FEATURES, Reranker
 from index.store import PoseIndex
+
+SHOWN = 400
+"""Silhouettes that show how large values become within the network."""
 
 FINISH = 0.2
 """Passes over all silhouettes, as a share of those without the clips kept for the confidence."""
@@ -38,7 +42,6 @@ def train_reranker(
     asked: Asked = Plan.calibration,
     progress: bool = False,
     say: Callable[[str], None] = lambda _: None,
-    checkpoint: Callable[[JointNetwork], None] = lambda _: None,
 ) -> Reranker:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
@@ -60,8 +63,8 @@ def train_reranker(
         How many silhouettes the confidence is fitted on.
     progress : bool
         Whether to draw progress bars.
-    say, checkpoint : callable
-        See :func:`index.build.joint_training.train`.
+    say : callable
+        Takes a line about the progress.
 
     Returns
     -------
@@ -74,7 +77,8 @@ def train_reranker(
     if not len(rows):
         raise ValueError("expected an index with entries of the given motion, got none")
     say(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
-    network = train(index, rows, course, say=say, checkpoint=checkpoint)
+    layers = train(index, rows, course, say=say)
+    network = _whole(layers, index, rows)
     simulated = simulate_queries(
         motion, held, make_avatars(CALIBRATION_AVATARS, garments), asked, course.seed + 1
     )
@@ -83,7 +87,7 @@ def train_reranker(
     everything = entries_of(index, segments)
     say(f"Going on with {len(everything):,} silhouettes.")
     finish = replace(course, passes=FINISH * course.passes, rate=course.rate / 2)
-    network = train(index, everything, finish, start=network, say=say, checkpoint=checkpoint)
+    layers = train(index, everything, finish, start=layers, say=say)
     training: dict[str, Any] = {
         "index": index.version,
         "entries": len(everything),
@@ -93,7 +97,13 @@ def train_reranker(
         "confidence_fitted_on": len(queries),
         "of_clips_held_out": honest,
     }
-    return replace(reranker, network=network, training=training)
+    return replace(reranker, network=_whole(layers, index, everything), training=training)
+
+
+def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
+    """What was trained, in whole numbers whose steps some of the entries show."""
+    some = rows[:: max(1, len(rows) // SHOWN)]
+    return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 
 def calibrated(

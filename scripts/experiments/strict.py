@@ -115,8 +115,9 @@ def run(options: argparse.Namespace) -> None:
         "## What ranks the hypotheses",
         "The descriptor alone: the nearest entries as they are. Modes: distinct and interpolated, "
         "in the order of their distance. The network: in the order of distance and of the "
-        "likelihood that it gives their joints (docs/index.md); alone: the likeliest place of each "
-        "joint by itself.",
+        "likelihood that it gives their joints, made of candidates that it weighs, and fitted to "
+        "it (docs/index.md); alone: the likeliest place of each joint by itself. The confidence "
+        "was fitted with all of it.",
         table(["queries", "ranked by", *COLUMNS[1:]], by_step),
         "## By posture",
         f"The same and {ASKED.near_ground:,} frames of held-out clips near the ground and "

@@ -59,14 +59,17 @@ def steps(index: PoseIndex, groups: Mapping[str, tuple[Queries, Trial]]) -> list
     if index.reranker is None:
         return []
     plain = replace(index, reranker=None)
-    order = replace(index, reranker=replace(index.reranker, support_weight=0.0))
+    unfitted = replace(index.reranker, spread=(0.0, 0.0, 0.0))
+    weighed = replace(index, reranker=unfitted)
+    order = replace(index, reranker=replace(unfitted, support_weight=0.0))
     lines = []
     for name, (queries, answered) in groups.items():
         lines.append(_row(name, "the descriptor alone", *_nearest(index, queries)))
         lines.append(_trial_row(name, "modes", run_trial(plain, queries)))
-        if index.reranker.support_weight:
-            lines.append(_trial_row(name, "the network, order", run_trial(order, queries)))
-        lines.append(_trial_row(name, "the network", answered))
+        lines.append(_trial_row(name, "the network: order", run_trial(order, queries)))
+        weights = run_trial(weighed, queries)
+        lines.append(_trial_row(name, "the network: order, weights of candidates", weights))
+        lines.append(_trial_row(name, "the network: order, weights, fit", answered))
         own = 100 * float(_right_by_itself(index.reranker, queries).mean())
         lines.append([name, "the network alone, no search", f"{own:.1f} %", *4 * [""]])
     return lines

@@ -133,8 +133,11 @@ def test_the_first_frame_of_a_session_has_the_hypotheses_of_the_photograph(
     alone = persons(shipped, SENT[sent], **options)
     tracked = persons(shipped, SENT[sent], f"{path}/frames", **options)
     shipped.delete(path)
+    # Whom a session follows has the box of the body, not the detector's.
+    names = ["source", "silhouette", "observed_keypoints", "hypotheses"]
+    names += ["box"] if sent == "mask" else []
     for one, other in zip(alone, tracked, strict=True):
-        for name in ("box", "source", "silhouette", "observed_keypoints", "hypotheses"):
+        for name in names:
             assert one[name] == other[name], name
 
 

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from index.joint_network import BINS, CONVOLUTIONS, HIDDEN, JointNetwork
-from index.skeleton import JOINTS
+from index.joint_network import LAYER_SHAPES, MOST, JointNetwork, Layer
 
 
 def random_network(seed: int) -> JointNetwork:
-    """A network of random weights that keep values in the range of one."""
+    """A network of random weights whose values use their range."""
     generator = np.random.default_rng(seed)
-
-    def layer(inputs: int, outputs: int) -> np.ndarray:
-        weights = generator.normal(size=(inputs, outputs)) * np.sqrt(2 / inputs)
-        return weights.astype(np.float32)
-
-    kernels, biases, channels = [], [], 3
-    for size, _, features in CONVOLUTIONS:
-        kernels.append(layer(size * size * channels, features))
-        biases.append(generator.normal(size=features).astype(np.float32) / 10)
-        channels = features
-    flat, outputs = 8 * 3 * channels, JOINTS * BINS
-    return JointNetwork(
-        tuple(kernels), tuple(biases), layer(flat, HIDDEN), np.zeros(HIDDEN, np.float32),
-        layer(HIDDEN, outputs), np.zeros(outputs, np.float32),
-    )  # fmt: skip
+    layers = []
+    for inputs, outputs in LAYER_SHAPES:
+        weights = generator.normal(scale=MOST / 4, size=(inputs, outputs))
+        weights = np.rint(weights.clip(-MOST, MOST)).astype(np.float32)
+        reached = MOST if len(layers) + 1 < len(LAYER_SHAPES) else 4
+        factor = reached / (MOST / 4 * MOST * np.sqrt(inputs))
+        offsets = generator.normal(scale=reached / 10, size=outputs)
+        layers.append(
+            Layer(weights, np.full(outputs, factor, np.float32), offsets.astype(np.float32))
+        )
+    return JointNetwork(tuple(layers))

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
-from index.modes import DISTINCT_M, find_modes, with_bones_of
+from index.modes import DISTINCT_M, Modes, find_modes, with_bones_of
 from index.skeleton import JOINTS, NATIVE, POINTS
 from index.store import PoseIndex
 
@@ -135,6 +135,16 @@ def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_ne
     for number in range(0, 576, 23):
         found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
         assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
+
+
+def test_modes_that_a_fit_makes_alike_are_one(toy_index: PoseIndex) -> None:
+    found = find_candidates(toy_index, toy_index.silhouette(7), 200)
+
+    def fit(modes: Modes) -> Modes:
+        return replace(modes, points_3d=np.repeat(found.points_3d[:1], len(modes), axis=0))
+
+    assert len(find_modes(found, 5)) == 5
+    assert len(find_modes(found, 5, fit=fit)) == 1
 
 
 def test_modes_check_their_shapes() -> None:
