@@ -38,7 +38,7 @@ _LEAST_FILL = 0.2
 class BackgroundSegmenter:
     """Cut people out by their difference from the empty scene.
 
-    Holds the scene and nothing else: safe under several threads.
+    What differs in a frame is kept for the next question about the same frame.
 
     Parameters
     ----------
@@ -53,6 +53,7 @@ class BackgroundSegmenter:
     def __init__(self, background: NDArray[np.uint8], *, min_person_px: float = 50) -> None:
         self._background = background
         self._min_person_px = min_person_px
+        self._compared: tuple[NDArray[np.uint8], NDArray[np.bool_]] | None = None
 
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find people as upright regions of change.
@@ -80,7 +81,7 @@ class BackgroundSegmenter:
         too_thin = rows < least_px or columns < _ASPECTS[0] * least_px
         if too_thin and frame.shape == self._background.shape:
             return []
-        changed = foreground(frame, self._background)
+        changed = self._changed(frame)
         reach = max(1, round(self._min_person_px / 12))
         # Joins the parts of a body whose belt has the pavement's colour.
         kernel: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
@@ -103,7 +104,7 @@ class BackgroundSegmenter:
         Where boxes overlap, a changed pixel goes to the box whose middle is nearer, in widths.
         """
         height, width = frame.shape[:2]
-        changed = foreground(frame, self._background)
+        changed = self._changed(frame)
         found: list[Silhouette | None] = []
         for index, whole in enumerate(boxes):
             box = whole.clip(width, height)
@@ -121,6 +122,13 @@ class BackgroundSegmenter:
                 )
             )
         return with_truncation(found, boxes, frame.shape)
+
+    def _changed(self, frame: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Pixels ``(H, W)`` that differ from the scene."""
+        compared = self._compared
+        if compared is None or compared[0] is not frame:
+            compared = self._compared = frame, foreground(frame, self._background)
+        return compared[1]
 
 
 def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.bool_]:
