@@ -1,9 +1,9 @@
 """Tracks against single frames: clips that the index never saw, filmed by a fixed camera.
 
-The index of the strict experiment is asked for sequences of its held-out clips on bodies that it
-does not know, silhouettes alone. Every frame by itself is compared with the smooth pose of the
-frames so far. What was chosen or fitted (``--fit``) was so on other clips, bodies and an index
-without them.
+The index of the strict experiment, with the network that ships, is asked for sequences of its
+held-out clips on bodies that it does not know, silhouettes alone. Every frame by itself is compared
+with the smooth pose of the frames so far. What was chosen or fitted (``--fit``) was so on other
+clips, bodies and an index without them, and without the network.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from index.store import PoseIndex
 from scripts.experiments.report import table, write
 from scripts.experiments.sequences import FPS, Filmed, film
 from scripts.experiments.strict import hold_out, strict_index
+from scripts.experiments.strict_ranking import shipped_reranker
 
 COMMAND = "python -m scripts.evaluate tracking"
 VIEWS, SEED = 4, 7
@@ -117,8 +118,10 @@ def run(options: argparse.Namespace) -> None:
     if options.fit_tracks:
         fit(options.shared)
         return
-    index = strict_index(options.shared, options.strict_index)
     _, held = hold_out(read_manifest(options.shared / "mocap"))
+    index = replace(
+        strict_index(options.shared, options.strict_index), reranker=shipped_reranker(held)
+    )
     sequences = film_segments(options.shared, held, HELD_OUT_AVATARS, VIEWS)
     persons = [ask(index, filmed) for filmed in tqdm(sequences, desc="matching", unit="sequence")]
     report(sequences, persons, options.out)
