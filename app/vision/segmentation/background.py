@@ -162,20 +162,24 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
             reduced.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
         ).view(np.bool_)
     now = cv2.GaussianBlur(frame, (0, 0), 0.8).astype(np.float32)
-    scene = cv2.GaussianBlur(background, (0, 0), 0.8).astype(np.float32)
-    expected = _exposed_alike(now, scene)
-    residual = now - expected
-    noise = np.maximum(
-        1.4826 * np.median(np.abs(residual[::2, ::2]), axis=(0, 1)), _LEAST_NOISE
-    ).astype(np.float32)
-    contrast = cv2.morphologyEx(expected, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    spread = np.sqrt(noise**2 + (_SWAY * contrast) ** 2)
-    distance = np.sqrt(((residual / spread) ** 2).mean(axis=2))
+    expected = _exposed_alike(now, cv2.GaussianBlur(background, (0, 0), 0.8).astype(np.float32))
+    squares = np.zeros((height, width), np.float32)
+    difference = np.zeros((height, width), np.float32)
+    # Channel by channel, which takes a third of the memory.
+    for channel in range(3):
+        residual = np.abs(now[..., channel] - expected[..., channel])
+        noise = max(1.4826 * float(np.median(residual[::2, ::2])), _LEAST_NOISE)
+        contrast = cv2.morphologyEx(
+            expected[..., channel], cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)
+        )
+        squares += residual**2 / (noise**2 + (_SWAY * contrast) ** 2)
+        np.maximum(difference, residual, out=difference)
+    distance = np.sqrt(squares / 3)
     distance[_shadow(now, expected)] = 0
     grown = _hysteresis(distance > _MAYBE, distance > _SURE)
     opened = cv2.morphologyEx(grown.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    return _without_halo(closed > 0, np.abs(residual).max(axis=2))
+    return _without_halo(closed > 0, difference)
 
 
 def _without_halo(mask: NDArray[np.bool_], difference: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -210,7 +214,7 @@ def _exposed_alike(now: NDArray[np.float32], scene: NDArray[np.float32]) -> NDAr
             slope = float(((x[agree] - centre_x) * (y[agree] - centre_y)).sum()) / spread
             gain, offset = slope, centre_y - slope * centre_x
         result[..., channel] = gain * scene[..., channel] + offset
-    return np.clip(result, 1, 255)
+    return np.clip(result, 1, 255, out=result)
 
 
 def _shadow(now: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.bool_]:
