@@ -156,7 +156,7 @@ def _match_unseen(
 
 
 def without_clips(index: PoseIndex, clips: set[str]) -> PoseIndex:
-    """The index without the entries of some clips."""
+    """The index without the entries of some clips, and without the network, which knows them."""
     known = np.array([clip not in clips for clip in index.clips])
     rows = np.flatnonzero(known[index.skeleton_labels["clip"][index.entries["skeleton"]]])
     return replace(
@@ -164,6 +164,7 @@ def without_clips(index: PoseIndex, clips: set[str]) -> PoseIndex:
         vectors=index.vectors[rows].astype(np.float32),
         entries=index.entries[rows],
         silhouette_store=index.silhouette_store.select(rows),
+        reranker=None,
     )
 
 
