@@ -222,16 +222,19 @@ def build(mocap: Path, out: Path, hash_seed: str = "0") -> subprocess.Popen[str]
 
 @pytest.mark.slow
 def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        process = build(small_mocap, tmp_path / name, hash_seed=str(len(name)))
+    # An index is called after its folder.
+    folders = [tmp_path / parent / "index" for parent in ("one", "two")]
+    for seed, folder in enumerate(folders):
+        folder.parent.mkdir()
+        process = build(small_mocap, folder, hash_seed=str(seed))
         printed, complaint = process.communicate(timeout=900)
         assert process.returncode == 0, complaint
         assert "in T-pose" in printed
         assert "entries in" in printed
-    one, two = (load_index(tmp_path / name) for name in ("one", "two"))
+    one, two = (load_index(folder) for folder in folders)
     assert one.version == two.version
     assert len(one) == 480
     laid_down = {f"lie-on-{side}" for side in SIDES}
     assert set(one.actions) == {"basketball", "jump", "walk"} | laid_down
-    for file in (tmp_path / "one").iterdir():
-        assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
+    for file in folders[0].iterdir():
+        assert file.read_bytes() == (folders[1] / file.name).read_bytes()
