@@ -219,7 +219,7 @@ class Distributions:
         return Distributions(either - np.log(2))
 
     def peak(self) -> float:
-        """The same for the likeliest bin of each joint and axis: how sure the network is."""
+        """Mean log probability of the likeliest bins, joints by axes: how sure the network is."""
         return float(np.mean([part.max(axis=1) for part in self.by_axis()]))
 
     def likeliest(self) -> NDArray[np.float64]:
@@ -270,7 +270,8 @@ class Layer:
 def largest_sums(weights: NDArray[np.floating]) -> NDArray[np.float64]:
     """The most ``(D,)`` that sums of values can come to, whatever their order.
 
-    Values are not negative, so no sum of some of them exceeds that of one sign.
+    Values are not negative, so no sum of some of them exceeds that of one sign. Coordinates are,
+    but the first layer has few inputs.
     """
     signs = [np.maximum(sign * weights, 0).sum(axis=0, dtype=np.float64) for sign in (1, -1)]
     return np.asarray(MOST * np.maximum(*signs))
@@ -309,12 +310,11 @@ class JointNetwork:
 
     def look(self, planes: Array) -> Distributions:
         """What the network makes of a picture with its coordinates ``(64, 24, 3)``."""
-        *convolutions, hidden, output = self.layers
+        *inner, output = self.layers
         values = whole_numbers(planes)
-        for layer, (size, stride, _) in zip(convolutions, CONVOLUTIONS, strict=True):
-            values = rectified(layer(windows(values, size, stride)))
-        logits = output(rectified(hidden(values.ravel())))
-        return Distributions(log_softmax(logits.reshape(JOINTS, BINS)))
+        for number, layer in enumerate(inner):
+            values = rectified(layer(inputs_of(number, values)))
+        return Distributions(log_softmax(output(values).reshape(JOINTS, BINS)))
 
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> JointNetwork:
@@ -355,7 +355,15 @@ def log_softmax(logits: NDArray[np.floating]) -> NDArray[np.float64]:
     return result
 
 
-def windows(values: Array, size: int, stride: int) -> Array:
+def inputs_of(number: int, values: Array) -> Array:
+    """What a layer sums ``(..., F)``, of the values of the one before."""
+    if number < len(CONVOLUTIONS):
+        size, stride, _ = CONVOLUTIONS[number]
+        return _windows(values, size, stride)
+    return values.ravel()
+
+
+def _windows(values: Array, size: int, stride: int) -> Array:
     """Windows ``(H / stride, W / stride, size * size * C)`` of planes ``(H, W, C)``.
 
     Beyond the border lie zeros.

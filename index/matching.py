@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,15 +219,20 @@ class _Query:
     roll_deg: float
     whole: bool
 
+    @cached_property
+    def ranking(self) -> Ranking | None:
+        """What the network makes of the silhouette; None with keypoints, or without a network."""
+        if self.keypoints is not None or self.index.reranker is None:
+            return None
+        return Ranking.of(self.index.reranker, self.silhouette)
+
     def match(self, n: int) -> Match:
         """The hypotheses of one batch."""
         index, keypoints, roll_deg = self.index, self.keypoints, self.roll_deg
         wanted = CANDIDATES_PER_HYPOTHESIS * n
         rotations = usual_rotations(self.silhouette, roll_deg)
-        ranking = None
+        ranking = self.ranking
         if keypoints is None:
-            if index.reranker is not None:
-                ranking = Ranking.of(index.reranker, self.silhouette)
             queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
             candidates, modes = _modes_of_silhouette(index, queries, n, wanted, ranking)
         else:

@@ -24,12 +24,12 @@ from index.joint_network import (
     JointNetwork,
     Layer,
     input_planes,
+    inputs_of,
     largest_sums,
     network_input,
     places,
     rectified,
     whole_numbers,
-    windows,
 )
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
@@ -119,7 +119,7 @@ def train(
             order = np.concatenate([order, generator.permutation(len(examples))])
         batch, order = order[: course.batch], order[course.batch :]
         planes, truth = examples.take(batch, generator)
-        # Half as long again takes the same in 32 bits, where the processor has instructions for 16.
+        # 32 bits take half as long again; 16 would where the processor has to emulate them.
         with torch.autocast("cpu", torch.bfloat16, torch.cpu._is_avx512_bf16_supported()):
             logits = layers(_channels_first(planes))
         loss = _loss(logits.float(), torch.from_numpy(truth))
@@ -277,19 +277,11 @@ def in_whole_numbers(layers: nn.Sequential, planes: NDArray[np.float32]) -> Join
             found.append(Layer(whole, _array(scale * step), bias))
             break
         sums = Layer(whole, _array(scale * step), bias)
-        inputs = [_inputs_of(number, picture) for picture in values]
+        inputs = [inputs_of(number, picture) for picture in values]
         next_step = max(float(sums(one).max()) for one in inputs) / MOST + 1e-12
         found.append(Layer(whole, _array(scale * step / next_step), _array(bias / next_step)))
         values, step = [rectified(found[-1](one)) for one in inputs], next_step
     return JointNetwork(tuple(found))
-
-
-def _inputs_of(number: int, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What a layer sums, of the values of the one before."""
-    if number < len(CONVOLUTIONS):
-        size, stride, _ = CONVOLUTIONS[number]
-        return windows(values, size, stride)
-    return values.ravel()
 
 
 def _weights_and_biases(

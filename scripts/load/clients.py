@@ -16,7 +16,6 @@ import time
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 
 from app.settings import Settings
 from index.artefact import load_index
@@ -180,7 +179,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     options = parser.parse_args()
     sections, failed = [], []
-    with ServerProcess(options.index, log=Path("/tmp/clients-server.log")) as server:
+    with ServerProcess(options.index) as server:
         server.wait_until_ready()
         for kind, requests in calls(load_index(options.index)).items():
             run = partial(play, server.url, requests)
