@@ -18,7 +18,7 @@ from app.estimation.posture import CLEAR_FROM, EstimatedPosture
 from app.tracking.action_features import RATE_HZ, action_features
 from app.tracking.measures import Measured, ground_path
 from app.tracking.results import RecognisedAction
-from app.tracking.smoothing import Smoothed
+from app.tracking.smoothing import SURE_PX, Smoothed
 from index.posture import Posture, camera_up
 
 WINDOW_S, LEAST_S = 3.0, 1.0
@@ -42,9 +42,15 @@ SHOWN_BY: dict[str, tuple[Posture, ...]] = {
     "squat": ("crouching", "kneeling", "sitting", "bending"),
     "jump": ("standing", "arms_raised", "bending", "crouching", "running"),
     "walk": ("walking",),
-    "run": ("running", "walking"),
+    "run": ("running",),
 }
 """Postures in which an action is seen; the others are done on the spot, upright."""
+
+EVERYDAY = ("lie", "sit", "stand", "walk", "run")
+"""What most people do whom a camera sees ..."""
+
+EVERYDAY_LOG_ODDS = math.log(10)
+"""... rather than exercises, where the motion of their limbs does not tell."""
 
 ON_THE_SPOT: tuple[Posture, ...] = ("standing", "arms_raised", "bending")
 
@@ -84,10 +90,26 @@ class ActionModel:
             )
 
     def probabilities(
-        self, features: NDArray[np.float64], votes: NDArray[np.float64]
+        self, features: NDArray[np.float64], votes: NDArray[np.float64], sure: float = 1.0
     ) -> NDArray[np.float64]:
-        """Probabilities ``(..., A)`` from features ``(..., D)`` and votes ``(..., A)``."""
-        odds = features @ self.weights.T + self.offsets
+        """Tell actions apart.
+
+        Parameters
+        ----------
+        features : (..., D) float64 array
+        votes : (..., A) float64 array
+            Of :meth:`votes`.
+        sure : float
+            How surely the motion of limbs is seen, 0 to 1. As far as it is not, what people mostly
+            do counts.
+
+        Returns
+        -------
+        (..., A) float64 array
+            Probabilities.
+        """
+        everyday = EVERYDAY_LOG_ODDS * np.isin(self.actions, EVERYDAY)
+        odds = sure * (features @ self.weights.T + self.offsets) + (1 - sure) * everyday
         odds = odds + self.vote_weight * np.log(np.maximum(votes, LEAST_SHARE))
         odds = np.exp(odds - odds.max(axis=-1, keepdims=True))
         return np.asarray(odds / odds.sum(axis=-1, keepdims=True))
@@ -174,7 +196,10 @@ class ActionRecogniser:
             return self._told
         features = window_features([measured for measured, _ in self._seen])
         votes = np.mean([votes for _, votes in self._seen], axis=0)
-        probabilities = self._model.probabilities(features, votes)
+        sure = 1.0
+        if posture is not None:
+            sure = min(1.0, person.observed.whole_box.height / SURE_PX)
+        probabilities = self._model.probabilities(features, votes, sure)
         if posture is not None:
             probabilities = probabilities * posture_factors(self._model.actions, posture)
             probabilities /= probabilities.sum()

@@ -37,11 +37,6 @@ STATES = 12
 CONFIDENCE_WEIGHT = 1.5
 """Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
 
-LOW_COST = 2.0
-"""Of a state that is not upright, by silhouettes alone. Half of the entries are not, of people
-before a camera about one in eight; and a silhouette that is cut out badly soon looks like somebody
-who sits or lies."""
-
 COST_PER_M = 60.0
 """Of the joints' mean way between frames ``1 / RATE`` seconds apart; twice that between frames
 without any time between, and the less the more time passed."""
@@ -170,7 +165,7 @@ class PoseSmoother:
     ----------
     states : int
         See :data:`STATES`, as the others by their names.
-    cost_per_m, low_cost, turn_weight : float
+    cost_per_m, turn_weight : float
     line_s : float
     """
 
@@ -179,13 +174,11 @@ class PoseSmoother:
         *,
         states: int = STATES,
         cost_per_m: float = COST_PER_M,
-        low_cost: float = LOW_COST,
         turn_weight: float = TURN_WEIGHT,
         line_s: float = LINE_S,
     ) -> None:
         self._states = states
         self._cost_per_m = cost_per_m
-        self._low_cost = low_cost
         self._turn_weight = turn_weight
         self._ground = GroundMotion()
         self._turns = TurnFilter()
@@ -232,8 +225,6 @@ class PoseSmoother:
             log_emission = log_emission - sure * LANDMARK_WEIGHT * np.log(
                 (distances + 1e-9) / (distances.min() + 1e-9)
             )
-        else:
-            log_emission = log_emission - self._low_cost * low
         if self._frames:
             log_emission *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
         shares = np.exp(log_emission - log_emission.max())

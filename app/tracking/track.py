@@ -27,6 +27,10 @@ SURE_SCORE = 0.6
 CONFIRMING_SIGHTINGS = 3
 """... others when they have been seen in as many frames."""
 
+PRESENT_FROM = 0.5
+"""Presence that the landmark network must have seen once in whom the detector found: of tables and
+tripods it often stays near 0."""
+
 _APPEARANCE_GAIN = 0.1
 
 
@@ -72,6 +76,8 @@ class Track:
         self.sightings = 0
         self.score = 0.0
         """Highest probability of the detector that this is a person; 1 if the caller said so."""
+        self.presence = 0.0
+        """Highest presence by the landmark network; 1 where it does not decide."""
         self.seen_at = timestamp
         """When the track was last seen."""
         self.next_window: PersonWindow | None = observed.next_window
@@ -91,7 +97,9 @@ class Track:
     @property
     def is_confirmed(self) -> bool:
         """Whether enough speaks for a person."""
-        return self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
+        return self.presence >= PRESENT_FROM and (
+            self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
+        )
 
     def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
         """Take in where the person is in this frame, in which of the camera's zones."""
@@ -105,6 +113,8 @@ class Track:
         if observed.source not in ("background", "track"):
             score = 1.0 if observed.detection_score is None else observed.detection_score
             self.score = max(self.score, score)
+        presence = observed.presence if observed.source == "detector" else None
+        self.presence = max(self.presence, 1.0 if presence is None else presence)
         self.next_window = observed.next_window
         # People who overlap others in the picture would lend them their colours.
         clear = observed.silhouette is not None and not observed.silhouette.truncated

@@ -55,7 +55,6 @@ VARIANTS: dict[str, dict[str, float]] = {
     "seven hypotheses a frame for twelve": {"states": 7},
     "without the way people are turned over time": {"turn_weight": 0.0},
     "without the cost of moving": {"cost_per_m": 0.0},
-    "without the cost of low postures": {"low_cost": 0.0},
     "without the line through the last frames": {"line_s": 0.0},
 }
 """What is left out of smoothing, to see what it is worth."""

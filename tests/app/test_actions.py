@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from app.tracking.actions import (
 from app.tracking.ground import STILL
 from app.tracking.measures import Measured
 from app.tracking.results import RecognisedAction, SmoothedPose
-from app.tracking.smoothing import Smoothed
+from app.tracking.smoothing import SURE_PX, Smoothed
 from app.vision.people import Box
 from index.matching import Hypothesis
 from index.posture import POSTURES, Posture, camera_up
@@ -133,6 +134,26 @@ def test_an_action_is_told_after_a_second(undecided: ActionModel) -> None:
 def test_labels_that_the_model_does_not_know_leave_it_undecided(undecided: ActionModel) -> None:
     answer = recognise(undecided, [frame / RATE_HZ for frame in range(20)], "swordplay")[-1]
     assert answer is not None and answer.probability == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("height", "best"), [(2 * SURE_PX, "punch"), (SURE_PX, "punch"), (SURE_PX / 8, "stand")]
+)
+def test_limbs_of_small_people_tell_little(
+    undecided: ActionModel, height: float, best: str
+) -> None:
+    """Of them posture decides, and what people mostly do."""
+    size = undecided.weights.shape[1]
+    model = ActionModel(
+        ("punch", "stand", "walk"), np.zeros((3, size)), np.array([3.0, 0.0, 0.0]), 0.0
+    )
+    recogniser, told = ActionRecogniser(model), None
+    box = Box(0, 0, height / 2, height)
+    for step, pose in enumerate(swinging(2)):
+        one = person("walk")
+        one = replace(one, observed=replace(one.observed, box=box))
+        told = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
+    assert told is not None and told.label == best
 
 
 def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:

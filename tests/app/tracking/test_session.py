@@ -189,6 +189,17 @@ def test_who_is_no_longer_seen_is_gone_at_once_and_has_left_some_time_later(
     assert session.track_ids == ()
 
 
+def test_a_thing_that_the_landmark_network_never_sees_a_person_in_is_nobody(
+    session: CameraSession, loaded: Estimator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A table, say, that the detector takes for somebody."""
+    monkeypatch.setattr(loaded.finder.reader, "lost", True)
+    for step in range(10):
+        assert ids(send(session, step / 2, (0, 100))) == []
+    monkeypatch.setattr(loaded.finder.reader, "lost", False)
+    assert ids(send(session, 5.0, (0, 100))) == [1]
+
+
 def test_who_vanished_within_the_picture_and_is_found_again_is_the_same(
     session: CameraSession,
 ) -> None:
