@@ -36,11 +36,21 @@ BENT_FROM_DEG, BENT_SLOPE_DEG = 45.0, 5.0
 """Bend of the straighter knee from which legs do not stand, and how surely it tells. Thighs that
 point at the camera look like those of somebody who stands; of who walks, one knee is straight."""
 
+SEAT_UPRIGHT, SEATED = 0.85, 0.8
+"""Cosines of the angles of trunk and shanks with the vertical from which two bent knees rather sit
+than crouch or kneel, and how often they do: of simulated bodies, 78 %."""
+
 _LEAST_SHARE = 0.02
 _GROUNDED, _UPRIGHT, _BETWEEN = (
     np.array([posture in group for posture in POSTURES]) for group in GROUPS
 )
 _LYING = np.array([posture == "lying" for posture in POSTURES])
+_SEATED = (
+    np.where(
+        [posture == "sitting" for posture in POSTURES], SEATED, (1 - SEATED) / (_BETWEEN.sum() - 1)
+    )
+    * _BETWEEN
+)
 
 
 def _rows(*joints: str) -> list[int]:
@@ -146,11 +156,21 @@ def with_bent_legs(
 ) -> NDArray[np.float64]:
     """Votes ``(10,)`` without those for straight legs, as far as both knees are seen to be bent.
 
-    Where no vote is for bent legs, it stays open whether they sit, crouch or kneel.
+    Where no vote is for bent legs, who holds trunk and shanks upright mostly sits; else it stays
+    open whether they sit, crouch or kneel.
     """
     bent = presence * bent_probability(landmarks)
     kept = np.where(_UPRIGHT, 1 - bent, 1.0) * votes
-    return np.asarray(kept + bent * votes[_UPRIGHT].sum() * _within(votes, _BETWEEN, _BETWEEN))
+    stand_in = _SEATED if _sits_upright(landmarks) else _BETWEEN
+    return np.asarray(kept + bent * votes[_UPRIGHT].sum() * _within(votes, _BETWEEN, stand_in))
+
+
+def _sits_upright(landmarks: Landmarks) -> bool:
+    """Whether trunk and shanks are upright."""
+    metres = landmarks.metres
+    trunk = _unit(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
+    shanks = [_unit(bone) for bone in metres[_ANKLES] - metres[_KNEES]]
+    return bool(min(-trunk[1], np.mean(shanks, axis=0)[1]) >= SEAT_UPRIGHT)
 
 
 def bent_probability(landmarks: Landmarks) -> float:
@@ -172,7 +192,9 @@ def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.
 
 
 def _within(
-    votes: NDArray[np.float64], group: NDArray[np.bool_], stand_in: NDArray[np.bool_]
+    votes: NDArray[np.float64],
+    group: NDArray[np.bool_],
+    stand_in: NDArray[np.bool_] | NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Shares ``(10,)`` within a group; where hardly any vote is for it, those of stand-ins."""
     shares = np.where(group, votes, 0.0)

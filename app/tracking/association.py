@@ -16,7 +16,8 @@ from app.vision.people import Box
 # How far from the predicted place somebody may be seen, in heights of the person: at once, for
 # each second since the last sighting, and at most.
 _NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
-# Largest ratio of two sizes of one person.
+# Largest ratio of two sizes of one person at once, and once more for each second since the last
+# sighting: who falls towards the camera, or away from it, shrinks within half a second.
 _GROWTH = 1.6
 # Weights of what speaks against a pair, each 0 to 1 within the gates.
 _PLACE, _OVERLAP, _SIZE, _APPEARANCE = 0.4, 0.3, 0.2, 0.6
@@ -62,12 +63,13 @@ def association_costs(
     costs = np.full((len(tracks), len(sightings)), 10 * _LARGEST_COST)
     for row, track in enumerate(tracks):
         predicted = track.motion.predict(timestamp)
-        reach = min(_FAR, _NEAR + _NEAR_PER_S * (timestamp - track.seen_at))
+        elapsed = timestamp - track.seen_at
+        reach = min(_FAR, _NEAR + _NEAR_PER_S * elapsed)
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
             away = _distance(predicted, box) / max(_size(predicted), _size(box))
             # Who bends fast is smaller than predicted, but not much smaller than just before.
-            growth = min(_growth(predicted, box), _growth(track.motion.seen, box))
+            growth = min(_growth(predicted, box), _growth(track.motion.seen, box)) / (1 + elapsed)
             followed = sighting.followed is track
             if not followed and (away > reach or growth > 1):
                 continue

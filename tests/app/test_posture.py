@@ -123,11 +123,31 @@ def test_only_who_bends_both_knees_does_not_stand(weights: list[float]) -> None:
     assert share(shares, *GROUNDED) == pytest.approx(share(votes, *GROUNDED))
 
 
+def with_shanks_level(landmarks: Landmarks) -> Landmarks:
+    """The same, with shanks that point away from the camera: on the knees."""
+    metres = landmarks.metres.copy()
+    for side in ("left", "right"):
+        knee, *below = (
+            LANDMARK_NAMES.index(f"{side}_{part}")
+            for part in ("knee", "ankle", "heel", "foot_index")
+        )
+        metres[below] = metres[knee] + [0.0, 0.0, 0.4]
+    return Landmarks(landmarks.positions, landmarks.visibility, metres)
+
+
 def test_whether_bent_knees_sit_or_crouch_is_left_to_the_votes() -> None:
-    both = with_knees_bent(standing(), "left", "right")
+    both = with_shanks_level(standing())
     assert estimate_posture(vote_posture(["standing"], [1.0]), both).label == "unclear"
-    votes = vote_posture(["standing", "sitting"], [0.9, 0.1])
-    assert estimate_posture(votes, both).label == "sitting"
+    for other in ("sitting", "kneeling", "crouching"):
+        votes = vote_posture(["standing", other], [0.9, 0.1])
+        assert estimate_posture(votes, both).label == other
+
+
+def test_who_bends_both_knees_and_holds_trunk_and_shanks_upright_sits() -> None:
+    both = with_knees_bent(standing(), "left", "right")
+    assert estimate_posture(vote_posture(["standing"], [1.0]), both).label == "sitting"
+    votes = vote_posture(["standing", "crouching"], [0.9, 0.1])
+    assert estimate_posture(votes, both).label == "crouching"
 
 
 def test_left_and_right_count_alike() -> None:

@@ -84,6 +84,17 @@ class TestAssociate:
         child = Sighting(ObservedPerson(Box(108, 140, 14, 40), "detector", 0.9, None), None)
         assert associate([walking(100, 0)], [child], 1.1) == [None]
 
+    def test_who_falls_unseen_is_found_again_though_much_smaller(self) -> None:
+        """Boxes of a fall in a care home; a third of a second lies between the last two."""
+        boxes = Box(364, 33, 128, 217), Box(343, 28, 169, 208), Box(368, 104, 123, 118)
+        seen = [Sighting(ObservedPerson(box, "detector", 0.9, None), None) for box in boxes]
+        track = Track(seen[0], 0.0)
+        for number in range(1, 6):
+            track.see(seen[0], 0.08 * number)
+        track.see(seen[1], 0.48)
+        assert associate([track], [seen[2]], 0.50) == [None]
+        assert associate([track], [seen[2]], 0.80) == [0]
+
     def test_who_is_unseen_for_longer_may_be_farther_away(self) -> None:
         assert associate([walking(100, 0)], [sighting(180)], 1.1) == [None]
         assert associate([walking(100, 0)], [sighting(180)], 2.9) == [0]
