@@ -112,11 +112,13 @@ def places(balancer: Balancer) -> dict[str, str]:
 
 
 def wait_for(balancer: Balancer, addresses: set[str]) -> dict[str, str]:
-    """Where the cameras are once they are spread over these replicas."""
+    """Where the cameras are, twice in a row, once they are spread over these replicas."""
     deadline = time.monotonic() + 20
-    while set((found := places(balancer)).values()) != addresses:
+    before, found = None, places(balancer)
+    while found != before or set(found.values()) != addresses:
         assert time.monotonic() < deadline, found
         time.sleep(0.1)
+        before, found = found, places(balancer)
     return found
 
 
