@@ -66,10 +66,13 @@ class Trust:
         That the body is read rightly.
     person : float
         That there is a person at all.
+    outline : float
+        That the outline is a person's, in whatever pose.
     """
 
     body: float
     person: float
+    outline: float
 
 
 class EventDetector:
@@ -120,9 +123,11 @@ class EventDetector:
         def happened(event: EventName, state: EventState | None, level: float) -> list[Event]:
             return [Event(event, track_id, state, timestamp, level)] if state else []
 
+        dropped = self._dropped(height_px)
         upright = share(*UPRIGHT)
         self._upright.update(timestamp, upright, step)
-        if self._upright.holds and upright >= BEGINS_FROM and not self._dropped(height_px):
+        stands = self._upright.holds and upright >= BEGINS_FROM
+        if stands and not self._down.holds and not dropped:
             self._upright_at = timestamp
             if height_px is not None:
                 known = self._upright_px or height_px
@@ -136,8 +141,9 @@ class EventDetector:
         lies = 0.0 if rests else share("lying")
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        down = 1.0 if self._dropped(height_px) else share(*DOWN)
-        self._down.update(timestamp, 0.0 if rests else down, trust.person * elapsed)
+        down = 1.0 if dropped else share(*DOWN)
+        seen = trust.outline if dropped else trust.person
+        self._down.update(timestamp, 0.0 if rests else down, seen * elapsed)
         fell: EventState | None = "instant" if self._fell(timestamp) else None
         return (*events, *happened("fell", fell, self._down.level))
 
