@@ -66,13 +66,10 @@ class Trust:
         That the body is read rightly.
     person : float
         That there is a person at all.
-    outline : float
-        That the outline is a person's, in whatever pose.
     """
 
     body: float
     person: float
-    outline: float
 
 
 class EventDetector:
@@ -142,8 +139,7 @@ class EventDetector:
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
         down = 1.0 if dropped else share(*DOWN)
-        seen = trust.outline if dropped else trust.person
-        self._down.update(timestamp, 0.0 if rests else down, seen * elapsed)
+        self._down.update(timestamp, 0.0 if rests else down, trust.person * elapsed)
         fell: EventState | None = "instant" if self._fell(timestamp) else None
         return (*events, *happened("fell", fell, self._down.level))
 

@@ -155,11 +155,10 @@ class Track:
 
     def _trust(self, observed: ObservedPerson, pose: SmoothedPose) -> Trust:
         """How far a frame is to be trusted: by the network, by silhouettes alone by the pose."""
-        score = 1.0 if observed.detection_score is None else observed.detection_score
         if observed.presence is None:
-            return Trust(pose.confidence, pose.confidence, score)
-        person = max(observed.presence, score)
-        return Trust(observed.presence, person, person)
+            return Trust(pose.confidence, pose.confidence)
+        score = 1.0 if observed.detection_score is None else observed.detection_score
+        return Trust(observed.presence, max(observed.presence, score))
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""

@@ -274,7 +274,7 @@ def fell(track: Track, step: int) -> int:
             continue
         box = person.observed.box
         _, shares = postures.update(timestamp, smoothed.votes, None, 1.0, box)
-        trust = Trust(smoothed.pose.confidence, smoothed.pose.confidence, outline=1.0)
+        trust = Trust(*2 * [smoothed.pose.confidence])
         events = detector.update(1, timestamp, shares, trust, box.height)
         told += sum(event.event == "fell" for event in events)
     return told

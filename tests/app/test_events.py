@@ -30,7 +30,7 @@ def watch(
             other: Posture = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
             events += detector.update(
-                7, frame / fps, shares, Trust(confidence, confidence, confidence), rests=rests
+                7, frame / fps, shares, Trust(confidence, confidence), rests=rests
             )
             frame += 1
     return events
@@ -105,7 +105,7 @@ def test_who_crawls_out_of_bed_and_stays_down_is_told() -> None:
     events: list[Event] = []
     for frame in range(100):
         lying = vote_posture(["lying", "bending"], [0.9, 0.1])
-        events += detector.update(7, frame / FPS, lying, Trust(1.0, 1.0, 1.0), rests=frame < 50)
+        events += detector.update(7, frame / FPS, lying, Trust(1.0, 1.0), rests=frame < 50)
     assert told(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6
 
@@ -117,19 +117,3 @@ def test_who_is_down_and_looks_upright_for_a_moment_fell(moment: float) -> None:
         ("walking", 3), ("lying", 0.8), ("standing", moment), ("lying", 4),
     ]  # fmt: skip
     assert ("fell", "instant") in told(watch(parts))
-
-
-@pytest.mark.parametrize(("outline", "expected"), [(1.0, [("fell", "instant")]), (0.05, [])])
-def test_who_drops_to_half_the_height_fell_in_whatever_pose(
-    outline: float, expected: list[tuple[str, str]]
-) -> None:
-    """As long as the outline is a person's, which the caller of a mask knows."""
-    detector = EventDetector()
-    events: list[Event] = []
-    for frame in range(60):
-        stands = frame < 30
-        shares = vote_posture(["standing" if stands else "bending"], [1.0])
-        trust = Trust(1.0, 1.0, 1.0) if stands else Trust(0.05, 0.05, outline)
-        height_px = 150.0 if stands else 70.0
-        events += detector.update(7, frame / FPS, shares, trust, height_px)
-    assert told(events) == expected
