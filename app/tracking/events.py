@@ -120,11 +120,9 @@ class EventDetector:
         def happened(event: EventName, state: EventState | None, level: float) -> list[Event]:
             return [Event(event, track_id, state, timestamp, level)] if state else []
 
-        dropped = self._dropped(height_px)
         upright = share(*UPRIGHT)
         self._upright.update(timestamp, upright, step)
-        stands = self._upright.holds and upright >= BEGINS_FROM
-        if stands and not self._down.holds and not dropped:
+        if self._upright.holds and upright >= BEGINS_FROM and not self._dropped(height_px):
             self._upright_at = timestamp
             if height_px is not None:
                 known = self._upright_px or height_px
@@ -138,7 +136,7 @@ class EventDetector:
         lies = 0.0 if rests else share("lying")
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        down = 1.0 if dropped else share(*DOWN)
+        down = 1.0 if self._dropped(height_px) else share(*DOWN)
         self._down.update(timestamp, 0.0 if rests else down, trust.person * elapsed)
         fell: EventState | None = "instant" if self._fell(timestamp) else None
         return (*events, *happened("fell", fell, self._down.level))

@@ -108,12 +108,3 @@ def test_who_crawls_out_of_bed_and_stays_down_is_told() -> None:
         events += detector.update(7, frame / FPS, lying, Trust(1.0, 1.0), rests=frame < 50)
     assert told(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6
-
-
-@pytest.mark.parametrize("moment", [0.2, 0.4])
-def test_who_is_down_and_looks_upright_for_a_moment_fell(moment: float) -> None:
-    """A silhouette of somebody who lies along the line of sight, say."""
-    parts: list[tuple[Posture, float]] = [
-        ("walking", 3), ("lying", 0.8), ("standing", moment), ("lying", 4),
-    ]  # fmt: skip
-    assert ("fell", "instant") in told(watch(parts))
