@@ -45,12 +45,8 @@ _GROUNDED, _UPRIGHT, _BETWEEN = (
     np.array([posture in group for posture in POSTURES]) for group in GROUPS
 )
 _LYING = np.array([posture == "lying" for posture in POSTURES])
-_SEATED = (
-    np.where(
-        [posture == "sitting" for posture in POSTURES], SEATED, (1 - SEATED) / (_BETWEEN.sum() - 1)
-    )
-    * _BETWEEN
-)
+_SITTING = np.array([posture == "sitting" for posture in POSTURES])
+_SEATED = SEATED * _SITTING + (1 - SEATED) * (_BETWEEN & ~_SITTING) / (_BETWEEN.sum() - 1)
 
 
 def _rows(*joints: str) -> list[int]:

@@ -196,11 +196,11 @@ class ActionRecogniser:
             return self._told
         features = window_features([measured for measured, _ in self._seen])
         votes = np.mean([votes for _, votes in self._seen], axis=0)
-        sure = 1.0
-        if posture is not None:
+        if posture is None:
+            probabilities = self._model.probabilities(features, votes)
+        else:
             sure = min(1.0, person.observed.whole_box.height / SURE_PX)
-        probabilities = self._model.probabilities(features, votes, sure)
-        if posture is not None:
+            probabilities = self._model.probabilities(features, votes, sure)
             probabilities = probabilities * posture_factors(self._model.actions, posture)
             probabilities /= probabilities.sum()
         best = int(probabilities.argmax())

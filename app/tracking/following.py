@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from app.estimation.estimates import ObservedPerson
 from app.estimation.finder import Check, PeopleFinder, distinct_bodies, observed
 from app.estimation.stopwatch import Stopwatch
-from app.tracking.track import Track
+from app.tracking.track import LEAST_PRESENCE, Track
 from app.vision.people import Box, Detection
 from app.vision.person.landmarks import Reading
 from app.vision.person.reader import fuse
@@ -27,10 +27,6 @@ SEARCH_EVERY_S = 0.4
 
 FOLLOWED_FOR_S = 0.5
 """How long after it was read a track's window still says where the person is."""
-
-LEAST_PRESENCE = 0.5
-"""Presence from which the network sees a person in a track's window: it stays below 0.1 where
-somebody has left."""
 
 MOST_DRIFT = 0.35
 """How far a window may be from the next: one that drifts farther has lost the body."""

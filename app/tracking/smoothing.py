@@ -215,7 +215,6 @@ class PoseSmoother:
             float(weights @ _px_per_m(points_3d, points_2d)),
             float(weights @ elevations_deg),
         )
-        low = np.array([placed.hypothesis.posture not in UPRIGHT for placed in hypotheses])
         log_emission = CONFIDENCE_WEIGHT * np.log(confidences + 1e-3)
         line_s, sure = self._line_s, 0.0
         if person.facing.evidence == "image":
@@ -241,7 +240,7 @@ class PoseSmoother:
         probabilities /= probabilities.sum()
         near = _weights_near_best(points_3d, log_probabilities)
         smoothed_3d, odds = self._smoothed(timestamp)
-        upright = float(probabilities @ ~low)
+        upright = float(probabilities @ [one.hypothesis.posture in UPRIGHT for one in hypotheses])
         if person.facing.evidence == "image" and upright * (1 - sure) > 0.5:
             smoothed_3d = _kept_beside(smoothed_3d, turn)
         agreement = float(probabilities @ _nearness(points_3d, log_probabilities))

@@ -27,9 +27,10 @@ SURE_SCORE = 0.6
 CONFIRMING_SIGHTINGS = 3
 """... others when they have been seen in as many frames."""
 
-PRESENT_FROM = 0.5
-"""Presence that the landmark network must have seen once in whom the detector found: of tables and
-tripods it often stays near 0."""
+LEAST_PRESENCE = 0.5
+"""Presence from which the landmark network sees a person. It must have done so once in whom the
+detector found: of tables and tripods it often stays near 0, and below 0.1 where somebody has
+left."""
 
 _APPEARANCE_GAIN = 0.1
 
@@ -97,7 +98,7 @@ class Track:
     @property
     def is_confirmed(self) -> bool:
         """Whether enough speaks for a person."""
-        return self.presence >= PRESENT_FROM and (
+        return self.presence >= LEAST_PRESENCE and (
             self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
         )
 
