@@ -13,11 +13,11 @@ import sys
 
 import uvicorn
 
-from app.serving.logs import log_config
-from app.serving.remote_index import MissingPackageError, check_milvus_package
+from app.http.logs import log_config
+from app.serving.milvus import MissingPackageError, check_milvus_package
 from app.settings import Settings, SettingsError, read_settings
+from app.vision.models import check_networks
 from app.vision.tflite import NetworkError
-from app.vision.weights import check_networks
 from index.milvus_address import MilvusAddress
 
 GRACE_S = 15

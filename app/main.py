@@ -15,27 +15,25 @@ from starlette.types import Scope
 from app.estimation.estimator import Estimator
 from app.http.access_log import AccessLogMiddleware
 from app.http.admission import AdmissionMiddleware, UploadLimits
-from app.http.callers import sender_of
-from app.http.cameras import HEADER as CAMERA_HEADER
-from app.http.cameras import camera_stream
 from app.http.error_handlers import register_error_handlers
-from app.http.head import HeadMiddleware
+from app.http.identity import HEADER as CAMERA_HEADER
+from app.http.identity import camera_stream, sender_of
 from app.http.metrics import Metrics
-from app.http.openapi import SERVERS, TAGS, add_openapi
-from app.http.route_table import RouteTable
-from app.routes import cameras, deepstack, health, index, pose, sequence
+from app.http.routing import HeadMiddleware, RouteTable
+from app.routes import cameras, deepstack, index, pose, sequence
+from app.routes import system as health
 from app.routes.cameras import SESSION_HEADER
-from app.routes.docs import add_docs
-from app.routes.page import add_page
-from app.serving.breaker import CircuitBreaker
+from app.routes.openapi import SERVERS, TAGS, add_openapi
+from app.routes.system import add_docs, add_page
+from app.scheduling.executor import Executor
+from app.scheduling.process import configure_process
 from app.serving.loading import become_ready, keep_index_loaded
+from app.serving.milvus import CircuitBreaker
 from app.serving.runtime import Runtime
 from app.serving.version import VERSION
 from app.settings import Settings, read_settings
 from app.tracking.session import CameraSession
 from app.tracking.sessions import CameraSessions
-from app.work.executor import Executor
-from app.work.process import configure_process
 
 # Below that, less than a packet is saved.
 GZIP_FROM_BYTES = 1400

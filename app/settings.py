@@ -13,8 +13,8 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.messages import expected_and_got, shortened, suggestion
-from app.vision.detection.detector import DetectorName
-from app.work.cores import available_cores
+from app.scheduling.process import available_cores
+from app.vision.detector import DetectorName
 from index.milvus_address import SCHEME, MilvusAddress
 from index.store import DEFAULT_PATH
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from descriptor.descriptor import restore
 from index.folders import replace_folder, staging
-from index.neighbours import Neighbours
-from index.reranker import Reranker, load_reranker, reranker_files
+from index.reranker import RankingModel, load_reranker, reranker_files
+from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -175,7 +175,7 @@ def _restore(
     manifest: dict[str, Any],
     files: dict[str, Any],
     searched_by: Neighbours | None,
-    reranker: Reranker | None,
+    reranker: RankingModel | None,
 ) -> PoseIndex:
     learned = {
         name.removeprefix("descriptor-"): array

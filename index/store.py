@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
 from index.confidence import Calibration
-from index.landmark_search import DIMENSION, SEARCHED, LandmarkSearch, pose_vectors
-from index.neighbours import ExactNeighbours, Neighbours
-from index.reranker import Reranker
+from index.reranker import RankingModel
+from index.search import (
+    DIMENSION,
+    SEARCHED,
+    ExactNeighbours,
+    LandmarkSearch,
+    Neighbours,
+    pose_vectors,
+)
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
 
@@ -118,7 +124,7 @@ class PoseIndex:
         JSON values: the settings of the build, and what was fitted in it.
     version : str
         ``sha256:`` and the hash of the content; empty unless the index was loaded.
-    reranker : Reranker, optional
+    reranker : RankingModel, optional
         Re-ranks the hypotheses of silhouettes.
     searched_by : Neighbours, optional
         Searches ``vectors``; by default exactly, in this process.
@@ -136,7 +142,7 @@ class PoseIndex:
     silhouette_store: Silhouettes
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
-    reranker: Reranker | None = None
+    reranker: RankingModel | None = None
     searched_by: InitVar[Neighbours | None] = None
     neighbours: Neighbours = field(init=False, repr=False, compare=False)
     """The search among ``vectors``."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from index.artefact import save_index
 from index.build.builder import CMU_ATTRIBUTION, Plan, build
 from index.build.garments import GarmentError
-from index.build.rig import MotionError
+from index.build.motion import MotionError
 from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging

@@ -1,6 +1,6 @@
 """Convert MoveNet MultiPose Lightning from its TF.js package to the TFLite file of the service.
 
-The raw heads of the network are its outputs: decoded by ``app/vision/keypoints/movenet.py``, they
+The raw heads of the network are its outputs: decoded by ``app/vision/movenet.py``, they
 give more than the six people of the published graph. Run it in an environment of its own:
 ``tensorflow-cpu`` shares no requirements with the service.
 
@@ -21,7 +21,7 @@ import numpy as np
 import tensorflow as tf
 from google.protobuf import json_format
 
-WEIGHTS = Path(__file__).resolve().parent.parent / "app" / "vision" / "weights"
+WEIGHTS = Path(__file__).resolve().parent.parent / "app" / "vision" / "models"
 
 HEADS = (
     "StatefulPartitionedCall/Sigmoid",

@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
-from app.estimation.estimates import ObservedPerson, Person
 from app.estimation.estimator import Estimator
-from app.estimation.normalised_person import NormalisedPerson
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload, UploadError
 from app.settings import Settings
-from app.vision.people import Detection
-from app.vision.person.landmarks import PIXELS
-from app.vision.person.window import cut_window, window_about, window_corners, window_to_frame
+from app.vision.blazepose import LANDMARK_PX
+from app.vision.geometry import Detection
+from app.vision.windows import cut_window, window_about, window_corners, window_to_frame
 from index.skeleton import NATIVE
 from index.store import PoseIndex
 from scripts.entry_pictures import placed_entry
@@ -60,7 +60,7 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
     window = observed.next_window or window_about(observed.whole_box)
     to_cell = np.asarray(cv2.invertAffineTransform(window_to_frame(window, CELL_PX)), np.float64)
     photograph = cut_window(frame, window, CELL_PX)
-    cells = [_titled(cut_window(frame, window, PIXELS), "window")]
+    cells = [_titled(cut_window(frame, window, LANDMARK_PX), "window")]
     cells.append(_titled(_landmarks(photograph, to_cell, observed), "landmarks"))
     if observed.silhouette is not None:
         mask = observed.silhouette.mask(frame.shape)

@@ -23,12 +23,12 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from app.api.overlay import draw_skeleton
-from app.estimation.estimates import ObservedPerson, Person, Scene
 from app.estimation.estimator import Estimator
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person, Scene
+from app.scheduling.job import Stopwatch
 from app.settings import Settings
-from app.vision.people import Box
+from app.vision.geometry import Box
 from index.skeleton import NATIVE
 from scripts.entry_pictures import placed_entry
 from scripts.experiments.asking import found_in

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.normalised_person import NormalisedPerson
+from app.estimation.normalise import NormalisedPerson
 from index.matching import Hypothesis
 from index.rotations import RotatedQuery
 from index.store import PoseIndex

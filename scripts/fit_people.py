@@ -1,7 +1,7 @@
 """Fit what photographs teach: who is a person, who lies on the ground, and which posture is right.
 
 Writes the parts `detection`, `grounded`, `posture` and `confidence` of
-``app/vision/weights/fitted.json``. Takes about ten minutes.
+``app/vision/models/fitted.json``. Takes about ten minutes.
 
     python -m scripts.fit_people --shared ../shared
 
@@ -26,20 +26,19 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimates import Person
-from app.estimation.estimator import Estimator
-from app.estimation.hypotheses import normalise_person
+from app.estimation.estimator import Estimator, normalise_person
 from app.estimation.posture import GROUNDED, GROUPS, body_features
+from app.estimation.results import Person
 from app.settings import Settings
 from app.vision.boxes import Boxes, iou_matrix
-from app.vision.detection.detector import NetworkDetector, detection_features
+from app.vision.detector import NetworkDetector, detection_features
+from app.vision.geometry import LANDMARK_NAMES, Box, Landmarks
+from app.vision.models import write_fitted
 from app.vision.odds import log_odds
-from app.vision.people import LANDMARK_NAMES, Box, Landmarks
-from app.vision.weights import write_fitted
 from index.confidence import RIGHT_BELOW_PX
-from index.landmark_search import rotate_clockwise
 from index.posture import POSTURES, UPRIGHT, camera_up, classify
 from index.ranking import DISTANCE_WEIGHT
+from index.search import rotate_clockwise
 from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
 from index.store import PoseIndex
 from scripts.experiments.asking import estimate

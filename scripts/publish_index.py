@@ -12,10 +12,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from index.artefact import load_index
-from index.milvus import Milvus
+from index.milvus import Milvus, publish, remove_older
 from index.milvus_address import MilvusAddress
-from index.milvus_publication import publish, remove_older
-from index.neighbours import UnavailableError
+from index.search import UnavailableError
 from index.store import DEFAULT_PATH
 from index.verified_files import ArtefactError
 

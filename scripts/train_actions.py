@@ -1,4 +1,4 @@
-"""Train the model that tells actions of tracks: ``app/tracking/weights/actions.json``.
+"""Train the model that tells actions of tracks: ``app/tracking/models/actions.json``.
 
     python -m scripts.train_actions
 

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -300,3 +300,16 @@ def milvus_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MilvusP
     with MilvusProcess(tmp_path_factory.mktemp("milvus")) as running:
         running.wait_until_healthy()
         yield running
+
+
+Serving = Callable[..., TestClient]
+
+
+@pytest.fixture(scope="session")
+def serving(settings: Settings, estimator: Estimator) -> Serving:
+    """Makes a client of an application over the tiny index, some of whose settings are changed."""
+
+    def make(**changed: object) -> TestClient:
+        return TestClient(create_app(settings.model_copy(update=changed), estimator))
+
+    return make

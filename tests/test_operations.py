@@ -11,7 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.serving.logs import JsonFormatter
+from app.http.logs import JsonFormatter
 from app.settings import VARIABLES
 from scripts.settings_table import OPERATIONS, section
 from tests.conftest import ROOT

@@ -19,11 +19,11 @@ import pytest
 from numpy.typing import NDArray
 
 from app.api.replies import LEAST_SCORE
-from app.estimation.estimates import Person
 from app.estimation.estimator import Estimator
+from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.settings import Settings
-from app.vision.people import LANDMARK_NAMES, Box
+from app.vision.geometry import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
 from tests.conftest import ROOT
 

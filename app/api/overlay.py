@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import Estimate, Person, Scene
-from app.vision.people import LANDMARK_NAMES
+from app.estimation.results import Estimate, Person, Scene
+from app.vision.geometry import LANDMARK_NAMES
 from index.skeleton import POINT_NAMES, KeypointSet
 
 PEOPLE = (

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from app.api import schemas
 from app.api.coco import compressed, polygon, run_lengths
-from app.estimation.estimates import Estimate, Person, PlacedHypothesis
 from app.estimation.facing import Facing
 from app.estimation.posture import EstimatedPosture
-from app.vision.detection.detector import DetectorName
-from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
+from app.estimation.results import Estimate, Person, ProjectedHypothesis
+from app.vision.detector import DetectorName
+from app.vision.geometry import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
@@ -198,7 +198,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
 
 
-def _hypothesis(placed: PlacedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
+def _hypothesis(placed: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
     hypothesis, label = placed.hypothesis, placed.label
     # Not validated: for its hundreds of points that would take a third of the time of writing an
     # answer, and the values are our own. The tests validate whole answers.

@@ -11,8 +11,8 @@ from app.api import tracking_schemas as schemas
 from app.api.replies import ReplyForm, frame_fields, joint_fields, person_fields
 from app.api.schemas import ImageSize
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.sequence import SequenceSummary, Track
 from app.tracking.sessions import CameraSummary
+from app.tracking.summary import SequenceSummary, Track
 from app.tracking.zones import Zone
 from index.store import PoseIndex
 

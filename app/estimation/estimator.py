@@ -3,25 +3,145 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from app.estimation.estimates import Estimate, Evidence, ObservedPerson, Person, Scene
 from app.estimation.finder import Check, PeopleFinder
-from app.estimation.hypotheses import fit_poses, normalise_person
-from app.estimation.networks import load_networks
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.ordering import rank_by_keypoints, rank_by_silhouette
+from app.estimation.posture import estimate_posture, vote_posture
+from app.estimation.results import (
+    Estimate,
+    Evidence,
+    ObservedPerson,
+    Person,
+    ProjectedHypothesis,
+    Scene,
+)
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
+from app.scheduling.executor import Map, map_serially
+from app.scheduling.job import Stopwatch
+from app.scheduling.process import available_cores
 from app.settings import Settings
-from app.vision.detection.detector import Detector
-from app.vision.people import Box
-from app.vision.person.reader import PersonReader
-from app.work.executor import Map, map_serially
+from app.vision.blazepose import LandmarkNetwork, PoseDetection
+from app.vision.detector import Detector, HogDetector, NetworkDetector
+from app.vision.geometry import Box
+from app.vision.models import network_path
+from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.person_reader import PersonReader
 from index.artefact import load_index
-from index.matching import match
-from index.store import PoseIndex
+from index.matching import (
+    FIRST_HYPOTHESES,
+    Hypothesis,
+    match,
+)
+from index.store import Label, PoseIndex
+
+# Two threads share a pass of a network with little loss; more do not.
+_NETWORK_THREADS = 2
+
+
+def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
+    """Threads of one pass of a network, and copies of it, that share the cores.
+
+    Examples
+    --------
+    >>> network_threads(cores=8, concurrency=8)
+    (2, 4)
+    """
+    threads = min(_NETWORK_THREADS, cores)
+    return threads, max(1, min(concurrency, cores // threads))
+
+
+def load_networks(settings: Settings) -> tuple[Detector, PersonReader]:
+    """Load what finds people and what reads them.
+
+    Raises
+    ------
+    NetworkError
+        If a network of the package is missing or altered.
+    """
+    threads, copies = network_threads(available_cores(), settings.concurrency)
+    share = {"threads": threads, "copies": copies}
+    movenet = MoveNet(network_path("movenet"), **share)
+    landmarks = LandmarkNetwork(network_path("pose_landmarks"), **share)
+    reader = PersonReader(landmarks, KeypointReader(movenet))
+    smallest = settings.min_person_px
+    if settings.detector == "hog":
+        return HogDetector(min_person_px=smallest), reader
+    pose_detection = PoseDetection(network_path("pose_detection"), **share)
+    return NetworkDetector(movenet, pose_detection, landmarks, min_person_px=smallest), reader
+
+
+VOTERS = FIRST_HYPOTHESES
+"""Hypotheses that vote for a posture, however many are asked for."""
+
+
+def normalise_person(person: ObservedPerson) -> NormalisedPerson | None:
+    """Normalise a person's silhouette; None where there is none."""
+    if person.silhouette is None:
+        return None
+    return NormalisedPerson.of(person.silhouette, person.landmarks)
+
+
+def fit_poses(
+    index: PoseIndex,
+    observed: ObservedPerson,
+    normalised: NormalisedPerson | None,
+    n: int,
+) -> Person:
+    """Find the ``n`` nearest distinct poses of a person.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    observed : ObservedPerson
+    normalised : NormalisedPerson or None
+        The same person; None where there is no silhouette.
+    n : int
+    """
+    if normalised is None:
+        return Person(observed, None, None, ())
+    keypoints = normalised.keypoints()
+    found = match(
+        index,
+        normalised.silhouette,
+        n,
+        keypoints,
+        roll_deg=normalised.roll_deg,
+        whole=normalised.whole,
+    )
+    matched = found.hypotheses
+    # Posture and facing do not depend on how many are asked for.
+    most = max(n, VOTERS)
+    ranked = (
+        rank_by_silhouette(matched, most, VOTERS)
+        if keypoints is None
+        else rank_by_keypoints(matched, most, found.first_batch)
+    )
+    presence = 1.0 if observed.presence is None else observed.presence
+    confidences = [presence * confidence for confidence in ranked.confidences]
+    votes = vote_posture(
+        [hypothesis.posture for hypothesis in ranked.hypotheses[:VOTERS]], confidences[:VOTERS]
+    )
+    points_2d = normalised.points_in_frame(
+        np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses[:n]])
+    )
+    placed = [
+        ProjectedHypothesis(hypothesis, distance, confidence, _label(index, hypothesis), points)
+        for hypothesis, distance, confidence, points in zip(
+            ranked.hypotheses[:n], ranked.distances[:n], confidences[:n], points_2d, strict=True
+        )
+    ]
+    posture = estimate_posture(votes, observed.landmarks, presence)
+    return Person(observed, ranked.facing, posture, tuple(placed))
+
+
+def _label(index: PoseIndex, hypothesis: Hypothesis) -> Label:
+    label = index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
+    return replace(label, roll_deg=hypothesis.tilt_deg)
 
 
 class Estimator:
@@ -40,7 +160,7 @@ class Estimator:
         Detections beyond are dropped, the least certain first; a caller who gives more people
         is refused.
     map_parts : callable
-        Works on the parts of a frame; see :class:`app.work.executor.Map`.
+        Works on the parts of a frame; see :class:`app.scheduling.executor.Map`.
     """
 
     def __init__(

@@ -8,19 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import ObservedPerson, Source
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.results import ObservedPerson, Source
 from app.estimation.upload import DecodedUpload
-from app.vision.decoding.decode import LabelImage
-from app.vision.detection.detector import Detector, smallest_person_px
-from app.vision.people import Box, Detection, Silhouette
-from app.vision.person.landmarks import Reading
-from app.vision.person.reader import PersonReader, doubt_at_border
-from app.vision.person.silhouettes import silhouettes_of
-from app.vision.segmentation.background import BackgroundSegmenter
-from app.vision.segmentation.labels import silhouettes_from_labels
-from app.vision.segmentation.truncation import end_beyond_border
-from app.work.executor import Map, map_serially
+from app.scheduling.executor import Map, map_serially
+from app.scheduling.job import Stopwatch
+from app.vision.background import BackgroundSegmenter
+from app.vision.blazepose import Reading
+from app.vision.detector import Detector, smallest_person_px
+from app.vision.geometry import Box, Detection, Silhouette
+from app.vision.images import LabelImage
+from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
+from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
+from app.vision.truncation import end_beyond_border
 
 Check = Callable[[], None]
 """Called between steps; raises where the work is no longer wanted."""
@@ -42,7 +41,7 @@ class PeopleFinder:
     max_persons : int
         Detections beyond are dropped, the least sure first.
     map_parts : callable
-        Works on the people of a frame; see :class:`app.work.executor.Map`.
+        Works on the people of a frame; see :class:`app.scheduling.executor.Map`.
     """
 
     detector: Detector
@@ -168,7 +167,7 @@ def observed(
     """What is seen of a person; landmarks show truncation that the silhouette may not show."""
     if reading is None:
         return ObservedPerson(box, source, score, silhouette)
-    landmarks = doubt_at_border(reading, frame.shape)
+    landmarks = attenuate_visibility_at_border(reading, frame.shape)
     if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
         silhouette = replace(silhouette, truncated=True)
     return ObservedPerson(

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.geometry import LANDMARK_NAMES, Landmarks
+from app.vision.models import fitted
 from app.vision.odds import log_odds, probability_of
-from app.vision.people import LANDMARK_NAMES, Landmarks
-from app.vision.weights import fitted
 from index.posture import POSTURES, UPRIGHT, Posture
 
 GROUNDED: tuple[Posture, ...] = ("lying", "crawling")

@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.decoding.decode import (
+from app.scheduling.executor import Map
+from app.vision.geometry import Box
+from app.vision.images import (
     ImageError,
     ImageTooLargeError,
     LabelImage,
     decode_image,
     decode_mask,
 )
-from app.vision.people import Box
-from app.work.executor import Map
 
 T = TypeVar("T")
 
@@ -138,7 +138,7 @@ class UploadDecoder:
     max_persons : int
         That a caller may name by boxes or a mask.
     map_parts : callable
-        Decodes the images of an upload; see :class:`app.work.executor.Map`.
+        Decodes the images of an upload; see :class:`app.scheduling.executor.Map`.
     """
 
     max_pixels: int

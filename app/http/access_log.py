@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.http.metrics import Metrics
 from app.http.problems import ProblemError, problem_response
 from app.http.request_context import HEADERS, NOTES, request_id
-from app.http.route_table import RouteTable
+from app.http.routing import RouteTable
 
 log = logging.getLogger("app.request")
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.problems import ProblemError, busy, overloaded, problem_response
-from app.work.cancellation import BusyError
+from app.scheduling.job import BusyError
 
 GRACE_S = 5.0
 MIN_BYTES_PER_S = 4096
@@ -93,7 +93,7 @@ class AdmissionMiddleware:
     ----------
     app : ASGI application
     check : callable
-        Raises :class:`app.work.cancellation.BusyError` where a request would be refused later.
+        Raises :class:`app.scheduling.job.BusyError` where a request would be refused later.
     caller_of : callable
         Whom a request comes from.
     limits : UploadLimits

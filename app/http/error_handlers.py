@@ -13,12 +13,12 @@ from starlette.requests import ClientDisconnect
 from app.estimation.upload import UploadError
 from app.http.problems import SEARCH_FAILED, ProblemError, busy, overloaded, problem_response
 from app.http.request_context import note_rejection
-from app.http.route_table import RouteTable
+from app.http.routing import RouteTable
 from app.messages import expected_and_got, shortened
+from app.scheduling.job import BusyError, ClientGoneError
 from app.tracking.session import LateFrameError
-from app.work.cancellation import BusyError, ClientGoneError
-from app.work.video_reader import VideoError
-from index.neighbours import UnavailableError
+from app.video.reader import VideoError
+from index.search import UnavailableError
 
 _SEARCHED_AGAIN_IN_S = 2
 

@@ -13,7 +13,7 @@ from prometheus_client import (
     generate_latest,
 )
 
-from app.estimation.estimates import Person
+from app.estimation.results import Person
 from app.settings import Settings
 
 # A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.

@@ -10,7 +10,7 @@ from starlette.types import Receive, Scope, Send
 
 from app.api.schemas import Problem
 from app.http.request_context import note_rejection
-from app.work.cancellation import BusyError
+from app.scheduling.job import BusyError
 
 MEDIA_TYPE = "application/problem+json"
 

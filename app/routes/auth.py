@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyHeader, HTTPAuthorizationCredentials, HTTPBearer
 
-from app.http.callers import position_of_key
+from app.http.identity import position_of_key
 from app.http.problems import ProblemError
 from app.serving.runtime import runtime_of
 from app.settings import Settings

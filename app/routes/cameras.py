@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from app.api.replies import ReplyForm
 from app.api.tracking_replies import camera_reply, track_reply, zones_from
 from app.api.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
-from app.http.cameras import CAMERA_PATTERN
-from app.http.openapi import documented
+from app.http.identity import CAMERA_PATTERN
 from app.http.problems import ProblemError
 from app.http.request_context import note_header
 from app.messages import expected_and_got
 from app.routes.auth import Caller, RequireKey
 from app.routes.forms import CheckQuery
+from app.routes.openapi import documented
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
     DOCUMENTED_TRACK_UPLOAD,
@@ -29,10 +29,10 @@ from app.routes.uploads import (
     SilhouettesQuery,
     TrackUploadForm,
 )
+from app.scheduling.job import CancellationToken
 from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
 from app.tracking.sessions import CameraKey, TooManyCamerasError
-from app.work.cancellation import CancellationToken
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, CheckQuery])

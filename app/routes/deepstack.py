@@ -10,16 +10,15 @@ from pydantic import ValidationError
 
 from app.api.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
 from app.estimation.upload import UploadError
-from app.http.callers import keys_in_headers
-from app.http.cameras import NamesCamera
-from app.http.content_types import is_multipart, unsupported_body
-from app.http.openapi import documented
+from app.http.identity import NamesCamera, keys_in_headers
 from app.http.problems import ProblemError
 from app.messages import expected_and_got
 from app.routes.auth import check_key
 from app.routes.forms import CheckQuery, check_fields, file_of, text_of
+from app.routes.openapi import documented
+from app.routes.uploads import is_multipart, unsupported_body
+from app.scheduling.job import CancellationToken
 from app.serving.runtime import run_frame, runtime_of
-from app.work.cancellation import CancellationToken
 
 router = APIRouter(
     prefix="/v1/vision",

@@ -11,11 +11,11 @@ from app.api.overlay import encode_png
 from app.api.replies import entry_reply, index_reply
 from app.api.schemas import EntryResponse, IndexResponse
 from app.estimation.estimator import Estimator
-from app.http.openapi import documented
 from app.http.problems import ProblemError
 from app.messages import WHOLE_NUMBER
 from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery
+from app.routes.openapi import documented
 from app.routes.pose import PNG
 from app.routes.uploads import KeypointSetQuery
 from app.serving.runtime import EstimatorDep, runtime_of

@@ -10,11 +10,10 @@ from fastapi.responses import Response
 from app.api.overlay import draw_labels, draw_overlay, encode_png
 from app.api.replies import ReplyForm, pose_reply
 from app.api.schemas import PoseResponse
-from app.estimation.stopwatch import Stopwatch
-from app.http.cameras import NamesCamera
-from app.http.openapi import documented
+from app.http.identity import NamesCamera
 from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery
+from app.routes.openapi import documented
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
     DOCUMENTED_UPLOAD,
@@ -26,8 +25,8 @@ from app.routes.uploads import (
     SilhouettesQuery,
     UploadForm,
 )
+from app.scheduling.job import CancellationToken, Stopwatch
 from app.serving.runtime import run_frame, runtime_of
-from app.work.cancellation import CancellationToken
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(

@@ -19,29 +19,31 @@ from app.api.schemas import Evidence
 from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
 from app.estimation.upload import Upload
-from app.http.callers import sender_of
-from app.http.content_types import is_multipart, is_video, unsupported_body
-from app.http.openapi import documented
+from app.http.identity import sender_of
 from app.http.problems import SEARCH_FAILED, ProblemError, overloaded
 from app.http.request_context import is_ending, note_rejection
 from app.messages import WHOLE_NUMBER
 from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery, check_fields
+from app.routes.openapi import documented
 from app.routes.uploads import (
     DEFAULT_HYPOTHESES,
     EvidenceQuery,
     HypothesisCount,
     JointsQuery,
     KeypointSetQuery,
+    is_multipart,
+    is_video,
+    unsupported_body,
 )
+from app.scheduling.job import CancellationToken, DeadlineError
+from app.scheduling.queue import Sender
 from app.serving.runtime import Runtime, runtime_of
 from app.tracking.results import TrackedFrame
-from app.tracking.sequence import SequenceSummary
 from app.tracking.session import CameraSession
-from app.work.cancellation import CancellationToken, DeadlineError
-from app.work.line import Sender
-from app.work.video_reader import VideoError, VideoFrame, VideoReader, new_file, open_video
-from index.neighbours import UnavailableError
+from app.tracking.summary import SequenceSummary
+from app.video.reader import VideoError, VideoFrame, VideoReader, new_file, open_video
+from index.search import UnavailableError
 from index.skeleton import KEYPOINT_SETS
 
 PATH = "/sequence"

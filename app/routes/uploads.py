@@ -1,4 +1,4 @@
-"""The multipart forms that all routes on poses take."""
+"""The bodies and query parameters that all routes on poses take."""
 
 from __future__ import annotations
 
@@ -17,13 +17,36 @@ from app.api.schemas import (
 )
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S, MOST_TRACK_ID_CHARACTERS, TrackUpload
 from app.estimation.upload import Upload, UploadError
-from app.http.content_types import is_image, is_multipart, unsupported_body
 from app.http.problems import ProblemError
 from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got, shortened
 from app.routes.forms import check_fields, file_of, text_of
 from app.serving.runtime import runtime_of
 from app.settings import Settings
-from app.vision.people import Box
+from app.vision.geometry import Box
+
+_MULTIPART = "multipart/form-data"
+
+
+def is_multipart(request: Request) -> bool:
+    """Whether the content type says that the body is a form with files, in any case."""
+    return request.headers.get("content-type", "").lower().startswith(_MULTIPART)
+
+
+def is_image(request: Request) -> bool:
+    """Whether the content type says that the body is an image."""
+    return request.headers.get("content-type", "").lower().startswith("image/")
+
+
+def is_video(request: Request) -> bool:
+    """Whether the content type says that the body is a video."""
+    return request.headers.get("content-type", "").lower().startswith("video/")
+
+
+def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemError:
+    """Make a 415 for any other body."""
+    got = request.headers.get("content-type", "")[:100] or "none"
+    return ProblemError(415, f"expected a body of type {expected}, got {got}")
+
 
 # Strict: true and "12" are no numbers.
 _BOXES = TypeAdapter(

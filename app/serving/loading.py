@@ -12,19 +12,23 @@ import anyio
 import numpy as np
 
 from app.estimation.estimator import Estimator
-from app.serving.breaker import GuardedNeighbours
-from app.serving.remote_index import MissingPackageError, RemoteIndex, check_milvus_package
-from app.serving.runtime import Runtime
-from app.serving.version import VERSION
-from app.vision.tflite import NetworkError
-from app.work.process import (
+from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
     native_lines_logged,
     trim_heap,
 )
+from app.serving.milvus import (
+    GuardedNeighbours,
+    MissingPackageError,
+    RemoteIndex,
+    check_milvus_package,
+)
+from app.serving.runtime import Runtime
+from app.serving.version import VERSION
+from app.vision.tflite import NetworkError
 from index.milvus_address import MilvusAddress
-from index.neighbours import UnavailableError
+from index.search import UnavailableError
 from index.store import PoseIndex
 from index.verified_files import ArtefactError
 

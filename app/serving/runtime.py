@@ -9,15 +9,14 @@ from typing import Annotated, TypeVar, cast
 from fastapi import Depends, Request
 
 from app.estimation.estimator import Estimator
-from app.http.callers import sender_of
-from app.http.cameras import camera_stream
+from app.http.identity import camera_stream, sender_of
 from app.http.metrics import Metrics
 from app.http.problems import ProblemError
-from app.serving.breaker import CircuitBreaker
+from app.scheduling.executor import Executor
+from app.scheduling.job import CancellationToken
+from app.serving.milvus import CircuitBreaker
 from app.settings import Settings
 from app.tracking.sessions import CameraSessions
-from app.work.cancellation import CancellationToken
-from app.work.executor import Executor
 
 T = TypeVar("T")
 
@@ -72,7 +71,7 @@ class Runtime:
         ------
         ProblemError
             As :meth:`ready_estimator` does.
-        index.neighbours.UnavailableError
+        index.search.UnavailableError
             If the circuit breaker is open.
         """
         estimator = self.ready_estimator()
@@ -103,7 +102,7 @@ async def run_frame(
     *,
     kind: Hashable,
 ) -> T:
-    """Work on a request's frame in a thread; see :meth:`app.work.executor.Executor.run`.
+    """Work on a request's frame in a thread; see :meth:`app.scheduling.executor.Executor.run`.
 
     Parameters
     ----------

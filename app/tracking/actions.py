@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import Person, PlacedHypothesis
 from app.estimation.posture import CLEAR_FROM, EstimatedPosture
-from app.tracking.action_features import RATE_HZ, action_features
-from app.tracking.measures import Measured, ground_path
+from app.estimation.results import Person, ProjectedHypothesis
+from app.tracking.action_features import RATE_HZ, Measured, action_features, ground_path
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import SURE_PX, Smoothed
 from index.posture import Posture, camera_up
@@ -57,7 +56,7 @@ ON_THE_SPOT: tuple[Posture, ...] = ("standing", "arms_raised", "bending")
 LEAST_POSTURE = 0.1
 """What a posture that contradicts an action leaves of its probability: it may be a moment's."""
 
-MODEL = Path(__file__).parent / "weights" / "actions.json"
+MODEL = Path(__file__).parent / "models" / "actions.json"
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class ActionModel:
         odds = np.exp(odds - odds.max(axis=-1, keepdims=True))
         return np.asarray(odds / odds.sum(axis=-1, keepdims=True))
 
-    def votes(self, hypotheses: Sequence[PlacedHypothesis]) -> NDArray[np.float64]:
+    def votes(self, hypotheses: Sequence[ProjectedHypothesis]) -> NDArray[np.float64]:
         """Share of each action ``(A,)`` in the confidence of one frame's hypotheses."""
         votes = np.zeros(len(self.actions))
         total = 1e-9

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import Person
+from app.estimation.results import Person
 from index.skeleton import POINTS
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]

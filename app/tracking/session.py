@@ -11,19 +11,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import Evidence, ObservedPerson, Scene
 from app.estimation.estimator import Estimator
 from app.estimation.finder import Check
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.results import Evidence, ObservedPerson, Scene
 from app.estimation.upload import Upload
-from app.tracking.appearance import appearance_histogram
-from app.tracking.association import associate
-from app.tracking.following import PeopleFollower
+from app.scheduling.job import Stopwatch
+from app.tracking.detection import TrackedPeopleDetector
+from app.tracking.matching import appearance_histogram, associate
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track
 from app.tracking.zones import Zone
-from app.vision.people import Box
-from app.vision.segmentation.truncation import ends_at_border
+from app.vision.geometry import Box
+from app.vision.truncation import ends_at_border
 from index.matching import FIRST_HYPOTHESES
 
 LEAST_STEP_S = 1e-3
@@ -69,7 +68,7 @@ class CameraSession:
     ) -> None:
         self._estimator = estimator
         self._clock = clock
-        self._follower = PeopleFollower(estimator.finder)
+        self._follower = TrackedPeopleDetector(estimator.finder)
         self.zones: Sequence[Zone] = ()
         """Those of the camera; may be changed between frames."""
         self._tracks: list[Track] = []
@@ -188,7 +187,7 @@ class CameraSession:
         else:
             return
         self._reset = reason
-        self._follower = PeopleFollower(self._estimator.finder)
+        self._follower = TrackedPeopleDetector(self._estimator.finder)
         for track in self._tracks:
             self._tell("left", track, timestamp)
         self._tracks = []

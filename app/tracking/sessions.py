@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from app.estimation.estimates import Evidence
 from app.estimation.estimator import Estimator
 from app.estimation.finder import Check
+from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
@@ -176,8 +176,8 @@ class CameraSessions:
         """Process the next frame of a camera, whose session begins if there is none.
 
         A session begins only with a usable frame, so an unusable one ends no other session.
-        Frames of one camera must not be processed at once; :meth:`app.work.executor.Executor.run`
-        sees to that.
+        Frames of one camera must not be processed at once, which
+        :meth:`app.scheduling.executor.Executor.run` prevents.
         A session that was begun with another estimator ends: its tracks hold poses of another
         index.
 

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import ObservedPerson, Person
 from app.estimation.facing import Facing, azimuth_deg
 from app.estimation.posture import vote_posture
-from app.tracking.ground import GroundMotion, GroundVelocity
+from app.estimation.results import ObservedPerson, Person
+from app.tracking.ground_motion import GroundMotion, GroundVelocity
+from app.tracking.heading import HeadingFilter, Turn, going
 from app.tracking.results import SmoothedPose
-from app.tracking.turning import Turn, TurnFilter, going
 from app.vision.odds import log_odds, probability_of
 from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
 from index.skeleton import (
@@ -181,7 +181,7 @@ class PoseSmoother:
         self._cost_per_m = cost_per_m
         self._turn_weight = turn_weight
         self._ground = GroundMotion()
-        self._turns = TurnFilter()
+        self._turns = HeadingFilter()
         self._line_s = line_s
         self._frames: deque[_States] = deque(maxlen=MOST_LINE_FRAMES)
         self._last: tuple[SmoothedPose, _Place] | None = None

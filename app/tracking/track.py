@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import ObservedPerson, Person
 from app.estimation.facing import Facing
 from app.estimation.posture import EstimatedPosture
+from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import ActionRecogniser
+from app.tracking.box_filter import MotionFilter
 from app.tracking.events import EventDetector, Trust
-from app.tracking.motion import MotionFilter
-from app.tracking.postures import PostureFilter
+from app.tracking.posture_filter import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
 from app.tracking.zones import Zone, is_rest, zones_of
-from app.vision.people import PersonWindow
+from app.vision.geometry import PersonWindow
 
 SURE_SCORE = 0.6
 """Somebody detected with this probability, or named by the caller, is confirmed at once, ..."""

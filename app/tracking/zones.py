@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from index.posture import Posture
 
 ZoneKind = Literal["rest", "watch"]

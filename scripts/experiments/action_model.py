@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from app.tracking.action_features import Measured
 from app.tracking.actions import WINDOW_S, ActionModel, window_features
-from app.tracking.measures import Measured
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses

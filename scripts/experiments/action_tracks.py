@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson, Person
-from app.estimation.hypotheses import fit_poses, normalise_person
-from app.tracking.measures import Measured
+from app.estimation.estimator import fit_poses, normalise_person
+from app.estimation.results import ObservedPerson, Person
+from app.tracking.action_features import Measured
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.vision.people import Silhouette
+from app.vision.geometry import Silhouette
 from index.artefact import load_index
-from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.body import Avatar
+from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
 from index.posture import classify

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.tracking.actions import LEAST_SHARE, ActionModel
 from app.tracking.events import EventDetector, Trust
-from app.tracking.postures import PostureFilter
+from app.tracking.posture_filter import PostureFilter
 from app.tracking.smoothing import PoseSmoother
 from index.artefact import load_index
 from index.posture import POSTURES

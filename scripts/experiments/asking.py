@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import ObservedPerson, Person
 from app.estimation.estimator import Estimator
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
-from app.vision.people import Box
+from app.scheduling.job import Stopwatch
+from app.vision.geometry import Box
 
 HYPOTHESES = 7
 

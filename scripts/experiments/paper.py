@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
-from index.build.learn import view_joints
+from index.build.descriptor_learning import view_joints
 from index.skeleton import JOINTS
 from scripts.experiments.contour import disturb_all
 from scripts.experiments.paper_answers import (

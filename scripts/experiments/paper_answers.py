@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, DiscriminantDescriptor
 from index.build.builder import assemble
-from index.build.learn import Recipe, learn_descriptor
+from index.build.descriptor_learning import Recipe, learn_descriptor
 from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import Person
 from app.estimation.estimator import Estimator
 from app.estimation.posture import GROUNDED
+from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
-from app.vision.people import LANDMARK_NAMES, Box
+from app.vision.geometry import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.asking import HYPOTHESES, estimate
 from scripts.experiments.real_data import read_frames, read_pennfudan

@@ -18,7 +18,7 @@ import numpy as np
 
 from app.estimation.estimator import Estimator
 from app.settings import Settings
-from app.vision.detection.detector import MIN_SCORE, Detector, NetworkDetector
+from app.vision.detector import MIN_SCORE, Detector, NetworkDetector
 from index.build.calibrate import expected_calibration_error
 from index.store import DEFAULT_PATH
 from scripts.experiments.real_data import (

@@ -12,7 +12,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.vision.boxes import Boxes
-from app.vision.detection.detector import HogDetector, NetworkDetector, detection_features
+from app.vision.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.odds import sigmoid
 from scripts.experiments.real_data import Photograph, as_array
 from scripts.experiments.real_detection_scores import (

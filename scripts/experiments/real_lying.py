@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson
 from app.estimation.estimator import Estimator
-from app.vision.people import Box
+from app.estimation.results import ObservedPerson
+from app.vision.geometry import Box
 from index.skeleton import wrap_degrees
 from scripts.experiments.asking import estimate, found_in
 from scripts.experiments.real_data import Photograph, as_array

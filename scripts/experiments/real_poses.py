@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson, Person, Scene
-from app.estimation.estimator import Estimator
+from app.estimation.estimator import Estimator, fit_poses
 from app.estimation.finder import observed
-from app.estimation.hypotheses import fit_poses
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
-from app.vision.people import LANDMARK_NAMES, Box, Silhouette
-from app.vision.weights import fitted as constants_of
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person, Scene
+from app.scheduling.job import Stopwatch
+from app.vision.geometry import LANDMARK_NAMES, Box, Silhouette
+from app.vision.models import fitted as constants_of
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees
 from scripts.experiments.real_data import (
@@ -210,7 +209,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
 
 
 def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias that :mod:`app.estimation.reranking` makes a confidence with."""
+    """Fit slope and bias that :mod:`app.estimation.ordering` makes a confidence with."""
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
         agreement[:, None], np.concatenate([t.right for t in trials])

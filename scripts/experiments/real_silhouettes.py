@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
-from app.vision.people import Box, Detection, Silhouette
-from app.vision.person.silhouettes import silhouettes_of
+from app.vision.geometry import Box, Detection, Silhouette
+from app.vision.silhouettes import silhouettes_of
 from scripts.experiments.real_data import Photograph
 
 

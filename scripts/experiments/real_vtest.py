@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.boxes import iou_matrix
-from app.vision.detection.detector import Detector
-from app.vision.people import Box
+from app.vision.detector import Detector
+from app.vision.geometry import Box
 from scripts.experiments.real_data import as_array
 from scripts.experiments.real_detection_scores import rightness
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Silhouette, silhouette_from_mask
+from app.vision.geometry import Silhouette, silhouette_from_mask
 from index.build.body import (
     Avatar,
     pose_transforms,
@@ -16,10 +16,9 @@ from index.build.body import (
     retarget,
     rotation_between,
 )
-from index.build.motion import Clip
+from index.build.motion import METRES_PER_UNIT, Clip
 from index.build.poses import Poses
 from index.build.render import fill_triangles, skin
-from index.build.rig import METRES_PER_UNIT
 from index.skeleton import JOINT_NAMES, camera_rotation
 
 CLIP_FPS = 30

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
 from index.artefact import load_index, save_index
-from index.build.avatars import HELD_OUT_AVATARS, make_avatars
 from index.build.builder import (
     Asked,
     Plan,
@@ -29,6 +28,7 @@ from index.build.builder import (
     split_by_clip,
 )
 from index.build.calibrate import Queries, Trial, expected_calibration_error, run_trial
+from index.build.garments import HELD_OUT_AVATARS, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX

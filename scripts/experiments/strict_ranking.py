@@ -17,18 +17,18 @@ from index.build.calibrate import (
 )
 from index.build.motion import Segment
 from index.confidence import RIGHT_BELOW_PX
-from index.landmark_search import rotate_clockwise
-from index.reranker import Reranker, load_reranker
+from index.reranker import RankingModel, load_reranker
 from index.rotations import (
     RotatedQuery,
     find_rotated_candidates,
     usual_rotations,
 )
+from index.search import rotate_clockwise
 from index.skeleton import JOINTS
 from index.store import DEFAULT_PATH, PoseIndex
 
 
-def shipped_reranker(held: Sequence[Segment]) -> Reranker | None:
+def shipped_reranker(held: Sequence[Segment]) -> RankingModel | None:
     """The network beside the default index, which must not know the clips that are asked for.
 
     Raises
@@ -92,7 +92,7 @@ def _nearest(index: PoseIndex, queries: Queries) -> tuple[NDArray[np.float64], N
     return error_px, error_m
 
 
-def _right_by_itself(reranker: Reranker, queries: Queries) -> NDArray[np.bool_]:
+def _right_by_itself(reranker: RankingModel, queries: Queries) -> NDArray[np.bool_]:
     """Where the likeliest place of each joint makes a right skeleton ``(Q,)``."""
     places = np.stack(
         [reranker.network.distributions(s).likeliest()[:, :2] for s in queries.silhouettes]

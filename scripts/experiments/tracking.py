@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson, Person
+from app.estimation.estimator import fit_poses, normalise_person
 from app.estimation.facing import azimuth_deg
-from app.estimation.hypotheses import fit_poses, normalise_person
+from app.estimation.results import ObservedPerson, Person
+from app.scheduling.process import available_cores
 from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
-from app.vision.people import Silhouette
-from app.work.cores import available_cores
-from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
+from app.vision.geometry import Silhouette
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
 from index.build.calibrate import expected_calibration_error
+from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
 from index.confidence import RIGHT_BELOW_PX

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from scripts.experiments.real_data import read_frames, read_vtest
 from scripts.experiments.real_vtest import Marks, read_marks
 from scripts.load.client import Call

@@ -11,7 +11,7 @@ from fastapi.testclient import TestClient
 from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.settings import Settings
-from app.vision import weights
+from app.vision import models
 from tests.support.service import check_problem, eventually
 
 
@@ -43,12 +43,12 @@ def test_whatever_goes_wrong_while_loading_is_told_to_probes(
 def test_a_network_that_is_not_the_one_that_ships_is_told_not_served(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """``python -m app`` ends at once (tests/vision/weights); started otherwise, probes tell."""
+    """``python -m app`` ends at once (tests/app/vision/test_models.py); started otherwise, probes tell."""
     folder = tmp_path / "weights"
-    shutil.copytree(weights.FOLDER, folder)
+    shutil.copytree(models.FOLDER, folder)
     network = folder / "movenet_multipose.tflite"
     network.write_bytes(network.read_bytes()[:1000])
-    monkeypatch.setattr(weights, "FOLDER", folder)
+    monkeypatch.setattr(models, "FOLDER", folder)
     expected = "movenet_multipose.tflite to have the SHA-256"
     with TestClient(create_app(settings)) as client:
         eventually(lambda: expected in check_problem(client.get("/readyz"), 503))

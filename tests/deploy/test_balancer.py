@@ -22,7 +22,7 @@ from scripts.load.server import ServerProcess
 from tests.conftest import Photo
 from tests.support.balancer import CONFIGURATION, Balancer
 from tests.support.service import check_problem, eventually, sample, send
-from tests.videos import numbered_frames, write_video
+from tests.support.videos import numbered_frames, write_video
 
 pytestmark = pytest.mark.skipif(
     shutil.which("haproxy") is None, reason="needs HAProxy: apt-get install haproxy"

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
-from index.landmark_search import rotate_clockwise
 from index.rotations import (
     MAX_ROTATIONS,
     MIN_SHARE,
@@ -21,6 +20,7 @@ from index.rotations import (
     rotations_of_landmarks,
     usual_rotations,
 )
+from index.search import rotate_clockwise
 from index.skeleton import camera_rotation
 from index.store import PoseIndex
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from scripts.experiments.real_detection_scores import average_precision, figures, matches
 from scripts.experiments.real_vtest import Marks, compare
 

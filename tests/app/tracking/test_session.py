@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
+from app.scheduling.job import DeadlineError
 from app.tracking.actions import shipped_model
-from app.tracking.following import SEARCH_EVERY_S
+from app.tracking.detection import SEARCH_EVERY_S
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession, LateFrameError
-from app.vision.people import Box, Detection, Landmarks, PersonWindow
-from app.vision.person.landmarks import PIXELS, Reading
-from app.vision.person.window import cut_window, window_about, window_to_frame
-from app.work.cancellation import DeadlineError
+from app.vision.blazepose import LANDMARK_PX, Reading
+from app.vision.geometry import Box, Detection, Landmarks, PersonWindow
+from app.vision.windows import cut_window, window_about, window_to_frame
 from tests.conftest import build_tiny_index, png
 
 ROWS, COLUMNS = 200, 320
@@ -70,15 +70,17 @@ class ColourReader:
         windows: object = (),
     ) -> Reading:
         window = where if isinstance(where, PersonWindow) else window_about(where)
-        picture = cut_window(frame, window, PIXELS).astype(int)
-        middle = picture[PIXELS // 2 - 9 : PIXELS // 2 + 9, PIXELS // 2 - 9 : PIXELS // 2 + 9]
+        picture = cut_window(frame, window, LANDMARK_PX).astype(int)
+        middle = picture[
+            LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9, LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9
+        ]
         near = [np.abs(middle - colour).sum(axis=2) < 60 for colour in COLOURS]
         colour = COLOURS[int(np.argmax([np.count_nonzero(mask) for mask in near]))]
         mask = (np.abs(picture - colour).sum(axis=2) < 60).astype(np.uint8)
         left, top, width, height = cv2.boundingRect(mask)
         seen = width > 0 and not self.lost
         shares = np.random.default_rng(0).uniform(0.1, 0.9, (33, 2))
-        to_frame = window_to_frame(window, PIXELS)
+        to_frame = window_to_frame(window, LANDMARK_PX)
         places = np.array([left, top]) + shares * [max(width, 1), max(height, 1)]
         places = places @ to_frame[:, :2].T + to_frame[:, 2]
         corner = to_frame[:, :2] @ np.array([left + width / 2, top + height / 2]) + to_frame[:, 2]

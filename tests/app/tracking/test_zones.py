@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.tracking.zones import Zone, ZoneKind, contains, place, zones_of
-from app.vision.people import Box
+from app.vision.geometry import Box
 from index.posture import POSTURES, Posture
 
 SQUARE = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])

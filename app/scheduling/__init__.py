@@ -1,0 +1,1 @@
+"""Whose turn it is, threads, deadlines, cores. Imports nothing of the service."""

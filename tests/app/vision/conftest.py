@@ -1,0 +1,66 @@
+"""What the tests of vision share: a small street scene, and the networks that ship."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.vision.blazepose import LandmarkNetwork, PoseDetection
+from app.vision.detector import NetworkDetector
+from app.vision.geometry import Box
+from app.vision.models import network_path
+from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.person_reader import PersonReader
+from tests.conftest import WALKERS
+
+
+@pytest.fixture(scope="session")
+def street() -> NDArray[np.uint8]:
+    """298x320 cut of a street scene with three walkers and two people far away."""
+    return cv2.imread(str(WALKERS))
+
+
+@pytest.fixture(scope="session")
+def walkers() -> list[Box]:
+    """The three walkers of `street`, marked by hand."""
+    return [Box(28, 43, 32, 76), Box(135, 162, 40, 105), Box(227, 147, 40, 104)]
+
+
+@pytest.fixture(scope="session")
+def far_walkers() -> list[Box]:
+    """The two people at the upper edge of `street`, marked by hand."""
+    return [Box(207, 0, 24, 55), Box(232, 0, 24, 57)]
+
+
+@pytest.fixture(scope="session")
+def movenet() -> MoveNet:
+    return MoveNet(network_path("movenet"))
+
+
+@pytest.fixture(scope="session")
+def reader(movenet: MoveNet) -> KeypointReader:
+    return KeypointReader(movenet)
+
+
+@pytest.fixture(scope="session")
+def landmark_network() -> LandmarkNetwork:
+    return LandmarkNetwork(network_path("pose_landmarks"))
+
+
+@pytest.fixture(scope="session")
+def pose_detection() -> PoseDetection:
+    return PoseDetection(network_path("pose_detection"))
+
+
+@pytest.fixture(scope="session")
+def detector(
+    movenet: MoveNet, pose_detection: PoseDetection, landmark_network: LandmarkNetwork
+) -> NetworkDetector:
+    return NetworkDetector(movenet, pose_detection, landmark_network)
+
+
+@pytest.fixture(scope="session")
+def person_reader(landmark_network: LandmarkNetwork, reader: KeypointReader) -> PersonReader:
+    return PersonReader(landmark_network, reader)
