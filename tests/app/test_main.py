@@ -43,7 +43,7 @@ def test_whatever_goes_wrong_while_loading_is_told_to_probes(
 def test_a_network_that_is_not_the_one_that_ships_is_told_not_served(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """``python -m app`` ends at once (tests/app/vision/test_models.py); started otherwise, probes tell."""
+    """``python -m app`` ends at once (see test_models.py); started otherwise, probes report it."""
     folder = tmp_path / "weights"
     shutil.copytree(models.FOLDER, folder)
     network = folder / "movenet_multipose.tflite"
