@@ -84,7 +84,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     runtime = Runtime(settings, executor, metrics, sessions, breaker)
     metrics.observe_sessions(lambda: len(sessions), lambda: runtime.sequences)
     metrics.observe_breaker(lambda: breaker.is_open)
-    runtime.metrics.observe_load(lambda: executor.line.inside, executor.line.fullness)
+    runtime.metrics.observe_load(lambda: executor.queue.in_flight, executor.queue.load)
     runtime.metrics.observe_build(VERSION, settings)
     if estimator is not None:
         become_ready(runtime, estimator)
@@ -131,12 +131,12 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
 
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     """Add the middleware, the innermost first."""
-    settings, line = runtime.settings, runtime.executor.line
+    settings, queue = runtime.settings, runtime.executor.queue
 
     def check(scope: Scope) -> None:
         # Frames of a video wait until there is room for them.
         if scope["method"] == "POST" and scope["path"] != sequence.PATH:
-            line.check(sender_of(scope, settings), camera_stream(scope))
+            queue.check(sender_of(scope, settings), camera_stream(scope))
 
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(

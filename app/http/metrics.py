@@ -142,18 +142,18 @@ class Metrics:
         self._sessions.set_function(sessions)
         self._sequences.set_function(sequences)
 
-    def observe_load(self, inside: Callable[[], int], fullness: Callable[[], float]) -> None:
+    def observe_load(self, in_flight: Callable[[], int], load: Callable[[], float]) -> None:
         """Report the frames in flight whenever metrics are read.
 
         Parameters
         ----------
-        inside : callable
+        in_flight : callable
             Frames worked on or waiting.
-        fullness : callable
+        load : callable
             Expected wait of the next frame, as a share of that from which frames are refused.
         """
-        self._in_flight.set_function(inside)
-        self._capacity_used.set_function(fullness)
+        self._in_flight.set_function(in_flight)
+        self._capacity_used.set_function(load)
 
     def observe_build(self, version: str, settings: Settings) -> None:
         """Report which build serves, and with which settings."""

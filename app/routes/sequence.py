@@ -284,7 +284,7 @@ class _Sequence:
             return tracked, sequence_line(reply)
 
         tracked, line = await self._runtime.executor.run(
-            work, _until_cancelled, sender=self._sender, kind=PATH, patient=True
+            work, _until_cancelled, sender=self._sender, kind=PATH, unbounded_wait=True
         )
         self._summary.add(tracked)
         return line

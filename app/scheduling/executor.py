@@ -1,7 +1,7 @@
 """The threads on which all work on images is done, in two roles.
 
 Frames (:meth:`Executor.run`)
-    Whole requests: a bounded number at once, the others in :class:`app.scheduling.queue.Line`.
+    Whole requests: a bounded number at once, the others in :class:`app.scheduling.queue.FairQueue`.
     A frame has a deadline and is dropped when its client hangs up.
 Parts (:meth:`Executor.map`)
     The people of a frame, or its images. The frame's own thread works through its parts. While
@@ -27,7 +27,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from app.scheduling.job import CancellationToken, ClientGoneError
 from app.scheduling.process import lower_thread_priority, trim_heap
-from app.scheduling.queue import Line, Sender, Turn
+from app.scheduling.queue import FairQueue, Sender, Ticket
 
 T = TypeVar("T")
 Item = TypeVar("Item")
@@ -120,7 +120,7 @@ class Executor:
     """
 
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
-        self.line = Line(frames, min(max_wait_s, timeout_s))
+        self.queue = FairQueue(frames, min(max_wait_s, timeout_s))
         self._timeout_s = timeout_s
         # Helpers finish their parts beside new frames.
         self._threads = ThreadPoolExecutor(
@@ -139,7 +139,7 @@ class Executor:
         sender: Sender,
         kind: Hashable = None,
         camera: Hashable = None,
-        patient: bool = False,
+        unbounded_wait: bool = False,
     ) -> T:
         """Work on a frame in a thread.
 
@@ -150,8 +150,8 @@ class Executor:
         until_gone : async callable
             Returns when the client has hung up. A frame that waits is then dropped, the work on
             one that has begun is cancelled.
-        sender, kind, camera, patient
-            See :meth:`app.scheduling.queue.Line.join`.
+        sender, kind, camera, unbounded_wait
+            See :meth:`app.scheduling.queue.FairQueue.enqueue`.
 
         Raises
         ------
@@ -162,22 +162,22 @@ class Executor:
         if _role.get():
             raise RuntimeError("expected a frame to be started by a request, not by another frame")
         joined = time.monotonic()
-        turn = self.line.join(sender, kind, camera, patient=patient)
+        ticket = self.queue.enqueue(sender, kind, camera, unbounded_wait=unbounded_wait)
         gone = asyncio.ensure_future(until_gone())
         try:
-            longest_s = None if patient else self.line.max_wait_s
-            await _first_of(turn.begun, gone, longest_s)
-            if not turn.begun.done():
-                raise ClientGoneError if gone.done() else self.line.give_up(turn)
-            if (refused := turn.begun.result()) is not None:
+            longest_s = None if unbounded_wait else self.queue.max_wait_s
+            await _first_of(ticket.begun, gone, longest_s)
+            if not ticket.begun.done():
+                raise ClientGoneError if gone.done() else self.queue.expire(ticket)
+            if (refused := ticket.begun.result()) is not None:
                 raise refused()
         except BaseException:
             gone.cancel()
-            self.line.leave(turn)
+            self.queue.release(ticket)
             raise
-        waited_s = 0.0 if patient else time.monotonic() - joined
+        waited_s = 0.0 if unbounded_wait else time.monotonic() - joined
         token = CancellationToken(self._timeout_s - waited_s)
-        done = asyncio.wrap_future(self._begin(turn, work, token))
+        done = asyncio.wrap_future(self._begin(ticket, work, token))
         try:
             await _first_of(done, gone)
             if not done.done():
@@ -201,7 +201,7 @@ class Executor:
         if _role.get() == "part":
             raise RuntimeError("expected a part of a frame not to be divided again")
         parts = _Parts(function, items)
-        helpers = min(len(parts), self.line.threads) - 1
+        helpers = min(len(parts), self.queue.threads) - 1
         if helpers > 0:
             with self._lock:
                 self._divided.append(parts)
@@ -217,13 +217,13 @@ class Executor:
 
     def shut_down(self) -> None:
         """Cancel what is left, and wait for the threads to end."""
-        self.line.close()
+        self.queue.close()
         for token in tuple(self._tokens):
             token.cancel()
         self._threads.shutdown(cancel_futures=True)
 
     def _begin(
-        self, turn: Turn, work: Callable[[CancellationToken], T], token: CancellationToken
+        self, ticket: Ticket, work: Callable[[CancellationToken], T], token: CancellationToken
     ) -> Future[T]:
         """Work on the frame whose turn has come; it leaves the line once its thread is free."""
         loop, context = asyncio.get_running_loop(), copy_context()
@@ -234,13 +234,13 @@ class Executor:
             self._tokens.discard(token)
             worked = not future.cancelled() and future.exception() is None
             with suppress(RuntimeError):  # The loop has ended.
-                loop.call_soon_threadsafe(self._end, turn, worked)
+                loop.call_soon_threadsafe(self._end, ticket, worked)
 
         future.add_done_callback(end)
         return future
 
-    def _end(self, turn: Turn, worked: bool) -> None:
-        self.line.leave(turn, worked=worked)
+    def _end(self, ticket: Ticket, worked: bool) -> None:
+        self.queue.release(ticket, worked=worked)
         if self._divided:
             with suppress(RuntimeError):  # The threads are being shut down.
                 self._threads.submit(self._help)
@@ -255,7 +255,7 @@ class Executor:
     def _next_part(self) -> Callable[[], None] | None:
         """Return the work on a part of the frame whose turn it is."""
         with self._lock:
-            while self._divided and self.line.working + self._helping < self.line.threads:
+            while self._divided and self.queue.working + self._helping < self.queue.threads:
                 parts = self._divided.popleft()
                 if (part := parts.take()) is not None:
                     self._divided.append(parts)

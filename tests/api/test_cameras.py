@@ -131,11 +131,11 @@ class TestOrder:
         self, serving: Serving, photo: Photo, gate: Gate, ask: Ask
     ) -> None:
         with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(3) as threads:
-            line = client.app.state.runtime.executor.line  # type: ignore[attr-defined]
+            queue = client.app.state.runtime.executor.queue  # type: ignore[attr-defined]
             running = threads.submit(ask, client, photo)
             eventually(lambda: gate.begun == 1)
             older = threads.submit(ask, client, photo)
-            eventually(lambda: line.inside == 2)
+            eventually(lambda: queue.in_flight == 2)
             newer = threads.submit(ask, client, photo)
             refused = older.result(10)
             assert not newer.done()

@@ -6,7 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.scheduling.queue import Line, OverloadedError
+from app.scheduling.queue import FairQueue, OverloadedError
 from app.serving.version import VERSION
 from tests.conftest import Photo, Serving
 from tests.support.service import sample
@@ -59,7 +59,7 @@ def test_what_is_refused_early_counts_for_the_route_it_was_meant_for(
     def refuse(*_: object) -> None:
         raise OverloadedError("the service is working to capacity")
 
-    monkeypatch.setattr(Line, "check", refuse)
+    monkeypatch.setattr(FairQueue, "check", refuse)
     assert client.post("/pose", files={"frame": photo.frame_png}).status_code == 503
     assert sample(client, "pose_requests_total", route="/pose", status="503") == 1
     assert sample(client, "pose_requests_total", route="other") is None

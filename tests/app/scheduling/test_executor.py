@@ -54,7 +54,7 @@ class TestFrames:
         assert await run(executor, lambda _: 42) == 42
         with pytest.raises(KeyError, match="lost"):
             await run(executor, lambda _: {}["lost"])
-        assert executor.line.inside == 0
+        assert executor.queue.in_flight == 0
 
     async def test_no_more_than_allowed_are_worked_on_at_once(self) -> None:
         executor = executor_of(2)
@@ -84,7 +84,7 @@ class TestFrames:
             await anyio.wait_all_tasks_blocked()
             with pytest.raises(ClientGoneError):
                 await run(executor, lambda _: done.append(1), lambda: anyio.sleep(0.02))
-            assert executor.line.inside == 1
+            assert executor.queue.in_flight == 1
             release.set()
         assert done == []
         with anyio.fail_after(10), pytest.raises(ClientGoneError):
@@ -104,7 +104,7 @@ class TestFrames:
                 tasks.start_soon(frame)
                 tasks.start_soon(frame)
         assert set(outcomes) == {DeadlineError, OverloadedError}
-        assert executor.line.inside == 0
+        assert executor.queue.in_flight == 0
 
     async def test_a_superseded_frame_is_told_so(self) -> None:
         executor = executor_of(1)
@@ -139,7 +139,7 @@ class TestFrames:
             await to_thread.run_sync(begun.wait, 10)
             tasks.cancel_scope.cancel()
         assert await to_thread.run_sync(cancelled.wait, 10)
-        assert executor.line.inside == 0
+        assert executor.queue.in_flight == 0
 
     @pytest.mark.parametrize("divided", [False, True])
     async def test_a_frame_that_failed_keeps_nothing_of_itself(self, divided: bool) -> None:
