@@ -23,9 +23,9 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from contextvars import ContextVar, copy_context
 from functools import partial
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
-from app.scheduling.job import CancellationToken, ClientGoneError
+from app.scheduling.job import ClientGoneError, Job
 from app.scheduling.process import lower_thread_priority, trim_heap
 from app.scheduling.queue import Line, Sender, Turn
 
@@ -34,21 +34,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _TRIM_AFTER_S = 0.05
-
-
-class Map(Protocol):
-    """Calls a function with each part of a frame and returns the results in order."""
-
-    def __call__(
-        self, function: Callable[[Item], Result], items: Iterable[Item], /
-    ) -> list[Result]:
-        """Call it."""
-        ...
-
-
-def map_serially(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
-    """Call a function with one part after the other, where there is no executor."""
-    return [function(item) for item in items]
 
 
 _role: ContextVar[Literal["", "frame", "part"]] = ContextVar("role", default="")
@@ -126,14 +111,14 @@ class Executor:
         self._threads = ThreadPoolExecutor(
             2 * frames - 1, thread_name_prefix="work", initializer=lower_thread_priority
         )
-        self._tokens: set[CancellationToken] = set()
+        self._jobs: set[Job] = set()
         self._lock = threading.Lock()
         self._helping = 0
         self._divided: deque[_Parts[Any, Any]] = deque()
 
     async def run(
         self,
-        work: Callable[[CancellationToken], T],
+        work: Callable[[Job], T],
         until_gone: Callable[[], Coroutine[None, None, None]],
         *,
         sender: Sender,
@@ -146,7 +131,7 @@ class Executor:
         Parameters
         ----------
         work : callable
-            Calls :meth:`CancellationToken.check` between its steps.
+            Calls :meth:`Job.checkpoint` between its steps.
         until_gone : async callable
             Returns when the client has hung up. A frame that waits is then dropped, the work on
             one that has begun is cancelled.
@@ -176,16 +161,16 @@ class Executor:
             self.line.leave(turn)
             raise
         waited_s = 0.0 if patient else time.monotonic() - joined
-        token = CancellationToken(self._timeout_s - waited_s)
-        done = asyncio.wrap_future(self._begin(turn, work, token))
+        job = Job(self._timeout_s - waited_s, self.map)
+        done = asyncio.wrap_future(self._begin(turn, work, job))
         try:
             await _first_of(done, gone)
             if not done.done():
-                token.cancel()
+                job.cancel()
             # Cancelled or not, it takes a thread until it ends.
             return await done
         finally:
-            token.cancel()
+            job.cancel()
             gone.cancel()
             # Else the error would keep the future, it the error, and both of them the frame.
             del done
@@ -218,20 +203,18 @@ class Executor:
     def shut_down(self) -> None:
         """Cancel what is left, and wait for the threads to end."""
         self.line.close()
-        for token in tuple(self._tokens):
-            token.cancel()
+        for job in tuple(self._jobs):
+            job.cancel()
         self._threads.shutdown(cancel_futures=True)
 
-    def _begin(
-        self, turn: Turn, work: Callable[[CancellationToken], T], token: CancellationToken
-    ) -> Future[T]:
+    def _begin(self, turn: Turn, work: Callable[[Job], T], job: Job) -> Future[T]:
         """Work on the frame whose turn has come; it leaves the line once its thread is free."""
         loop, context = asyncio.get_running_loop(), copy_context()
-        future = self._threads.submit(context.run, self._as_frame, work, token)
-        self._tokens.add(token)
+        future = self._threads.submit(context.run, self._as_frame, work, job)
+        self._jobs.add(job)
 
         def end(future: Future[T]) -> None:
-            self._tokens.discard(token)
+            self._jobs.discard(job)
             worked = not future.cancelled() and future.exception() is None
             with suppress(RuntimeError):  # The loop has ended.
                 loop.call_soon_threadsafe(self._end, turn, worked)
@@ -263,11 +246,11 @@ class Executor:
                     return part
         return None
 
-    def _as_frame(self, work: Callable[[CancellationToken], T], token: CancellationToken) -> T:
+    def _as_frame(self, work: Callable[[Job], T], job: Job) -> T:
         _role.set("frame")
         started = time.monotonic()
         try:
-            return work(token)
+            return work(job)
         finally:
             # What took long took much memory, some ten megabytes of which stay behind.
             if time.monotonic() - started > _TRIM_AFTER_S:
