@@ -23,6 +23,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload, UploadError
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.geometry import Detection
@@ -143,7 +144,7 @@ def main() -> int:
     try:
         upload = Upload(options.photograph.read_bytes())
         estimator = Estimator.load(Settings())
-        estimate = estimator.estimate(upload, options.n, lambda: None)
+        estimate = estimator.estimate(upload, options.n, Job())
         options.out.mkdir(parents=True, exist_ok=True)
     except (OSError, UploadError) as error:
         print(f"debug_frame: {error}", file=sys.stderr)

@@ -26,7 +26,7 @@ from app.api.overlay import draw_skeleton
 from app.estimation.estimator import Estimator
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.skeleton import NATIVE
@@ -72,7 +72,7 @@ def _draw(
 ) -> Pictures:
     silhouette = found.silhouette
     assert silhouette is not None
-    (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, lambda: None, Stopwatch())
+    (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, Job())
     box, first = silhouette.box, person.hypotheses[0]
     window, scale = _window(box), CELL_PX / _window(box).height
     photograph = _cut(frame, window, scale, (127, 127, 127))

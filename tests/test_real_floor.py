@@ -22,6 +22,7 @@ from app.api.replies import LEAST_SCORE
 from app.estimation.estimator import Estimator
 from app.estimation.results import Person
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.vision.geometry import LANDMARK_NAMES, Box
 from index.skeleton import LIMBS, POINT_NAMES
@@ -63,7 +64,7 @@ def real() -> Estimator:
 
 
 def persons(real: Estimator, frame: bytes, boxes: tuple[Box, ...] | None = None) -> list[Person]:
-    return list(real.estimate(Upload(frame, boxes=boxes), 7, lambda: None).persons)
+    return list(real.estimate(Upload(frame, boxes=boxes), 7, Job()).persons)
 
 
 def evenly(paths: Sequence[Any], count: int) -> list[Any]:

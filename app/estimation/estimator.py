@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.estimation.finder import Check, PeopleFinder
+from app.estimation.finder import PeopleFinder
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.ordering import rank_by_keypoints, rank_by_silhouette
 from app.estimation.posture import estimate_posture, vote_posture
@@ -21,8 +21,7 @@ from app.estimation.results import (
     Scene,
 )
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
-from app.scheduling.executor import Map, map_serially
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import Job
 from app.scheduling.process import available_cores
 from app.settings import Settings
 from app.vision.blazepose import LandmarkNetwork, PoseDetection
@@ -159,8 +158,6 @@ class Estimator:
     max_persons : int
         Detections beyond are dropped, the least certain first; a caller who gives more people
         is refused.
-    map_parts : callable
-        Works on the parts of a frame; see :class:`app.scheduling.executor.Map`.
     """
 
     def __init__(
@@ -172,28 +169,19 @@ class Estimator:
         min_person_px: float | None,
         max_pixels: int,
         max_persons: int,
-        map_parts: Map = map_serially,
     ) -> None:
         self.index = index
         self.detector = detector
-        self._decoder = UploadDecoder(max_pixels, max_persons, map_parts)
-        self.finder = PeopleFinder(detector, reader, min_person_px, max_persons, map_parts)
-        self.map_parts = map_parts
+        self._decoder = UploadDecoder(max_pixels, max_persons)
+        self.finder = PeopleFinder(detector, reader, min_person_px, max_persons)
 
     @classmethod
-    def load(
-        cls,
-        settings: Settings,
-        map_parts: Map = map_serially,
-        index: PoseIndex | None = None,
-    ) -> Estimator:
+    def load(cls, settings: Settings, index: PoseIndex | None = None) -> Estimator:
         """Load index and networks.
 
         Parameters
         ----------
         settings : Settings
-        map_parts : callable
-            As in :class:`Estimator`.
         index : PoseIndex, optional
             By default loaded from the folder in the settings.
 
@@ -215,7 +203,6 @@ class Estimator:
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            map_parts=map_parts,
         )
 
     def with_index(self, index: PoseIndex) -> Estimator:
@@ -233,7 +220,7 @@ class Estimator:
         match(self.index, self.index.silhouette(0), 1)
 
     def estimate(
-        self, upload: Upload, n: int, check: Check, evidence: Evidence = "photograph"
+        self, upload: Upload, n: int, job: Job, evidence: Evidence = "photograph"
     ) -> Estimate:
         """Find the ``n`` nearest distinct poses of every person.
 
@@ -241,8 +228,8 @@ class Estimator:
         ----------
         upload : Upload
         n : int
-        check : callable
-            Called between steps; raises where the work is no longer wanted.
+        job : Job
+            Checked between steps.
         evidence : str
             ``photograph``: silhouettes and the landmarks that it shows; ``silhouette``: the
             silhouettes alone, as in the paper.
@@ -252,47 +239,36 @@ class Estimator:
         UploadError
             If the images or boxes cannot be used.
         """
-        stopwatch = Stopwatch()
-        scene = self.find_people(upload, check, stopwatch, evidence)
-        persons = self.with_hypotheses(scene, n, check, stopwatch)
-        return Estimate(
-            scene.frame, persons, {**stopwatch.milliseconds, "total": stopwatch.total()}
-        )
+        scene = self.find_people(upload, job, evidence)
+        persons = self.with_hypotheses(scene, n, job)
+        return Estimate(scene.frame, persons, job.timings_ms())
 
-    def find_people(
-        self, upload: Upload, check: Check, stopwatch: Stopwatch, evidence: Evidence = "photograph"
-    ) -> Scene:
+    def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
-        check()
-        with stopwatch.stage("decode"):
-            decoded = self.decode(upload)
-        check()
+        decoded = self.decode(upload, job)
         reads = evidence == "photograph" and upload.frame is not None
-        people = self.finder.find(decoded, reads, check, stopwatch)
+        people = self.finder.find(decoded, reads, job)
         return Scene(decoded.frame, tuple(sorted(people, key=lambda person: person.box.x)))
 
-    def decode(self, upload: Upload) -> DecodedUpload:
+    def decode(self, upload: Upload, job: Job) -> DecodedUpload:
         """Decode the images of an upload; raises :class:`UploadError`."""
-        return self._decoder.decode(upload)
+        job.checkpoint()
+        with job.stage("decode"):
+            decoded = self._decoder.decode(upload, job)
+        job.checkpoint()
+        return decoded
 
-    def with_hypotheses(
-        self, scene: Scene, n: int, check: Check, stopwatch: Stopwatch
-    ) -> tuple[Person, ...]:
+    def with_hypotheses(self, scene: Scene, n: int, job: Job) -> tuple[Person, ...]:
         """Find the poses that fit people's silhouettes and keypoints."""
-
-        def fit(person: ObservedPerson, normalised: NormalisedPerson | None) -> Person:
-            check()
-            return fit_poses(self.index, person, normalised, n)
-
-        with stopwatch.stage("describe"):
+        with job.stage("describe"):
             normalised = [normalise_person(person) for person in scene.people]
-        with stopwatch.stage("search"):
+        with job.stage("search"):
             pairs = zip(scene.people, normalised, strict=True)
-            return tuple(self.map_parts(lambda pair: fit(*pair), pairs))
+            return tuple(job.map(lambda pair: fit_poses(self.index, *pair, n), pairs))
 
-    def detect(self, frame: bytes, check: Check) -> tuple[ObservedPerson, ...]:
+    def detect(self, frame: bytes, job: Job) -> tuple[ObservedPerson, ...]:
         """Find the people of a frame by their boxes alone, the surest first."""
-        check()
+        job.checkpoint()
         pixels = self._decoder.decode_frame(frame)
-        check()
+        job.checkpoint()
         return self.finder.detect(pixels)

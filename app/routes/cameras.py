@@ -29,7 +29,7 @@ from app.routes.uploads import (
     SilhouettesQuery,
     TrackUploadForm,
 )
-from app.scheduling.job import CancellationToken
+from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
 from app.tracking.sessions import CameraKey, TooManyCamerasError
@@ -101,8 +101,8 @@ async def track_frame(
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
     upload, timestamp = frame
 
-    def work(token: CancellationToken) -> bytes:
-        tracked = sessions.process(camera, estimator, upload, timestamp, n, token.check, evidence)
+    def work(job: Job) -> bytes:
+        tracked = sessions.process(camera, estimator, upload, timestamp, n, job, evidence)
         _tell_session(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
         runtime.metrics.observe_stages(tracked.timings_ms)

@@ -17,7 +17,7 @@ from app.routes.auth import check_key
 from app.routes.forms import CheckQuery, check_fields, file_of, text_of
 from app.routes.openapi import documented
 from app.routes.uploads import is_multipart, unsupported_body
-from app.scheduling.job import CancellationToken
+from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 
 router = APIRouter(
@@ -80,9 +80,9 @@ async def detect_deepstack(
     estimator = runtime.ready_estimator()
     started = time.perf_counter()
 
-    def work(token: CancellationToken) -> list[DeepstackPrediction]:
+    def work(job: Job) -> list[DeepstackPrediction]:
         try:
-            people = estimator.detect(upload.image, token.check)
+            people = estimator.detect(upload.image, job)
         except UploadError as error:
             # The estimator calls it frame, DeepStack's clients image.
             detail = f"image{str(error).removeprefix(error.field)}"

@@ -25,7 +25,7 @@ from app.routes.uploads import (
     SilhouettesQuery,
     UploadForm,
 )
-from app.scheduling.job import CancellationToken, Stopwatch
+from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 from index.skeleton import KEYPOINT_SETS
 
@@ -73,8 +73,8 @@ async def estimate_pose(
     estimator = runtime.searching_estimator()
     form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
 
-    def work(token: CancellationToken) -> bytes:
-        estimate = estimator.estimate(upload, n, token.check, evidence)
+    def work(job: Job) -> bytes:
+        estimate = estimator.estimate(upload, n, job, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         runtime.metrics.observe_persons(estimate.persons)
         return pose_reply(estimate, estimator.index, form).model_dump_json().encode()
@@ -106,9 +106,9 @@ async def draw_pose(
     runtime = runtime_of(request)
     estimator = runtime.searching_estimator()
 
-    def work(token: CancellationToken) -> bytes:
+    def work(job: Job) -> bytes:
         # As many as `/pose` returns by default, so that both tell the same posture.
-        estimate = estimator.estimate(upload, DEFAULT_HYPOTHESES, token.check, evidence)
+        estimate = estimator.estimate(upload, DEFAULT_HYPOTHESES, job, evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
 
@@ -133,10 +133,9 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
 
-    def work(token: CancellationToken) -> bytes:
-        stopwatch = Stopwatch()
-        scene = estimator.find_people(upload, token.check, stopwatch)
-        runtime.metrics.observe_stages(stopwatch.milliseconds)
+    def work(job: Job) -> bytes:
+        scene = estimator.find_people(upload, job)
+        runtime.metrics.observe_stages(job.stage_ms)
         return encode_png(draw_labels(scene))
 
     content = await run_frame(request, work, kind=upload.given)

@@ -36,7 +36,7 @@ from app.routes.uploads import (
     is_video,
     unsupported_body,
 )
-from app.scheduling.job import CancellationToken, DeadlineError
+from app.scheduling.job import DeadlineError, Job
 from app.scheduling.queue import Sender
 from app.serving.runtime import Runtime, runtime_of
 from app.tracking.results import TrackedFrame
@@ -274,9 +274,9 @@ class _Sequence:
     async def _work_on(self, frame: VideoFrame) -> bytes:
         """Work on a frame once there is room for it, and return its line."""
 
-        def work(token: CancellationToken) -> tuple[TrackedFrame, bytes]:
+        def work(job: Job) -> tuple[TrackedFrame, bytes]:
             tracked = self._session.process(
-                Upload(frame.pixels), frame.timestamp, self._n, token.check, self._evidence
+                Upload(frame.pixels), frame.timestamp, self._n, job, self._evidence
             )
             self._runtime.metrics.observe_stages(tracked.timings_ms)
             self._runtime.metrics.observe_persons(person.person for person in tracked.persons)

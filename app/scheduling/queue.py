@@ -335,8 +335,9 @@ class FairQueue:
             for ticket in self._working
         ]
         heapq.heapify(free)
-        others = {entry.place for entry in (*self._waiting, *self._reservations)}
-        for _, other in self._ordered({place, *others}):
+        waiting = {ticket.place for ticket in self._waiting}
+        reserved = {reservation.place for reservation in self._reservations}
+        for _, other in self._ordered({place} | waiting | reserved):
             if other == place:
                 break
             heapq.heapreplace(free, free[0] + self._estimate_s(other.kind))

@@ -75,7 +75,7 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
 
 def _load_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
     with native_lines_logged(log):
-        estimator = Estimator.load(runtime.settings, runtime.executor.map, index)
+        estimator = Estimator.load(runtime.settings, index)
         estimator.warm_up()
     freeze_loaded_objects()
     trim_heap()

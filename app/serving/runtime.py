@@ -13,7 +13,7 @@ from app.http.identity import camera_stream, sender_of
 from app.http.metrics import Metrics
 from app.http.problems import ProblemError
 from app.scheduling.executor import Executor
-from app.scheduling.job import CancellationToken
+from app.scheduling.job import Job
 from app.serving.milvus import CircuitBreaker
 from app.settings import Settings
 from app.tracking.sessions import CameraSessions
@@ -98,7 +98,7 @@ EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
 
 async def run_frame(
     request: Request,
-    work: Callable[[CancellationToken], T],
+    work: Callable[[Job], T],
     *,
     kind: Hashable,
 ) -> T:

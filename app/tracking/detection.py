@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import Check, PeopleFinder, distinct_bodies, observed
+from app.estimation.finder import PeopleFinder, distinct_bodies, observed
 from app.estimation.results import ObservedPerson
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import Job
 from app.tracking.track import LEAST_PRESENCE, Track
 from app.vision.blazepose import Reading
 from app.vision.geometry import Box, Detection
@@ -59,8 +59,7 @@ class TrackedPeopleDetector:
         frame: NDArray[np.uint8],
         timestamp: float,
         tracks: Sequence[Track],
-        check: Check,
-        stopwatch: Stopwatch,
+        job: Job,
     ) -> list[tuple[ObservedPerson, Track | None]]:
         """Find the people of a frame with their silhouettes and landmarks.
 
@@ -71,22 +70,21 @@ class TrackedPeopleDetector:
         timestamp : float
             Seconds.
         tracks : sequence of Track
-        check : callable
-        stopwatch : Stopwatch
+        job : Job
 
         Returns
         -------
         list of (ObservedPerson, Track or None)
             The track in whose window the person was read, None where the search found them.
         """
-        wanted, owners, readings = self._read_people(frame, timestamp, tracks, check, stopwatch)
+        wanted, owners, readings = self._read_people(frame, timestamp, tracks, job)
         self._read_at = timestamp
         found, rows = _distinct(readings, wanted)
         boxes = [
             _body_box(found[i]) if wanted[row].score == 0 else wanted[row].box
             for i, row in enumerate(rows)
         ]
-        with stopwatch.stage("segment"):
+        with job.stage("segment"):
             silhouettes = silhouettes_of(found, boxes, frame.shape, exact=False)
         people = []
         for row, box, reading, silhouette in zip(rows, boxes, found, silhouettes, strict=True):
@@ -105,8 +103,7 @@ class TrackedPeopleDetector:
         frame: NDArray[np.uint8],
         timestamp: float,
         tracks: Sequence[Track],
-        check: Check,
-        stopwatch: Stopwatch,
+        job: Job,
     ) -> tuple[list[Detection], list[Track | None], list[Reading | None]]:
         """Read the tracks by their windows or, where that does not do, whoever a search finds.
 
@@ -120,7 +117,7 @@ class TrackedPeopleDetector:
         due = timestamp - self._searched_at >= SEARCH_EVERY_S
         if followed and len(followed) == len(recent) and not due:
             wanted, owners = _assign((), followed)
-            readings = self._read_all(frame, wanted, owners, check, stopwatch)
+            readings = self._read_all(frame, wanted, owners, job)
             if None not in readings:
                 return wanted, owners, readings
             lost += [
@@ -128,32 +125,28 @@ class TrackedPeopleDetector:
                 for owner, reading in zip(owners, readings, strict=True)
                 if reading is None and owner is not None and owner not in lost
             ]
-        with stopwatch.stage("detect"):
+        with job.stage("detect"):
             places = [track.motion.seen for track in lost]
             detections = self._finder.detector.detect(frame, places)[: self._finder.max_persons]
         self._searched_at = timestamp
         wanted, owners = _assign(detections, followed)
-        return wanted, owners, self._read_all(frame, wanted, owners, check, stopwatch)
+        return wanted, owners, self._read_all(frame, wanted, owners, job)
 
     def _read_all(
         self,
         frame: NDArray[np.uint8],
         wanted: Sequence[Detection],
         owners: Sequence[Track | None],
-        check: Check,
-        stopwatch: Stopwatch,
+        job: Job,
     ) -> list[Reading | None]:
-        check()
-        with stopwatch.stage("keypoints"):
-            return self._finder.map_parts(
-                lambda pair: self._read(frame, *pair, check), zip(wanted, owners, strict=True)
-            )
+        job.checkpoint()
+        with job.stage("keypoints"):
+            return job.map(lambda pair: self._read(frame, *pair), zip(wanted, owners, strict=True))
 
     def _read(
-        self, frame: NDArray[np.uint8], one: Detection, owner: Track | None, check: Check
+        self, frame: NDArray[np.uint8], one: Detection, owner: Track | None
     ) -> Reading | None:
         """Read a person; None where a track's window no longer shows anybody."""
-        check()
         if one.score > 0 or owner is None:
             return self._finder.reader.read(frame, one.box, one.keypoints, one.windows)
         reading = self._finder.reader.network.read(frame, one.windows[0])

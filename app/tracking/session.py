@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
-from app.estimation.finder import Check
 from app.estimation.results import Evidence, ObservedPerson, Scene
 from app.estimation.upload import Upload
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import Job
 from app.tracking.detection import TrackedPeopleDetector
 from app.tracking.matching import appearance_histogram, associate
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
@@ -101,7 +100,7 @@ class CameraSession:
         upload: Upload,
         timestamp: float | None,
         n: int,
-        check: Check,
+        job: Job,
         evidence: Evidence = "photograph",
     ) -> TrackedFrame:
         """Find the people of a frame, say who they are, and estimate their poses.
@@ -113,9 +112,9 @@ class CameraSession:
             Seconds; None: the time since the frame before, as the session's clock says.
         n : int
             Hypotheses of each person in the result.
-        check : callable
-            Called between steps; raises where the work is no longer wanted. The next frame then
-            tells what began or ended at this one.
+        job : Job
+            Checked between steps. Where it raises, the next frame reports what began or ended at
+            this one.
         evidence : str
             As in :meth:`app.estimation.estimator.Estimator.estimate`.
 
@@ -128,23 +127,19 @@ class CameraSession:
         """
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
-        stopwatch = Stopwatch()
-        check()
-        with stopwatch.stage("decode"):
-            decoded = self._estimator.decode(upload)
-        check()
+        decoded = self._estimator.decode(upload, job)
         frame = decoded.frame
         self._begin_anew_where_needed(frame.shape, timestamp)
         reads = evidence == "photograph" and upload.frame is not None
         found: list[tuple[ObservedPerson, Track | None]]
         if reads and upload.mask is None and upload.boxes is None and upload.background is None:
-            found = self._follower.find(frame, timestamp, self._tracks, check, stopwatch)
+            found = self._follower.find(frame, timestamp, self._tracks, job)
         else:
-            people = self._estimator.finder.find(decoded, reads, check, stopwatch)
+            people = self._estimator.finder.find(decoded, reads, job)
             found = self._named(people, upload.track_ids, timestamp)
         seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
         self._forget_unseen(timestamp)
-        tracked = self._with_poses(seen, frame, timestamp, n, check, stopwatch)
+        tracked = self._with_poses(seen, frame, timestamp, n, job)
         # A frame that failed half-way may be sent again.
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
@@ -158,7 +153,7 @@ class CameraSession:
             reset,
             tracked,
             events,
-            {**stopwatch.milliseconds, "total": stopwatch.total()},
+            job.timings_ms(),
         )
 
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
@@ -309,12 +304,11 @@ class CameraSession:
         frame: NDArray[np.uint8],
         timestamp: float,
         n: int,
-        check: Check,
-        stopwatch: Stopwatch,
+        job: Job,
     ) -> tuple[TrackedPerson, ...]:
         searched = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
         scene = Scene(frame, tuple(seen[i][0] for i in searched))
-        persons = self._estimator.with_hypotheses(scene, max(n, FIRST_HYPOTHESES), check, stopwatch)
+        persons = self._estimator.with_hypotheses(scene, max(n, FIRST_HYPOTHESES), job)
         found = dict(zip(searched, persons, strict=True))
         tracked = []
         for i, (observed, track) in enumerate(seen):

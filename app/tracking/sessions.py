@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from app.estimation.estimator import Estimator
-from app.estimation.finder import Check
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.tracking.zones import Zone
@@ -170,7 +170,7 @@ class CameraSessions:
         upload: Upload,
         timestamp: float | None,
         n: int,
-        check: Check,
+        job: Job,
         evidence: Evidence = "photograph",
     ) -> TrackedFrame:
         """Process the next frame of a camera, whose session begins if there is none.
@@ -200,7 +200,7 @@ class CameraSessions:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         opened.session.zones = zones
         try:
-            frame = opened.session.process(upload, timestamp, n, check, evidence)
+            frame = opened.session.process(upload, timestamp, n, job, evidence)
             with self._lock:
                 opened.note(frame, self._clock())
                 if begins:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from app.api.overlay import PEOPLE, draw_skeleton, write_text
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
@@ -123,7 +124,7 @@ def annotated(
     """Follow the people of a video and yield its frames with what is known of them."""
     session, annotator = CameraSession(estimator), Annotator()
     for timestamp, pixels in islice(frames_of(video, stride), max_frames):
-        tracked = session.process(Upload(pixels), timestamp, HYPOTHESES, lambda: None)
+        tracked = session.process(Upload(pixels), timestamp, HYPOTHESES, Job())
         yield annotator.draw(tracked)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from app.estimation.estimator import Estimator
 from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import Job
 from app.vision.geometry import Box
 
 HYPOTHESES = 7
@@ -19,7 +19,7 @@ def estimate(
 ) -> tuple[Person, ...]:
     """The people of a photograph, encoded or as BGR pixels, or those in some boxes."""
     upload = Upload(photograph, boxes=boxes or None)
-    return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
+    return estimator.estimate(upload, HYPOTHESES, Job()).persons
 
 
 def found_in(
@@ -27,4 +27,4 @@ def found_in(
 ) -> tuple[ObservedPerson, ...]:
     """The people whom the service finds in a photograph, or in some boxes of it, without poses."""
     upload = Upload(photograph, boxes=boxes or None)
-    return estimator.find_people(upload, lambda: None, Stopwatch()).people
+    return estimator.find_people(upload, Job()).people

@@ -22,6 +22,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.posture import GROUNDED
 from app.estimation.results import Person
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
@@ -243,9 +244,7 @@ def leaning(estimator: Estimator, folder: Path) -> list[Row]:
                 errors = [_error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses]
                 single.append((errors[0], min(errors)))
                 told.append(grounded(person))
-            tracked = session.process(
-                Upload(_encoded(frame)), number / 60, HYPOTHESES, lambda: None
-            )
+            tracked = session.process(Upload(_encoded(frame)), number / 60, HYPOTHESES, Job())
             seen = [one for one in tracked.persons if one.pose and one.person.hypotheses]
             if seen:
                 one = max(seen, key=lambda other: other.person.observed.box.height)
@@ -308,7 +307,7 @@ def fall_videos(estimator: Estimator, folder: Path) -> list[Row]:
         shown += [(len(frames), frames[-1], end + 0.2 * step) for step in range(1, 21)]
         hit = False
         for number, frame, time in shown:
-            result = session.process(Upload(_encoded(frame)), time, HYPOTHESES, lambda: None)
+            result = session.process(Upload(_encoded(frame)), time, HYPOTHESES, Job())
             hit |= number >= fallen_from and begins(result)
             if number < upright_until:
                 seen.append(bool(result.persons))
@@ -337,7 +336,7 @@ def upfall(estimator: Estimator, folder: Path) -> list[Row]:
                 break
             if number % 3:
                 continue
-            result = session.process(Upload(_encoded(frame)), number / 18, HYPOTHESES, lambda: None)
+            result = session.process(Upload(_encoded(frame)), number / 18, HYPOTHESES, Job())
             hit |= begins(result)
             low.append(any(grounded(one.person) for one in result.persons))
             if activity in ACTIVITIES and (actor := _actor(result.persons)):
@@ -395,7 +394,7 @@ def street(estimator: Estimator, folder: Path, frames: int = 300) -> list[Row]:
     actions: list[str] = []
     left, right = POINT_NAMES.index("left_shoulder"), POINT_NAMES.index("right_shoulder")
     for number, frame in tqdm(list(read_frames(folder / "vtest.avi"))[:frames]):
-        result = session.process(Upload(_encoded(frame)), number / 10, HYPOTHESES, lambda: None)
+        result = session.process(Upload(_encoded(frame)), number / 10, HYPOTHESES, Job())
         for one in result.persons:
             if one.person.posture is not None:
                 postures.append(one.person.posture.label)

@@ -15,7 +15,7 @@ from app.estimation.estimator import Estimator, fit_poses
 from app.estimation.finder import observed
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import Job
 from app.vision.geometry import LANDMARK_NAMES, Box, Silhouette
 from app.vision.models import fitted as constants_of
 from descriptor.silhouette import normalise
@@ -132,7 +132,7 @@ def estimate(estimator: Estimator, asked: Asked, way: Way) -> Person | None:
             return None
         return fit_poses(estimator.index, person, normalised, HYPOTHESES)
     scene = Scene(asked.frame, (person,))
-    return estimator.with_hypotheses(scene, HYPOTHESES, lambda: None, Stopwatch())[0]
+    return estimator.with_hypotheses(scene, HYPOTHESES, Job())[0]
 
 
 def trials_of(people: Sequence[Asked], estimator: Estimator, way: Way) -> list[Trial]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
+from app.scheduling.job import Job
 from app.vision.geometry import Box, Detection, Silhouette
 from app.vision.silhouettes import silhouettes_of
 from scripts.experiments.real_data import Photograph
@@ -25,7 +26,7 @@ def cut_out(
 ) -> list[Silhouette | None]:
     """The service's own silhouettes of people in boxes that are given."""
     found = [Detection(box, 1.0) for box in boxes]
-    readings = estimator.finder.read(frame, found, lambda: None)
+    readings = estimator.finder.read(frame, found, Job())
     return silhouettes_of(readings, boxes, frame.shape, exact=True)
 
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
-from app.scheduling.executor import Executor, map_serially
+from app.scheduling.executor import Executor
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.skeleton import NATIVE
@@ -112,10 +113,10 @@ def test_one_thread_gives_what_two_give(
     """One for each pass of a network and one for the people of a frame, or two."""
     answers = []
     executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
-    for threads, map_parts in ((1, map_serially), (2, executor.map)):
+    for threads, job in ((1, Job()), (2, Job(parallel_map=executor.map))):
         monkeypatch.setattr("app.estimation.estimator.available_cores", lambda t=threads: t)
-        estimator = Estimator.load(settings, map_parts, tiny_index)
-        people = estimator.estimate(Upload(STREET), 7, lambda: None).persons
+        estimator = Estimator.load(settings, tiny_index)
+        people = estimator.estimate(Upload(STREET), 7, job).persons
         answers.append([(h.hypothesis.entry, h.distance, *h.points_2d.ravel())
                         for person in people for h in person.hypotheses])  # fmt: skip
     executor.shut_down()

@@ -99,11 +99,11 @@ class TestLines:
         process = CameraSession.process
 
         def slow(
-            self: CameraSession, upload: Any, timestamp: Any, n: Any, check: Any, *_: Any
+            self: CameraSession, upload: Any, timestamp: Any, n: Any, job: Any, *_: Any
         ) -> Any:
             while timestamp:
-                check()
-            return process(self, upload, timestamp, n, check)
+                job.checkpoint()
+            return process(self, upload, timestamp, n, job)
 
         monkeypatch.setattr(CameraSession, "process", slow)
         with serving(request_timeout_s=1.0) as client:

@@ -15,6 +15,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.facing import Facing
 from app.estimation.results import Estimate
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.summary import SequenceSummary
 from index.skeleton import KEYPOINT_SETS, NATIVE
@@ -25,7 +26,7 @@ EVENT = Event("fell", 3, "instant", 12.34567, 0.93, ("kitchen",), "17")
 
 @pytest.fixture(scope="module")
 def estimate(estimator: Estimator, photo: Photo) -> Estimate:
-    return estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 2, lambda: None)
+    return estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 2, Job())
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from app.estimation import finder
 from app.estimation.estimator import Estimator, network_threads
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.estimation.upload import Upload
-from app.scheduling.job import Stopwatch
+from app.scheduling.job import DeadlineError, Job
 from app.settings import Settings
 from app.vision.geometry import Box, Landmarks, silhouette_from_mask
 from app.vision.person_reader import PersonReader
@@ -19,6 +19,7 @@ from index.posture import LOW
 from index.search import rotate_clockwise
 from scripts.experiments.rotation import rotate_box, rotate_points
 from tests.conftest import WALKERS, Photo, png
+from tests.support.jobs import ShortJob
 
 WALKER = Box(135, 162, 40, 105)
 
@@ -36,7 +37,7 @@ def walker(estimator: Estimator, street: NDArray[np.uint8]) -> Person:
 
 
 def persons(estimator: Estimator, upload: Upload, evidence: str = "photograph") -> list[Person]:
-    return list(estimator.estimate(upload, 5, lambda: None, evidence).persons)  # type: ignore[arg-type]
+    return list(estimator.estimate(upload, 5, Job(), evidence).persons)  # type: ignore[arg-type]
 
 
 def poses(person: Person) -> list[tuple[int, bool, float]]:
@@ -153,7 +154,7 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
     def answer(turns: int) -> Person:
         frame = np.ascontiguousarray(np.rot90(street, -turns))
         scene = Scene(frame, (turned(walker, shape, turns, seen),))
-        return estimator.with_hypotheses(scene, 5, lambda: None, Stopwatch())[0]
+        return estimator.with_hypotheses(scene, 5, Job())[0]
 
     upright, lying = answer(0), answer(quarter_turns)
     assert upright.facing is not None and lying.facing is not None
@@ -219,24 +220,15 @@ def test_the_detector_is_the_one_that_is_set(
     chosen = Estimator.load(settings.model_copy(update={"detector": name}))
     assert chosen.detector.name == name
     chosen.warm_up()
-    found = chosen.estimate(Upload(png(street)), 1, lambda: None).persons
+    found = chosen.estimate(Upload(png(street)), 1, Job()).persons
     assert any(person.observed.box.iou(WALKER) > 0.5 for person in found)
     assert {person.observed.source for person in found} == {"detector"}
 
 
 def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo: Photo) -> None:
-    class GoneError(Exception):
-        pass
-
     for steps in range(4):
-        left = iter(range(steps))
-
-        def check(left: object = left) -> None:
-            if next(left, None) is None:  # type: ignore[call-overload]
-                raise GoneError
-
-        with pytest.raises(GoneError):
-            estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, check)
+        with pytest.raises(DeadlineError):
+            estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, ShortJob(steps))
 
 
 def flags(estimator: Estimator, frame: NDArray[np.uint8], box: Box) -> tuple[bool, bool]:

@@ -19,7 +19,7 @@ from anyio import to_thread
 
 from app.http.request_context import request_id
 from app.scheduling.executor import Executor
-from app.scheduling.job import BusyError, CancellationToken, ClientGoneError, DeadlineError
+from app.scheduling.job import BusyError, ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import OverloadedError, Sender, ShutdownError, SupersededError
 
 pytestmark = pytest.mark.anyio
@@ -31,16 +31,16 @@ def executor_of(frames: int, max_wait_s: float = 60, timeout_s: float = 60) -> E
 
 async def run(
     executor: Executor,
-    work: Callable[[CancellationToken], Any],
+    work: Callable[[Job], Any],
     until_gone: Callable[[], Any] = anyio.sleep_forever,
     **options: Any,
 ) -> Any:
     return await executor.run(work, until_gone, sender=Sender("anyone"), **options)
 
 
-def until_cancelled(token: CancellationToken) -> None:
+def until_cancelled(job: Job) -> None:
     while True:
-        token.check()
+        job.checkpoint()
         time.sleep(0.005)
 
 
@@ -61,7 +61,7 @@ class TestFrames:
         lock = threading.Lock()
         running, most = 0, 0
 
-        def work(_: CancellationToken) -> None:
+        def work(_: Job) -> None:
             nonlocal running, most
             with lock:
                 running += 1
@@ -128,10 +128,10 @@ class TestFrames:
         executor = executor_of(1)
         begun, cancelled = threading.Event(), threading.Event()
 
-        def work(token: CancellationToken) -> None:
+        def work(job: Job) -> None:
             begun.set()
             with pytest.raises(ClientGoneError):
-                until_cancelled(token)
+                until_cancelled(job)
             cancelled.set()
 
         async with anyio.create_task_group() as tasks:
@@ -252,7 +252,7 @@ class TestReentry:
     async def test_a_frame_that_starts_another(self) -> None:
         executor = executor_of(1)
 
-        def work(_: CancellationToken) -> None:
+        def work(_: Job) -> None:
             asyncio.run(run(executor, lambda _: None))
 
         with pytest.raises(RuntimeError, match="not by another frame"):
@@ -273,13 +273,13 @@ async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
     begun = threading.Semaphore(0)
     outcomes: list[str] = []
 
-    def part(token: CancellationToken) -> None:
+    def part(job: Job) -> None:
         begun.release()
-        until_cancelled(token)
+        until_cancelled(job)
 
     async def frame() -> None:
         try:
-            await run(executor, lambda token: executor.map(part, [token] * 9))
+            await run(executor, lambda job: executor.map(part, [job] * 9))
         except (ClientGoneError, ShutdownError) as error:
             outcomes.append(type(error).__name__)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
-from app.scheduling.job import DeadlineError
+from app.scheduling.job import DeadlineError, Job
 from app.tracking.actions import shipped_model
 from app.tracking.detection import SEARCH_EVERY_S
 from app.tracking.results import TrackedFrame
@@ -23,6 +23,7 @@ from app.vision.blazepose import LANDMARK_PX, Reading
 from app.vision.geometry import Box, Detection, Landmarks, PersonWindow
 from app.vision.windows import cut_window, window_about, window_to_frame
 from tests.conftest import build_tiny_index, png
+from tests.support.jobs import ShortJob
 
 ROWS, COLUMNS = 200, 320
 PERSON = 90
@@ -133,7 +134,7 @@ def send(
 ) -> TrackedFrame:
     seed = session.frames
     frame = draw(*people, seed=seed, columns=columns)
-    return session.process(Upload(frame), time, 3, lambda: None)
+    return session.process(Upload(frame), time, 3, Job())
 
 
 def ids(result: TrackedFrame) -> list[int]:
@@ -293,16 +294,8 @@ def test_a_long_gap_begins_anew_and_says_so(session: CameraSession) -> None:
 
 def test_a_cancelled_frame_loses_no_events(loaded: Estimator) -> None:
     session = CameraSession(loaded)
-    calls = 0
-
-    def check() -> None:
-        nonlocal calls
-        calls += 1
-        if calls > 4:
-            raise DeadlineError("too late")
-
     with pytest.raises(DeadlineError):
-        session.process(Upload(draw((0, 50))), 0.0, 3, check, "silhouette")
+        session.process(Upload(draw((0, 50))), 0.0, 3, ShortJob(5), "silhouette")
     result = send(session, 0.1, (0, 50))
     assert ids(result) == [1]
     assert [event.event for event in result.events] == ["entered"]
@@ -313,17 +306,10 @@ def test_a_frame_that_failed_half_way_may_be_sent_again(loaded: Estimator, steps
     session = CameraSession(loaded)
     for time in (0.0, 0.1, 0.2):
         send(session, time, (0, 50))
-    left = steps
-
-    def check() -> None:
-        nonlocal left
-        left -= 1
-        if left == 0:
-            raise DeadlineError("too late")
-
+    job = ShortJob(steps - 1)
     with contextlib.suppress(DeadlineError):
-        session.process(Upload(draw((0, 52))), 0.3, 3, check)
-    again = 0.3 if left <= 0 else 0.4
+        session.process(Upload(draw((0, 52))), 0.3, 3, job)
+    again = 0.3 if job.steps < 0 else 0.4
     result = send(session, again, (0, 52))
     assert ids(result) == [1]
     assert result.persons[0].pose is not None
@@ -343,7 +329,7 @@ def test_frames_a_hair_apart_are_late(session: CameraSession) -> None:
 def test_a_broken_frame_changes_nothing(session: CameraSession) -> None:
     send(session, 0.0, (0, 50))
     with pytest.raises(UploadError):
-        session.process(Upload(b"no image"), 0.1, 3, lambda: None)
+        session.process(Upload(b"no image"), 0.1, 3, Job())
     assert ids(send(session, 0.1, (0, 50))) == [1]
 
 
@@ -361,7 +347,7 @@ def test_the_caller_may_say_who_is_there(session: CameraSession, kind: str) -> N
             "background": Upload(frame, background=draw(seed=99)),
             "mask alone": Upload(mask=png(labels)),
         }[kind]
-        results.append(session.process(upload, step / 10, 3, lambda: None, "silhouette"))
+        results.append(session.process(upload, step / 10, 3, Job(), "silhouette"))
     last = results[-1]
     assert ids(last) == [1]
     assert last.persons[0].person.observed.source == kind.split()[0]

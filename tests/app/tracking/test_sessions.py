@@ -10,6 +10,7 @@ import pytest
 
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
+from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.tracking.sessions import CameraKey, CameraSessions
 
@@ -29,10 +30,10 @@ class FakeSession:
         upload: Upload,
         timestamp: float | None,
         n: int,
-        check: Callable[[], None],
+        job: Job,
         evidence: str,
     ) -> TrackedFrame:
-        check()
+        job.checkpoint()
         self.while_working()
         if upload.frame == b"broken":
             raise UploadError("frame", "undecodable", "frame: expected an image")
@@ -76,7 +77,7 @@ class Registry(CameraSessions):
         """Process a frame a second after the last one; return the session's state."""
         self.now += 1
         key = CameraKey(caller, camera)
-        return self.process(key, self.estimator, upload, None, n, lambda: None).session
+        return self.process(key, self.estimator, upload, None, n, Job()).session
 
     def cameras(self, caller: int = 0) -> list[str]:
         return [summary.camera_id for summary in self.summaries(caller)]
