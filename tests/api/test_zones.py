@@ -16,7 +16,8 @@ from app.estimation.estimator import Estimator
 from app.main import create_app
 from app.serving.runtime import Runtime
 from app.settings import Settings
-from index.store import DEFAULT_PATH, PoseIndex
+from index import DEFAULT_PATH
+from index.store import PoseIndex
 from tests.conftest import Photo, Serving, photograph, png
 from tests.support.service import check_problem, eventually, send
 
