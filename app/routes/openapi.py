@@ -9,7 +9,7 @@ from fastapi.openapi.utils import get_openapi
 
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
 from app.api.tracking_schemas import CameraConfiguration, TrackUpload, VideoUpload
-from app.http.problems import MEDIA_TYPE
+from app.http.errors import MEDIA_TYPE
 
 _FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
 

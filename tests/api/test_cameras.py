@@ -14,7 +14,6 @@ from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraList, CameraState, TrackResponse
 from app.estimation.finder import PeopleFinder
-from app.http.identity import camera_stream
 from tests.conftest import Photo, Server, Serving
 from tests.support.service import check_problem, eventually, sample, send
 
@@ -158,21 +157,6 @@ class TestOrder:
             assert not any(answer.done() for answer in answers)
             gate.let_go.set()
             assert [answer.result(10).status_code for answer in answers] == [200, 200]
-
-
-def test_frames_of_a_camera_are_those_of_one_caller_who_asks_the_same() -> None:
-    def stream(path: str = "/pose", **headers: str) -> object:
-        pairs = [(k.replace("_", "-").encode(), v.encode()) for k, v in headers.items()]
-        return camera_stream({"type": "http", "path": path, "headers": pairs})
-
-    yard = stream(x_camera_id="yard")
-    assert yard == stream(x_camera_id="yard", accept="*/*")
-    assert yard != stream(x_camera_id="gate")
-    assert yard != stream("/silhouette", x_camera_id="yard")
-    assert yard != stream(x_camera_id="yard", x_api_key="other")
-    assert yard != stream(x_camera_id="yard", authorization="Bearer other")
-    assert stream() is None
-    assert stream(x_camera_id="") is None
 
 
 def test_cameras_are_listed_and_forgotten(client: TestClient, photo: Photo) -> None:

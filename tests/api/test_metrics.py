@@ -7,7 +7,7 @@ from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
 from app.scheduling.queue import FairQueue, OverloadedError
-from app.serving.version import VERSION
+from app.serving.runtime import VERSION
 from tests.conftest import Photo, Serving
 from tests.support.service import sample
 

@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 from starlette.types import Message
 
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame
-from app.http.request_context import NOTES
+from app.http.request_state import request_state
 from app.routes import sequence
 from app.tracking.session import CameraSession
 from tests.conftest import Photo, Server, Serving, running_server
@@ -194,9 +194,8 @@ async def test_who_does_not_read_is_given_up(monkeypatch: pytest.MonkeyPatch) ->
         if message["type"] == "http.response.body":
             await anyio.sleep_forever()
 
-    notes: dict[str, str] = {}
-    scope = {"type": "http", "asgi": {"spec_version": "2.3"}, NOTES: notes}
+    scope = {"type": "http", "asgi": {"spec_version": "2.3"}}
     with anyio.fail_after(5):
         await sequence.LineStream(lines())(scope, anyio.sleep_forever, send)
     assert closed == [True]
-    assert notes == {"rejected": "client_gone"}
+    assert request_state(scope).rejected_reason == "client_gone"

@@ -119,7 +119,7 @@ class TestServing:
         assert answer["persons"][0]["hypotheses"][0]["entry"] == photo.entry
         assert answer["index"]["version"] == sticks.version
 
-    def test_a_silent_milvus_is_given_up_and_asked_again_later(
+    def test_searches_in_a_silent_milvus_time_out_and_succeed_later(
         self, milvus_process: MilvusProcess, server: Server, load: BackgroundLoop
     ) -> None:
         with load:
