@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
+from app.estimation.facing import Evidence as FacingEvidence
+from app.estimation.results import Source
+from app.vision import DetectorName
 from index.posture import Posture as PostureLabel
 
 KeypointSetName = Literal["native", "cmu19", "coco17", "h36m17"]
 ObservedSetName = Literal["coco17", "blazepose33"]
-PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
-Evidence = Literal["photograph", "silhouette"]
 SilhouetteForm = Literal["none", "rle", "polygon"]
 JointForm = Literal["full", "compact", "none"]
 
@@ -220,7 +221,7 @@ class Facing(Model):
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
-    evidence: Literal["image", "motion", "none"] = Field(
+    evidence: FacingEvidence = Field(
         description="What it rests on: `image`, the keypoints that the photograph shows; `motion`, "
         "the way a tracked person moves; `none`, the silhouette alone, which cannot tell. In a "
         "single frame it is the share of the hypotheses' confidence that faces the camera.",
@@ -355,7 +356,7 @@ class Person(Model):
         "over frames, the highest so far. Null if the caller said where people are.",
         examples=[0.93],
     )
-    source: PersonSource = Field(
+    source: Source = Field(
         description="What found the person: the service's detector (`GET /index` names it), the "
         "caller's mask or boxes, or the difference from the background. In camera sessions also "
         "`track`: the person is expected there by what was seen before.",
@@ -420,7 +421,7 @@ class ServiceVersion(Model):
 
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
-    detector: Literal["network", "hog"] = Field(
+    detector: DetectorName = Field(
         description="What finds people: MoveNet with HOG beside it, or HOG alone.",
         examples=["network"],
     )

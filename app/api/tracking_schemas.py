@@ -16,11 +16,10 @@ from app.api.schemas import (
     PoseResponse,
     Probability,
 )
+from app.tracking.results import EventName, EventState
+from app.tracking.zones import ZoneKind
 from index.posture import Posture as PostureLabel
 
-EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end", "instant"]
-ZoneKind = Literal["rest", "watch"]
 SequenceEndReason = Literal[
     "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
 ]
@@ -28,9 +27,7 @@ SequenceEndReason = Literal[
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock says in seconds, earlier than today in milliseconds."""
 
-
-MOST_TRACK_ID_CHARACTERS = 64
-MOST_ZONES, MOST_CORNERS = 32, 64
+MAX_TRACK_ID_CHARACTERS, MAX_ZONES, MAX_CORNERS = 64, 32, 64
 
 
 class TrackUpload(FrameUpload):
@@ -71,7 +68,7 @@ class Zone(Model):
         ]
     ] = Field(
         min_length=3,
-        max_length=MOST_CORNERS,
+        max_length=MAX_CORNERS,
         description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
@@ -81,7 +78,7 @@ class CameraConfiguration(Model):
     """What is known of a camera beforehand."""
 
     zones: list[Zone] = Field(
-        max_length=MOST_ZONES, description="All of them; an empty list removes them."
+        max_length=MAX_ZONES, description="All of them; an empty list removes them."
     )
 
     @field_validator("zones")

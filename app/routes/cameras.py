@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import ValidationError
 
-from app.api.tracking_replies import camera_reply, track_reply, zones_from
+from app.api.replies import camera_reply, track_reply, zones_from
 from app.api.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
 from app.http.errors import ProblemError
 from app.http.identity import CAMERA_PATTERN, RequireKey, identity_of

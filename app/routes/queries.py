@@ -10,14 +10,9 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from app.api.replies import ReplyForm
-from app.api.schemas import (
-    Evidence,
-    JointForm,
-    KeypointSetName,
-    ObservedSetName,
-    SilhouetteForm,
-)
+from app.api.schemas import JointForm, KeypointSetName, ObservedSetName, SilhouetteForm
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S
+from app.estimation.results import Evidence
 from app.http.errors import ProblemError
 from app.messages import NUMBER, WHOLE_NUMBER, suggestion
 from index.skeleton import KEYPOINT_SETS

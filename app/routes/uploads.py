@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationErro
 from starlette.datastructures import FormData, UploadFile
 
 from app.api.schemas import FrameUpload
-from app.api.tracking_schemas import MOST_TRACK_ID_CHARACTERS, TrackUpload
+from app.api.tracking_schemas import MAX_TRACK_ID_CHARACTERS, TrackUpload
 from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
 from app.messages import expected_and_got, shortened
@@ -80,7 +80,7 @@ _BOXES = TypeAdapter(
 )
 _TRACK_IDS = TypeAdapter(
     list[
-        Annotated[str, Field(min_length=1, max_length=MOST_TRACK_ID_CHARACTERS)]
+        Annotated[str, Field(min_length=1, max_length=MAX_TRACK_ID_CHARACTERS)]
         | Annotated[int, Field(ge=-(2**63), lt=2**63)]
     ],
     config=ConfigDict(strict=True),
@@ -193,6 +193,6 @@ def _parse_track_ids(text: str) -> list[str]:
         raise ProblemError(
             422,
             "track_ids: expected a JSON list of texts of 1 to "
-            f"{MOST_TRACK_ID_CHARACTERS} characters or whole numbers, got {shortened(text)}",
+            f"{MAX_TRACK_ID_CHARACTERS} characters or whole numbers, got {shortened(text)}",
             field="track_ids",
         ) from None

@@ -6,10 +6,9 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
-from app.api.replies import ReplyForm
-from app.api.schemas import Evidence
-from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
+from app.api.replies import ReplyForm, sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceEndReason
+from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import SEARCH_FAILED
 from app.scheduling.job import DeadlineError, Job

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.tracking_schemas import MOST_CORNERS, MOST_ZONES
+from app.api.tracking_schemas import MAX_CORNERS, MAX_ZONES
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
 from app.main import create_app
@@ -183,12 +183,12 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             (zones(name=""), "zones[0].name", "some text"),
             (zones(name="x" * 65), "zones[0].name", "64"),
             (zones(polygon=corners()), "zones[0].polygon", "expected 3 values"),
-            (zones(polygon=[[0, 0]] * (MOST_CORNERS + 1)), "zones[0].polygon", "64"),
+            (zones(polygon=[[0, 0]] * (MAX_CORNERS + 1)), "zones[0].polygon", "64"),
             (zones(polygon=corners([1])), "zones[0].polygon[2]", "2 values"),
             (zones(polygon=corners(["1", 2])), "zones[0].polygon[2][0]", "number"),
             (zones(colour="red"), "zones[0].colour", "not permitted"),
             (zones(ZONE, ZONE), "zones", "'door' twice"),
-            (zones(*[ZONE] * (MOST_ZONES + 1)), "zones", "32"),
+            (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "32"),
             ({"json": {"zones": "door"}}, "zones", "a list"),
             ({"json": {}}, "zones", "a value"),
             ({"content": json.dumps({"zones": [ZONE]}).replace("240", "1e999")},

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.api.replies import ReplyForm
+from app.api.replies import ReplyForm, sequence_end_reply, sequence_frame_reply, track_reply
 from app.api.schemas import JointForm
-from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, track_reply
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
 from app.estimation.estimator import Estimator
 from app.estimation.facing import Facing
