@@ -128,7 +128,10 @@ class TestServing:
             try:
                 wait_for(load, 503)
                 assert httpx.get(f"{server.url}/healthz").status_code == 200
-                eventually(lambda: value(server, "pose_search_breaker_open") == 1)
+                # Every frame tries again, and each gets its own answer in time.
+                failures = "pose_search_failures_total"
+                eventually(lambda: value(server, failures, reason="deadline") >= 4)
+                assert value(server, "pose_search_breaker_open") == 1
                 assert httpx.get(f"{server.url}/readyz").status_code == 200
             finally:
                 milvus_process.thaw()
@@ -136,7 +139,7 @@ class TestServing:
         assert load.broken == 0
         assert {reply.status for reply in load.replies} == {200, 503}
         assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
-        assert value(server, "pose_search_failures_total", reason="deadline") >= 3
+        assert value(server, "pose_search_breaker_open") == 0
 
     def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
         self, milvus: Milvus, server: Server, load: BackgroundLoop, photo: Photo, sticks: PoseIndex,
