@@ -75,11 +75,11 @@ async def track_frame(
 ) -> Response:
     """Track the people in the next frame of a fixed camera.
 
-    Each has an identity, a pose smoothed over time and an action besides what `/pose` tells of the
-    frame. Frames of one camera are worked on one after the other, in order of arrival; of those
-    that wait, the newest is answered, older ones get a 503. The header `X-Session` says `new` where
-    the camera starts afresh: with its first frame, after a pause, or when the service had to forget
-    it or has moved over to another index.
+    In addition to the answer of `/pose`, each person has an identity, a pose smoothed over time,
+    and an action. Frames of one camera are worked on one after the other, in order of arrival; of
+    those that wait, the newest is answered, and older ones get a 503. The header `X-Session` is
+    `new` if the camera starts afresh: with its first frame, after a pause, or after the service had
+    to forget it or has switched to another index.
     """
     runtime = runtime_of(request)
     if not runtime.settings.max_cameras:
@@ -176,8 +176,9 @@ async def configure_camera(
 ) -> CameraState:
     """Set the zones of a camera, whether or not it has sent frames.
 
-    From its next frame on, persons and events name those in which they are. They replace the ones
-    before, and outlive the camera's session, but not the service: set them again after a restart.
+    From the next frame on, persons and events name the zones they are in. New zones replace the
+    previous ones. They outlive the camera's session but not the service: set them again after a
+    restart.
     """
     try:
         zones = zones_from(configuration.zones)

@@ -31,12 +31,12 @@ EntryNumber = Annotated[
 @router.get(
     "",
     operation_id="describe_index",
-    summary="What the index holds",
+    summary="The content of the index",
     dependencies=[NoQuery],
     responses=documented(401, 503),
 )
 async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
-    """Describe the index: what it holds, how it was built, whose data it rests on."""
+    """Describe the index: its content, how it was built, and the source of its data."""
     return index_reply(
         estimator.index,
         VERSION,

@@ -48,8 +48,8 @@ async def estimate_pose(
 ) -> Response:
     """Estimate the 3D poses of the people in a frame.
 
-    For every person the nearest distinct poses of the index, the best first. A frame without
-    people gives an empty list.
+    Each person has the nearest distinct poses of the index, the best first. A frame without people
+    gives an empty list.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
@@ -78,8 +78,8 @@ async def draw_pose(
     """Draw numbered boxes, silhouette outlines and the best skeletons over a frame.
 
     Numbers count `persons` as `/pose` lists them, from 1. Limbs on the person's own left are
-    orange, those on the right blue. A strip below the frame says so; the pixels above it keep
-    the frame's coordinates.
+    orange, those on the right blue. A strip below the frame explains the colours; the pixels above
+    it keep the frame's coordinates.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
@@ -104,7 +104,7 @@ async def draw_pose(
     openapi_extra=DOCUMENTED_UPLOAD,
 )
 async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
-    """Cut out the people of a frame: a label image.
+    """Segment the people of a frame: a label image.
 
     0 is background, k the k-th entry of `persons` as `/pose` would list them. It can be sent
     back as `mask`.

@@ -127,9 +127,9 @@ async def analyse_sequence(
 ) -> LineStream:
     """Track the people of a video of a fixed camera.
 
-    It is answered line by line while it is worked on: one line of type `frame` for each frame, as
-    `/cameras/{camera_id}/frames` answers it, and a last line of type `end` with tracks and events,
-    which says why it ends there. Live frames of cameras have their turn in between.
+    The answer comes line by line while the video is worked on: one line of type `frame` for each
+    frame, as `/cameras/{camera_id}/frames` answers it, and a last line of type `end` with tracks,
+    events and the reason why it ends there. Live frames of cameras take their turn in between.
     """
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames
