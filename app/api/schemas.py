@@ -1,4 +1,4 @@
-"""The public contract: every model a caller sends or gets, with units and examples."""
+"""The public contract: the models that clients send and receive, with units and examples."""
 
 from __future__ import annotations
 

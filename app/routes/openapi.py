@@ -1,4 +1,4 @@
-"""The OpenAPI document: FastAPI's, with additions."""
+"""The OpenAPI document: FastAPI's with additions."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _DOCUMENTED: dict[str, Any] = {
 
 
 class LineStream(StreamingResponse):
-    """Lines of JSON, which end if the client does not read them."""
+    """Lines of JSON; the connection closes if the client does not read them."""
 
     media_type = "application/x-ndjson"
 
