@@ -52,7 +52,7 @@ class TestTrackFrame:
         assert response.json()["timestamp"] == 3.25
 
     @pytest.mark.parametrize("late", ["7", "6.9"])
-    def test_a_late_frame_is_told_so(self, client: TestClient, photo: Photo, late: str) -> None:
+    def test_a_late_frame_is_refused(self, client: TestClient, photo: Photo, late: str) -> None:
         send(client, photo, timestamp="7")
         response = send(client, photo, timestamp=late)
         assert "7" in check_problem(response, 409, "timestamp")
@@ -60,7 +60,7 @@ class TestTrackFrame:
         assert sample(client, "pose_rejected_total", reason="late_frame") == 1
         assert send(client, photo, timestamp="7.1").json()["frame_index"] == 1
 
-    def test_every_answer_tells_the_state(self, client: TestClient, photo: Photo) -> None:
+    def test_every_answer_names_the_session_state(self, client: TestClient, photo: Photo) -> None:
         path = "/cameras/yard/frames"
         broken = client.post(path, files={"frame": b"?"})
         assert (broken.status_code, broken.headers["x-session"]) == (400, "new")
@@ -74,7 +74,7 @@ class TestTrackFrame:
             assert 400 <= response.status_code < 500
             assert response.headers["x-session"] == "warm"
 
-    def test_a_session_that_made_room_starts_afresh(self, serving: Serving, photo: Photo) -> None:
+    def test_a_dropped_session_starts_afresh(self, serving: Serving, photo: Photo) -> None:
         with serving(max_cameras=1) as client:
             assert sessions_of(client, photo, "yard", "gate", "yard") == ["new"] * 3
             assert sample(client, "pose_camera_sessions_ended_total", reason="number") == 2
@@ -126,7 +126,7 @@ class TestOrder:
             ),
         ],
     )
-    def test_the_newest_of_those_that_wait_wins(
+    def test_the_newest_waiting_frame_replaces_older_ones(
         self, serving: Serving, photo: Photo, gate: Gate, ask: Ask
     ) -> None:
         with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(3) as threads:
@@ -179,7 +179,7 @@ class TestKeys:
         with serving(api_keys=(SecretStr("first"), SecretStr("second"))) as client:
             yield client
 
-    def test_callers_have_cameras_of_their_own(self, locked: TestClient, photo: Photo) -> None:
+    def test_callers_have_separate_cameras(self, locked: TestClient, photo: Photo) -> None:
         first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
         bearer = {"Authorization": "Bearer first"}
         states = [
@@ -193,7 +193,7 @@ class TestKeys:
         assert locked.get("/cameras", headers=second).json() == {"cameras": []}
         assert locked.get("/cameras/yard", headers=first).status_code == 200
 
-    def test_without_a_key_nothing_is_told(self, locked: TestClient, photo: Photo) -> None:
+    def test_without_a_key_nothing_is_revealed(self, locked: TestClient, photo: Photo) -> None:
         response = send(locked, photo)
         assert response.status_code == 401
         assert "x-session" not in response.headers

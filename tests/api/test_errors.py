@@ -230,7 +230,7 @@ ROWS = [(*kind, *row) for kind, rows in REFUSED.items() for row in rows]
     ROWS,
     ids=[f"{status} {path[:40]} {said[:40]}" for status, _, path, *_, said in ROWS],
 )
-def test_what_is_refused_says_why(
+def test_a_refusal_says_why(
     client: TestClient,
     status: int,
     reason: str,
@@ -256,7 +256,7 @@ def test_what_is_refused_says_why(
         ),
     ],
 )  # fmt: skip
-def test_limits_are_those_of_the_settings(
+def test_settings_set_the_limits(
     serving: Serving,
     changed: dict[str, Any],
     request_: tuple[str, Request],
@@ -282,7 +282,7 @@ def test_a_chunk_that_claims_gigabytes_costs_nothing(
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
 
 
-def test_fields_left_empty_in_a_browser(client: TestClient, photo: Photo) -> None:
+def test_empty_fields_of_a_browser_count_as_missing(client: TestClient, photo: Photo) -> None:
     # requests and httpx leave the empty file name out, so the form is written out here.
     head = "--b\r\nContent-Disposition: form-data; name="
     empty = [f'{head}"{field}"; filename=""\r\n\r\n\r\n' for field in ("mask", "background")]
@@ -297,12 +297,12 @@ def test_fields_left_empty_in_a_browser(client: TestClient, photo: Photo) -> Non
     check_problem(client.post("/pose", **request), 422, "frame")
 
 
-def test_a_method_that_is_not_allowed_is_answered_with_those_that_are(client: TestClient) -> None:
+def test_a_405_lists_the_allowed_methods(client: TestClient) -> None:
     for method, path, allow in (("PUT", "/pose", "POST"), ("POST", "/index", "GET, HEAD")):
         assert client.request(method, path).headers["allow"] == allow
 
 
-def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> None:
+def test_too_many_people_are_refused(settings: Settings, estimator: Estimator) -> None:
     few = Estimator(
         estimator.index, estimator.detector, estimator.finder.reader,
         min_person_px=50, max_pixels=10**6, max_persons=2,
@@ -317,11 +317,11 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
     "mask",
     [figures(60), figures(60, 85), figures(10, 150, height=30), figures(10, 40, 70, width=30)],
 )
-def test_parts_of_one_person_are_one(client: TestClient, mask: bytes) -> None:
+def test_parts_of_one_person_are_one_person(client: TestClient, mask: bytes) -> None:
     assert len(client.post("/pose", files={"mask": mask}).json()["persons"]) == 1
 
 
-def test_without_frame_and_mask_there_is_nothing_to_answer() -> None:
+def test_a_request_without_frame_and_mask_is_refused() -> None:
     for rest in ({}, {"background": b"?"}, {"boxes": (Box(1, 2, 30, 40),)}):
         with pytest.raises(UploadError, match="frame: expected an image file, got none"):
             Upload(**rest)  # type: ignore[arg-type]

@@ -168,7 +168,7 @@ STREET = WALKERS.read_bytes()
 BOXES = json.dumps([[135, 162, 40, 105]])
 
 
-def test_people_are_found_and_their_keypoints_are_told(client: TestClient) -> None:
+def test_people_are_detected_with_keypoints(client: TestClient) -> None:
     persons = post(client, {"frame": STREET})["persons"]
     assert len(persons) >= 3
     assert {person["source"] for person in persons} == {"detector"}
@@ -188,7 +188,7 @@ def test_people_are_found_and_their_keypoints_are_told(client: TestClient) -> No
         assert sum(keypoint is not None for keypoint in seen) >= 12
 
 
-def test_all_landmarks_are_told_where_they_are_wanted(client: TestClient) -> None:
+def test_all_landmarks_are_returned_on_request(client: TestClient) -> None:
     coco, blaze = (
         post(client, {"frame": STREET}, observed=observed)["persons"]
         for observed in ("coco17", "blazepose33")
@@ -208,7 +208,7 @@ def test_all_landmarks_are_told_where_they_are_wanted(client: TestClient) -> Non
         assert all_of_them == few, "what is told of the photograph changes no pose"
 
 
-def test_how_far_a_skeleton_was_moved_is_told(client: TestClient, photo: Photo) -> None:
+def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: Photo) -> None:
     """By the silhouette alone, the photographed entry comes as it is."""
     assert ask(client, photo)["persons"][0]["hypotheses"][0]["adjusted_mm"] == 0
     names, compared = list(NATIVE.names), 0
@@ -249,7 +249,7 @@ def test_pictures_of_a_mask_alone(client: TestClient, photo: Photo) -> None:
     assert not drawn[:, :100].any()
 
 
-def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient) -> None:
+def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     frame = {"frame": STREET}
     (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]
     labels = client.post("/silhouette", files=frame, data={"boxes": BOXES}).content
@@ -264,7 +264,7 @@ def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient) -> None:
     assert np.linalg.norm(apart, axis=1).mean() < 8
 
 
-def test_what_differs_from_the_background_is_a_person(client: TestClient, photo: Photo) -> None:
+def test_a_difference_from_the_background_is_a_person(client: TestClient, photo: Photo) -> None:
     rng = np.random.default_rng(photo.entry)
     empty = rng.integers(170, 230, photo.frame.shape, np.uint8)
     frame = np.where(photo.mask[..., None] == 1, photo.frame, empty)
@@ -301,7 +301,7 @@ WALLS = {
 
 @pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60], [200, 100, 40, 40]])
 @pytest.mark.parametrize("wall", WALLS)
-def test_a_box_about_nobody_is_answered_and_told_unsure(
+def test_a_box_without_a_person_gets_low_confidence(
     client: TestClient, wall: str, box: list[float]
 ) -> None:
     response = client.post(
@@ -320,9 +320,7 @@ def test_a_box_about_nobody_is_answered_and_told_unsure(
     assert all(hypothesis.confidence < 0.1 for hypothesis in person.hypotheses)
 
 
-def test_a_mask_on_a_frame_that_shows_nobody_is_told_unsure(
-    client: TestClient, photo: Photo
-) -> None:
+def test_a_mask_without_a_person_gets_low_confidence(client: TestClient, photo: Photo) -> None:
     person = post(client, {"frame": png(WALLS["blank"]), "mask": photo.mask_png})["persons"][0]
     assert person["posture"]["label"] == "unclear"
     assert all(hypothesis["confidence"] < 0.1 for hypothesis in person["hypotheses"])
@@ -340,9 +338,7 @@ def overlay(client: TestClient, frame: np.ndarray, mask: np.ndarray) -> np.ndarr
     return decoded(response.content)
 
 
-def test_the_overlay_draws_on_the_frame_and_tells_its_colours_below(
-    client: TestClient, photo: Photo
-) -> None:
+def test_the_overlay_explains_its_colours_below_the_frame(client: TestClient, photo: Photo) -> None:
     picture = overlay(client, photo.frame, photo.mask)
     changed = (picture[:240] != photo.frame).any(axis=2)
     assert changed[photo.mask == 1].mean() > 0.2

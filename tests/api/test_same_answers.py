@@ -107,7 +107,7 @@ def test_every_processor_gives_the_same_answer(processors: list[Client], sent: s
     assert one == other
 
 
-def test_one_thread_gives_what_two_give(
+def test_one_thread_and_two_give_the_same_answer(
     settings: Settings, tiny_index: PoseIndex, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One for each pass of a network and one for the people of a frame, or two."""
@@ -127,7 +127,7 @@ def test_one_thread_gives_what_two_give(
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
 @pytest.mark.parametrize("sent", SENT)
 @pytest.mark.parametrize("n", [1, 3, 7, 14])
-def test_the_first_frame_of_a_session_has_the_hypotheses_of_the_photograph(
+def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
     shipped: Client, sent: str, evidence: str, n: int
 ) -> None:
     path = f"/cameras/{sent}-{evidence}-{n}"
@@ -146,7 +146,7 @@ def test_the_first_frame_of_a_session_has_the_hypotheses_of_the_photograph(
 
 
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
-def test_the_first_of_many_hypotheses_are_those_of_few(client: TestClient, evidence: str) -> None:
+def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, evidence: str) -> None:
     many = persons(client, {"frame": STREET}, n=14, evidence=evidence)
     for n in (1, 2, 3, 7, 10):
         for few, person in zip(
@@ -207,7 +207,7 @@ def test_a_mirrored_photograph_has_the_mirrored_answer(
 @pytest.mark.parametrize(
     ("sent", "quarter_turns"), [("mask", 1), ("mask", 3), ("frame", 1), ("frame", 2), ("frame", 3)]
 )
-def test_a_turned_photograph_has_the_turned_answer(
+def test_a_rotated_photograph_has_the_rotated_answer(
     shipped: Client, sent: str, quarter_turns: int
 ) -> None:
     """Whoever is found has, among seven hypotheses, the first of the same person upright."""
@@ -229,7 +229,7 @@ def test_a_turned_photograph_has_the_turned_answer(
 
 
 @pytest.mark.parametrize("entry", PHOTOS)
-def test_who_else_is_in_the_frame_does_not_matter(
+def test_other_people_in_the_frame_do_not_matter(
     client: TestClient, tiny_index: PoseIndex, photo: Photo, entry: int
 ) -> None:
     other = photograph(tiny_index, entry, left=20)
@@ -241,7 +241,7 @@ def test_who_else_is_in_the_frame_does_not_matter(
 
 
 @pytest.mark.parametrize("entry", PHOTOS)
-def test_where_in_the_frame_somebody_stands_does_not_matter(
+def test_the_place_in_the_frame_does_not_matter(
     client: TestClient, tiny_index: PoseIndex, entry: int
 ) -> None:
     (here,), (there,) = (

@@ -59,7 +59,7 @@ class TestConfigure:
             (listed,) = client.get("/cameras").json()["cameras"]
             assert listed["camera_id"] == "yard"
 
-    def test_they_are_replaced_and_removed(self, client: TestClient) -> None:
+    def test_zones_are_replaced_and_removed(self, client: TestClient) -> None:
         configure(client, LEFT, RIGHT)
         assert configure(client, RIGHT).json()["zones"] == [RIGHT]
         assert configure(client).json()["zones"] == []
@@ -74,7 +74,7 @@ class TestConfigure:
         assert client.delete("/cameras/yard").status_code == 204
         check_problem(client.delete("/cameras/yard"), 404)
 
-    def test_callers_have_zones_of_their_own(self, serving: Serving) -> None:
+    def test_callers_have_separate_zones(self, serving: Serving) -> None:
         keys = (SecretStr("first"), SecretStr("second"))
         with serving(api_keys=keys, max_cameras=2) as client:
             first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
@@ -145,7 +145,7 @@ def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
     return events
 
 
-def test_lying_is_an_event_but_in_bed(shipped: TestClient) -> None:
+def test_lying_is_an_event_except_in_bed(shipped: TestClient) -> None:
     runtime: Runtime = shipped.app.state.runtime  # type: ignore[attr-defined]
     told = set()
     for mask in lying_masks(runtime.ready_estimator().index):
@@ -159,7 +159,7 @@ def test_lying_is_an_event_but_in_bed(shipped: TestClient) -> None:
 class TestTrackIds:
     BOXES = ([20, 30, 60, 150], [145, 35, 58, 140], [230, 30, 60, 150])
 
-    def test_they_come_back_in_whatever_order(self, client: TestClient, photo: Photo) -> None:
+    def test_track_ids_are_returned_in_any_order(self, client: TestClient, photo: Photo) -> None:
         one, two, three = self.BOXES
         first = track(client, photo, [one, two], track_ids='["17", 4]')
         assert [person["caller_track_id"] for person in first["persons"]] == ["17", "4"]
@@ -172,7 +172,7 @@ class TestTrackIds:
             assert person["age_frames"] == 2
         assert second["events"] == []
 
-    def test_events_name_them(self, client: TestClient, photo: Photo) -> None:
+    def test_events_name_track_ids(self, client: TestClient, photo: Photo) -> None:
         box = self.BOXES[1]
         (entered,) = track(client, photo, [box], track_ids='["a"]', timestamp="0")["events"]
         assert (entered["event"], entered["caller_track_id"]) == ("entered", "a")
@@ -182,6 +182,6 @@ class TestTrackIds:
             ("left", "a"),
         ]
 
-    def test_none_were_given(self, client: TestClient, photo: Photo) -> None:
+    def test_persons_without_track_ids_have_null(self, client: TestClient, photo: Photo) -> None:
         (person,) = track(client, photo, [self.BOXES[1]])["persons"]
         assert person["caller_track_id"] is None

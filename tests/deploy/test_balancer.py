@@ -121,16 +121,14 @@ class TestRouting:
         send(client, photo, "gate-2")
         assert client.get(path).json()["camera_id"] == "gate-2"
 
-    def test_a_session_is_forgotten_where_it_is(
+    def test_a_session_is_deleted_on_its_replica(
         self, deployment: Deployment, client: httpx.Client, photo: Photo
     ) -> None:
         send(client, photo, "door")
         assert client.delete("/cameras/door").status_code == 204
         assert all("door" not in cameras_of(replica) for replica in deployment.replicas)
 
-    def test_a_camera_that_names_itself_is_a_camera(
-        self, client: httpx.Client, photo: Photo
-    ) -> None:
+    def test_a_camera_header_selects_a_replica(self, client: httpx.Client, photo: Photo) -> None:
         for name in CAMERAS:
             headers = {"X-Camera-ID": name}
             answers = [
@@ -145,7 +143,7 @@ class TestRouting:
         answers = [client.post("/pose", files=photo.files) for _ in range(8)]
         assert {answer.headers["x-replica"] for answer in answers} == {"pose-1", "pose-2"}
 
-    def test_a_list_of_sessions_says_whose_it_is(
+    def test_a_list_of_sessions_names_its_replica(
         self, deployment: Deployment, client: httpx.Client, photo: Photo
     ) -> None:
         send(client, photo, "door")
@@ -158,7 +156,7 @@ class TestRouting:
 
 @pytest.mark.slow
 class TestPassing:
-    def test_the_request_is_known_by_one_name_in_both_logs(
+    def test_both_logs_share_the_request_id(
         self, deployment: Deployment, client: httpx.Client
     ) -> None:
         answer = client.get("/index", headers={"X-Forwarded-For": "1.2.3.4"})
@@ -172,11 +170,11 @@ class TestPassing:
         # What the client says of itself is not believed.
         assert services["client"] == balancers["client"] == "127.0.0.1"
 
-    def test_what_the_service_refuses_early_is_told(self, client: httpx.Client) -> None:
+    def test_early_refusals_reach_the_client(self, client: httpx.Client) -> None:
         large = {"frame": b"x" * (17 * 1024**2)}
         check_problem(client.post("/pose", files=large), 413)
 
-    def test_a_large_upload_arrives_whole(self, client: httpx.Client, photo: Photo) -> None:
+    def test_a_large_upload_arrives_complete(self, client: httpx.Client, photo: Photo) -> None:
         # Bytes after the image's end are no part of it.
         padded = {"frame": photo.frame_png + bytes(8 * 1024**2), "mask": photo.mask_png}
         assert client.post("/pose", files=padded).status_code == 200
@@ -193,7 +191,9 @@ class TestPassing:
             *_, end = lines
             assert json.loads(end)["frames"] == 400
 
-    def test_who_hangs_up_is_not_worked_for(self, deployment: Deployment, photo: Photo) -> None:
+    def test_a_disconnected_client_frees_its_place(
+        self, deployment: Deployment, photo: Photo
+    ) -> None:
         boxes = json.dumps([[40, 30, 200, 200]] * 40)
 
         def hung_up() -> float:
@@ -213,7 +213,7 @@ class TestPassing:
             )
         eventually(lambda: hung_up() > before)
 
-    def test_metrics_are_asked_of_each_replica(
+    def test_metrics_come_from_each_replica(
         self, deployment: Deployment, client: httpx.Client
     ) -> None:
         for path in ("/metrics", "/%6Detrics"):
@@ -293,7 +293,7 @@ def test_one_replica_is_killed_and_comes_back(
 
 
 @pytest.mark.slow
-def test_without_any_replica_a_503_says_when_to_come_back(index_path: Path, photo: Photo) -> None:
+def test_without_replicas_a_503_has_retry_after(index_path: Path, photo: Photo) -> None:
     with ServerProcess(index_path) as replica:
         replica.wait_until_ready()
         with Balancer(replica.url, "http://127.0.0.1:1") as balancer:

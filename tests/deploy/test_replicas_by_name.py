@@ -122,9 +122,7 @@ def wait_for(balancer: Balancer, addresses: set[str]) -> dict[str, str]:
     return found
 
 
-def test_cameras_move_only_from_and_to_a_replica_that_goes_and_comes(
-    names: NameServer, balancer: Balancer
-) -> None:
+def test_cameras_move_only_when_replicas_change(names: NameServer, balancer: Balancer) -> None:
     with balancer:
         before = wait_for(balancer, set(ADDRESSES))
         assert places(balancer) == before

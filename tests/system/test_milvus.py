@@ -141,7 +141,7 @@ class TestServing:
         assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
         assert value(server, "pose_search_breaker_open") == 0
 
-    def test_it_moves_over_to_another_version_without_a_mixed_or_a_failed_answer(
+    def test_it_switches_to_another_version_without_a_mixed_or_failed_answer(
         self, milvus: Milvus, server: Server, load: BackgroundLoop, photo: Photo, sticks: PoseIndex,
         others: PoseIndex,
     ) -> None:  # fmt: skip
@@ -162,7 +162,7 @@ class TestServing:
         assert value(server, "pose_camera_sessions_ended_total", reason="index") == 1
         publish(milvus, sticks, ALIAS)
 
-    def test_a_version_without_an_artefact_is_refused_with_a_sentence(
+    def test_a_version_without_an_artefact_is_reported(
         self, milvus_process: MilvusProcess, server: Server, index_path: Path, others: PoseIndex,
         tmp_path: Path, milvus: Milvus,
     ) -> None:  # fmt: skip
@@ -177,7 +177,7 @@ class TestServing:
 
 @needs_milvus
 @pytest.mark.slow
-def test_killed_and_started_again_it_is_only_missed_meanwhile(
+def test_searches_recover_after_milvus_was_killed(
     milvus_process: MilvusProcess,
     milvus: Milvus,
     server: Server,
@@ -225,7 +225,7 @@ def wait_for_detail(server: Server, expected: str) -> str:
     return detail()
 
 
-def test_without_the_package_the_start_ends_with_a_sentence(
+def test_a_missing_package_ends_the_start_with_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("POSE_INDEX", "milvus://vectors/poses")

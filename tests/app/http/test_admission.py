@@ -89,7 +89,7 @@ def length(size: int) -> dict[bytes, bytes]:
         ({"full": True}, ("GET",), (200, None, 1)),
     ],
 )
-def test_what_is_too_much_is_refused_unread(
+def test_excess_is_refused_unread(
     options: dict[str, Any], asked: tuple[Any, ...], expected: tuple[int, bytes | None, int]
 ) -> None:
     status, headers, read = anyio.run(answer, admission(**options), *asked)
@@ -126,7 +126,7 @@ class StalledUploads:
         await self.admission(scope_of(), anyio.sleep_forever, send)
 
 
-def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stalled_uploads_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
     stalled = StalledUploads()
 
     async def ask() -> None:
@@ -146,7 +146,7 @@ def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyP
     anyio.run(ask)
 
 
-def test_a_stalled_upload_is_given_up_long_before_a_slow_one(
+def test_a_stalled_upload_is_aborted_after_the_grace_period(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("app.http.admission.GRACE_S", 0.05)

@@ -59,7 +59,7 @@ CONTAINER = "0::/docker/1f\n"
         (V1, {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 64),
     ],
 )
-def test_the_quota_bounds_the_cores(
+def test_quotas_limit_the_cores(
     host: Host, group: str | None, quotas: dict[str, str], expected: int
 ) -> None:
     files = {f"sys/fs/cgroup/{name}": text for name, text in quotas.items()}
@@ -68,7 +68,7 @@ def test_the_quota_bounds_the_cores(
     assert Settings().concurrency == expected
 
 
-def test_the_affinity_bounds_the_cores(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_affinity_limits_the_cores(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     host({"proc/self/cgroup": V2, "sys/fs/cgroup/cpu.max": "800000 100000\n"})
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 5, 7})
     assert cores.available_cores() == 3

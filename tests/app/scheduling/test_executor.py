@@ -56,7 +56,7 @@ class TestFrames:
             await run(executor, lambda _: {}["lost"])
         assert executor.queue.in_flight == 0
 
-    async def test_no_more_than_allowed_are_worked_on_at_once(self) -> None:
+    async def test_the_number_of_concurrent_frames_is_bounded(self) -> None:
         executor = executor_of(2)
         lock = threading.Lock()
         running, most = 0, 0
@@ -76,7 +76,7 @@ class TestFrames:
         assert most == 2
         executor.shut_down()
 
-    async def test_a_frame_is_dropped_when_its_client_hangs_up(self) -> None:
+    async def test_a_frame_is_dropped_when_its_client_disconnects(self) -> None:
         executor = executor_of(1)
         release, done = threading.Event(), []
         async with anyio.create_task_group() as tasks:
@@ -90,7 +90,7 @@ class TestFrames:
         with anyio.fail_after(10), pytest.raises(ClientGoneError):
             await run(executor, until_cancelled, lambda: anyio.sleep(0.05))
 
-    async def test_the_deadline_holds_for_work_and_for_waiting(self) -> None:
+    async def test_the_deadline_covers_work_and_waiting(self) -> None:
         executor = executor_of(1, timeout_s=0.1)
         outcomes = []
 
@@ -106,7 +106,7 @@ class TestFrames:
         assert set(outcomes) == {DeadlineError, OverloadedError}
         assert executor.queue.in_flight == 0
 
-    async def test_a_superseded_frame_is_told_so(self) -> None:
+    async def test_a_newer_frame_supersedes_the_waiting_one(self) -> None:
         executor = executor_of(1)
         let_go, outcomes = threading.Event(), list[str]()
 
@@ -124,7 +124,7 @@ class TestFrames:
             let_go.set()
         assert outcomes == ["second superseded", "first", "third"]
 
-    async def test_a_request_that_is_cancelled_cancels_its_work(self) -> None:
+    async def test_a_cancelled_request_cancels_its_work(self) -> None:
         executor = executor_of(1)
         begun, cancelled = threading.Event(), threading.Event()
 
@@ -142,7 +142,7 @@ class TestFrames:
         assert executor.queue.in_flight == 0
 
     @pytest.mark.parametrize("divided", [False, True])
-    async def test_a_frame_that_failed_keeps_nothing_of_itself(self, divided: bool) -> None:
+    async def test_a_failed_frame_is_not_kept_in_memory(self, divided: bool) -> None:
         executor = executor_of(1)
 
         def fail(picture: Picture) -> None:
@@ -169,20 +169,18 @@ class TestFrames:
 
 class TestParts:
     @pytest.mark.parametrize("frames", [1, 3])
-    def test_results_come_in_the_order_of_the_parts(self, frames: int) -> None:
+    def test_results_are_in_the_order_of_the_parts(self, frames: int) -> None:
         executor = executor_of(frames)
         assert executor.map(lambda item: item**2, range(20)) == [i**2 for i in range(20)]
         assert executor.map(str, []) == []
 
-    def test_several_are_worked_on_at_once(self) -> None:
+    def test_parts_are_worked_on_in_parallel(self) -> None:
         meeting = threading.Barrier(3, timeout=10)
         # Each waits for the others: one after the other they would wait in vain.
         assert sorted(executor_of(3).map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
 
     @pytest.mark.parametrize("frames", [1, 2])
-    def test_the_first_failure_reaches_the_caller_and_no_further_part_begins(
-        self, frames: int
-    ) -> None:
+    def test_the_first_failure_is_raised_and_no_further_part_begins(self, frames: int) -> None:
         begun: list[int] = []
 
         def part(item: int) -> None:
@@ -214,7 +212,7 @@ class TestParts:
             for event in end.values():
                 event.set()
 
-    async def test_other_threads_help_every_frame_that_is_divided(self) -> None:
+    async def test_helpers_serve_every_divided_frame(self) -> None:
         executor = executor_of(3)
         helped = {name: threading.Event() for name in "ab"}
 
@@ -233,7 +231,7 @@ class TestParts:
             for name in helped:
                 tasks.start_soon(run, executor, lambda _, name=name: frame(name))
 
-    async def test_frames_and_parts_know_the_request_they_belong_to(self) -> None:
+    async def test_frames_and_parts_inherit_the_request_id(self) -> None:
         executor = executor_of(2)
         meeting = threading.Barrier(2, timeout=10)  # Two threads have to come.
 
@@ -249,7 +247,7 @@ class TestParts:
 class TestReentry:
     """What could wait for itself raises instead."""
 
-    async def test_a_frame_that_starts_another(self) -> None:
+    async def test_a_frame_cannot_start_another(self) -> None:
         executor = executor_of(1)
 
         def work(_: Job) -> None:
@@ -259,7 +257,7 @@ class TestReentry:
             await run(executor, work)
 
     @pytest.mark.parametrize("frames", [1, 2])
-    async def test_a_part_that_is_divided(self, frames: int) -> None:
+    async def test_a_part_cannot_be_divided(self, frames: int) -> None:
         executor = executor_of(frames)
         divide = partial(executor.map, lambda _: executor.map(str, range(2)), range(4))
         with pytest.raises(RuntimeError, match="not to be divided"):
@@ -268,7 +266,7 @@ class TestReentry:
             await run(executor, lambda _: divide())
 
 
-async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
+async def test_shutting_down_cancels_running_and_drops_waiting_frames() -> None:
     executor = executor_of(2)
     begun = threading.Semaphore(0)
     outcomes: list[str] = []

@@ -19,7 +19,7 @@ assert (sys.getswitchinterval(), cv2.getNumThreads()) == before
 """
 
 
-def test_threads_that_work_have_a_lower_priority_than_the_one_that_answers() -> None:
+def test_worker_threads_have_a_lower_priority() -> None:
     priorities: list[int] = []
 
     def work() -> None:
@@ -34,5 +34,5 @@ def test_threads_that_work_have_a_lower_priority_than_the_one_that_answers() -> 
     assert priorities == [min(19, own + 5)] * 2
 
 
-def test_an_application_that_does_not_serve_changes_nothing_of_its_process() -> None:
+def test_importing_the_application_changes_no_process_settings() -> None:
     subprocess.run([sys.executable, "-c", EXPORT], cwd=ROOT, check=True)

@@ -209,7 +209,7 @@ class TestFollowing:
             eventually(lambda: client.get("/readyz").status_code == 200)
             assert sample(client, "pose_search_breaker_open") == 0
 
-    def test_it_moves_over_to_another_version(
+    def test_it_switches_to_another_version(
         self, ready: TestClient, remote: FakeRemote, photo: Photo, tmp_path: Path
     ) -> None:
         assert send(ready, photo).headers["x-session"] == "new"
