@@ -205,7 +205,7 @@ class _TrackedFrame(PoseResponse):
         examples=[12.4],
     )
     reset: str | None = Field(
-        description="Why the tracks were forgotten before this frame, as a sentence. Null if they "
+        description="Why all tracks were dropped before this frame, as a sentence. Null where they "
         "were not.",
         examples=["frames were 768x576 pixels before, this one is 640x480"],
     )
