@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,8 +30,8 @@ from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
-from scripts.load.server import free_ports
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.ports import free_ports
 
 # Tests do not time: the machine may be busy.
 property_settings.register_profile(
@@ -235,25 +235,28 @@ class Server:
 
 
 def start_server(
-    index: Path | None, root: Path = ROOT, python: Path | str = sys.executable, **environment: str
+    index: Path | None,
+    root: Path = ROOT,
+    python: Path | str = sys.executable,
+    log: Path | None = None,
+    **environment: str,
 ) -> Server:
     """Start ``python -m app`` in ``root`` on a free port; it may not be ready yet.
 
     Without an index, it serves the one of its package.
     """
-    (port,) = free_ports(1)
-    process = subprocess.Popen(
-        [python, "-m", "app"],
-        cwd=root,
-        env={
-            **os.environ,
-            "HOST": "127.0.0.1",
-            "PORT": str(port),
-            **({"POSE_INDEX": str(index)} if index else {}),
-            **environment,
-        },
-    )
-    return Server(f"http://127.0.0.1:{port}", process)
+    variables = {"HOST": "127.0.0.1", "PORT": str(free_ports(1)[0]), **environment}
+    if index:
+        variables.setdefault("POSE_INDEX", str(index))
+    with log.open("ab") if log else nullcontext() as output:
+        process = subprocess.Popen(
+            [python, "-m", "app"],
+            cwd=root,
+            env={**os.environ, **variables},
+            stdout=output,
+            stderr=subprocess.STDOUT if output else None,
+        )
+    return Server(f"http://127.0.0.1:{variables['PORT']}", process)
 
 
 def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Response:

@@ -121,6 +121,14 @@ def test_an_invalid_list_of_keys_reveals_none(monkeypatch: pytest.MonkeyPatch) -
     assert caught.value.__context__ is None
 
 
+def test_reading_settings_loads_no_native_library() -> None:
+    code = "import sys, app.settings; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert {"ai_edge_litert", "cv2", "faiss", "numpy"}.isdisjoint(loaded)
+
+
 def start(**environment: str) -> subprocess.CompletedProcess[str]:
     """Run ``python -m app`` until it ends by itself."""
     return subprocess.run(

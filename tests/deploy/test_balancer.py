@@ -18,9 +18,8 @@ from typing import Any
 import httpx
 import pytest
 
-from scripts.load.server import ServerProcess
 from tests.conftest import Photo
-from tests.support.balancer import CONFIGURATION, Balancer
+from tests.support.balancer import CONFIGURATION, Balancer, Replica
 from tests.support.service import check_problem, eventually, sample, send
 from tests.support.videos import numbered_frames, write_video
 
@@ -35,7 +34,7 @@ CAMERAS = [f"yard-{number}" for number in range(20)]
 class Deployment:
     """Two replicas and what is before them."""
 
-    replicas: tuple[ServerProcess, ServerProcess]
+    replicas: tuple[Replica, Replica]
     balancer: Balancer
     folder: Path
 
@@ -49,11 +48,8 @@ def deployment(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> It
     folder = tmp_path_factory.mktemp("deployment")
     with ExitStack() as stack:
         first, second = (
-            stack.enter_context(ServerProcess(index_path, folder / f"{number}.log"))
-            for number in (1, 2)
+            stack.enter_context(Replica(index_path, folder / f"{number}.log")) for number in (1, 2)
         )
-        first.wait_until_ready()
-        second.wait_until_ready()
         balancer = Balancer(first.url, second.url, log=folder / "balancer.log")
         stack.enter_context(balancer)
         yield Deployment((first, second), balancer, folder)
@@ -65,7 +61,7 @@ def client(deployment: Deployment) -> Iterator[httpx.Client]:
         yield client
 
 
-def cameras_of(replica: ServerProcess) -> set[str]:
+def cameras_of(replica: Replica) -> set[str]:
     """The sessions that a replica itself tells of."""
     cameras = httpx.get(f"{replica.url}/cameras").json()["cameras"]
     return {camera["camera_id"] for camera in cameras}
@@ -285,7 +281,6 @@ def test_one_replica_is_killed_and_comes_back(
     assert set(entries) == {photo.entry}
 
     with killed:
-        killed.wait_until_ready()
         eventually(lambda: client.get(f"/cameras/{lost[0]}").headers["x-replica"] == "pose-2")
         states = {name: send(client, photo, name).headers["x-session"] for name in CAMERAS}
         assert states == dict.fromkeys(kept, "warm") | dict.fromkeys(lost, "new")
@@ -294,13 +289,14 @@ def test_one_replica_is_killed_and_comes_back(
 
 @pytest.mark.slow
 def test_without_replicas_a_503_has_retry_after(index_path: Path, photo: Photo) -> None:
-    with ServerProcess(index_path) as replica:
-        replica.wait_until_ready()
-        with Balancer(replica.url, "http://127.0.0.1:1") as balancer:
-            with httpx.Client(base_url=balancer.url, timeout=30) as client:
-                send(client, photo)
-                replica.kill()
-                for answer in (send(client, photo), client.post("/pose", files=photo.files)):
-                    check_problem(answer, 503)
-                    assert answer.headers["retry-after"] == "1"
-            eventually(lambda: httpx.get(f"{balancer.operations_url}/readyz").status_code == 503)
+    with (
+        Replica(index_path) as replica,
+        Balancer(replica.url, "http://127.0.0.1:1") as balancer,
+        httpx.Client(base_url=balancer.url, timeout=30) as client,
+    ):
+        send(client, photo)
+        replica.kill()
+        for answer in (send(client, photo), client.post("/pose", files=photo.files)):
+            check_problem(answer, 503)
+            assert answer.headers["retry-after"] == "1"
+        eventually(lambda: httpx.get(f"{balancer.operations_url}/readyz").status_code == 503)

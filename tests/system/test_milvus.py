@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -17,11 +15,10 @@ from app import __main__ as main
 from app.serving import milvus as remote_index
 from index.artefact import load_index, save_index
 from index.store import PoseIndex
-from scripts.load.client import Call
-from scripts.load.server import free_ports
 from tests.conftest import Photo, Server, build_tiny_index, start_server, wait_until
 from tests.support.background import BackgroundLoop, Reply
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.ports import free_ports
 from tests.support.service import check_problem, eventually, send
 from tests.system.test_server import value
 
@@ -90,20 +87,17 @@ def server(
 @pytest.fixture
 def load(server: Server, photo: Photo) -> BackgroundLoop:
     """Two clients that send one frame after the other."""
-    return BackgroundLoop(server.url, [Call("POST", "/pose", photo.files)])
+    return BackgroundLoop(server.url, lambda client: client.post("/pose", files=photo.files))
 
 
-def wait_for(load: BackgroundLoop, status: int) -> None:
-    """Wait for an answer of a status that comes from now on."""
-    load.first(status, time.monotonic(), timeout_s=10)
+def all_refusals_have_retry_after(load: BackgroundLoop) -> bool:
+    refusals = (reply.response for reply in load.replies if reply.status == 503)
+    return all(int(refusal.headers["retry-after"]) >= 1 for refusal in refusals)
 
 
 def versions_in(reply: Reply, versions: dict[str, str]) -> set[str]:
-    """Version of the index that an answer names, and of those its hypotheses come from.
-
-    Told by their subjects, each of which is in one of ``versions``.
-    """
-    body = json.loads(reply.body)
+    """Versions of the index in an answer: the named one, and those with its subjects."""
+    body = reply.response.json()
     (person,) = body["persons"]
     subjects = {hypothesis["source"]["subject"] for hypothesis in person["hypotheses"]}
     return {body["index"]["version"], *(versions[subject] for subject in subjects)}
@@ -123,10 +117,10 @@ class TestServing:
         self, milvus_process: MilvusProcess, server: Server, load: BackgroundLoop
     ) -> None:
         with load:
-            wait_for(load, 200)
+            load.wait_for(200)
             milvus_process.freeze()
             try:
-                wait_for(load, 503)
+                load.wait_for(503)
                 assert httpx.get(f"{server.url}/healthz").status_code == 200
                 # Every frame tries again, and each gets its own answer in time.
                 failures = "pose_search_failures_total"
@@ -135,10 +129,10 @@ class TestServing:
                 assert httpx.get(f"{server.url}/readyz").status_code == 200
             finally:
                 milvus_process.thaw()
-            wait_for(load, 200)
+            load.wait_for(200)
         assert load.broken == 0
         assert {reply.status for reply in load.replies} == {200, 503}
-        assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
+        assert all_refusals_have_retry_after(load)
         assert value(server, "pose_search_breaker_open") == 0
 
     def test_it_switches_to_another_version_without_a_mixed_or_failed_answer(
@@ -149,7 +143,7 @@ class TestServing:
             assert [send(client, photo).headers["x-session"] for _ in range(2)] == ["new", "warm"]
             publish(milvus, others, ALIAS)
             eventually(lambda: client.get("/index").json()["version"] == others.version)
-            wait_for(load, 200)
+            load.wait_for(200)
             assert send(client, photo).headers["x-session"] == "new"
         assert load.broken == 0
         assert {reply.status for reply in load.replies} == {200}
@@ -185,20 +179,20 @@ def test_searches_recover_after_milvus_was_killed(
     artefacts: Path,
 ) -> None:
     with load:
-        wait_for(load, 200)
+        load.wait_for(200)
         milvus_process.kill()
         with serving(milvus_process, artefacts) as later:
-            wait_for(load, 503)
+            load.wait_for(503)
             wait_for_detail(later, "cannot be reached")
             assert httpx.get(f"{later.url}/healthz").status_code == 200
             milvus_process.start()
             milvus_process.wait_until_healthy()
             wait_until_searched(milvus)
-            wait_for(load, 200)
+            load.wait_for(200)
             wait_until(f"{later.url}/readyz", timeout_s=10)
     assert load.broken == 0
     assert {reply.status for reply in load.replies} == {200, 503}
-    assert all(int(r.retry_after or 0) >= 1 for r in load.replies if r.status == 503)
+    assert all_refusals_have_retry_after(load)
 
 
 def wait_until_searched(milvus: Milvus) -> None:

@@ -1,4 +1,4 @@
-"""The application while its index is loaded, and when that fails."""
+"""The application while its index is loading, and when loading fails."""
 
 from __future__ import annotations
 
