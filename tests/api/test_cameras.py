@@ -19,7 +19,7 @@ from tests.support.service import check_problem, eventually, sample, send
 
 
 def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any) -> list[str]:
-    """How a session is found by the frames of cameras, one after the other."""
+    """States of the sessions that the frames of cameras find, one after the other."""
     return [send(client, photo, camera, **options).headers["x-session"] for camera in cameras]
 
 
@@ -87,7 +87,7 @@ class TestTrackFrame:
 
 
 class Gate:
-    """Where frames wait until they are let go."""
+    """Holds frames back until they are released."""
 
     def __init__(self) -> None:
         self.begun = 0
@@ -96,7 +96,7 @@ class Gate:
 
 @pytest.fixture
 def gate(monkeypatch: pytest.MonkeyPatch) -> Gate:
-    """Before people are looked for."""
+    """Holds frames back before people are detected."""
     gate = Gate()
     find = PeopleFinder.find
 

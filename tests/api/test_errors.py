@@ -1,4 +1,4 @@
-"""Every error is a problem, says which field it is about, and shows no inner workings."""
+"""Every error is a problem, names the field at fault, and reveals no internals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def form(*more: tuple[str, bytes], **parts: bytes | str) -> Request:
 
 
 def zones(*zones: Any, **changed: Any) -> Request:
-    """Zones of a camera: those given, else one that is changed."""
+    """A configuration of these zones, or of one zone with changed fields."""
     return {"json": {"zones": zones or [ZONE | changed]}}
 
 
@@ -203,15 +203,15 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         ("/sequence?fps=3", form(video=FRAME), "fps", ""),
     ],
 }  # fmt: skip
-"""Requests that are refused, by status and reason: each with the field and a part of the sentence.
+"""Refused requests by status and reason, each with the field and a part of the sentence.
 
-Without a method, a path is posted to.
+The method is POST unless the path names another one.
 """
 
 
 @pytest.fixture(scope="module")
 def client(serving: Serving) -> Iterator[TestClient]:
-    """One for all: what is refused changes nothing."""
+    """One client for all tests: refused requests change nothing."""
     with serving() as client:
         yield client
         assert client.get("/cameras").json() == {"cameras": []}
@@ -278,7 +278,7 @@ def test_a_chunk_that_claims_gigabytes_costs_nothing(
         bomb = sound[:at] + length.to_bytes(4, "big") + sound[at + 4 :]
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         check_problem(client.post("/pose", files={"frame": sound, field: bomb}), 400, field)
-        # Kilobytes, of which a chunk believed would take a million and more.
+        # In kilobytes; a decoder that believed the chunk would take a million or more.
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
 
 

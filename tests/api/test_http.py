@@ -1,4 +1,4 @@
-"""What HTTP itself asks of the service, whichever route is meant."""
+"""HTTP behaviour that all routes share."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_head_works_wherever_get_does(client: TestClient, path: str) -> None:
     assert head.status_code == get.status_code == 200
     assert head.content == b""
     assert head.headers["content-type"] == get.headers["content-type"]
-    if path != "/metrics":  # It has counted the request before.
+    if path != "/metrics":  # It counts the request before.
         assert head.headers["content-length"] == get.headers["content-length"]
 
 

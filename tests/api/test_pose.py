@@ -21,7 +21,7 @@ from tests.conftest import WALKERS, Photo, photograph, png
 
 
 def ask(client: TestClient, photo: Photo, **params: Any) -> dict[str, Any]:
-    """Of silhouettes alone, unless told otherwise: what is read in stick figures is no pose."""
+    """Ask by the silhouette alone by default: keypoints read from stick figures are wrong."""
     return post(client, photo.files, **{"evidence": "silhouette", **params})
 
 
@@ -205,7 +205,7 @@ def test_all_landmarks_are_returned_on_request(client: TestClient) -> None:
             0, abs=0.05
         )
         assert all(abs(landmark["z"]) < 1.2 for landmark in seen if landmark)
-        assert all_of_them == few, "what is told of the photograph changes no pose"
+        assert all_of_them == few, "the keypoint set of the photograph changes no pose"
 
 
 def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: Photo) -> None:
@@ -230,7 +230,7 @@ def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: P
 def test_a_mask_may_come_without_its_photograph(
     client: TestClient, photo: Photo, evidence: str
 ) -> None:
-    """The answer is that of the silhouette alone: nobody's photograph leaves the camera."""
+    """The answer is that of the silhouette alone, so no photograph has to leave the camera."""
     alone = post(client, {"mask": photo.mask_png}, evidence=evidence)
     assert alone["image"] == {"width": 320, "height": 240}
     assert alone["persons"] == post(client, photo.files, evidence="silhouette")["persons"]
@@ -257,7 +257,7 @@ def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     assert found["source"] == "boxes"
     assert again["source"] == "mask"
     assert again["silhouette"]["area_px"] == found["silhouette"]["area_px"]
-    # What is read is nearly the same, and so are the poses.
+    # The keypoints are nearly the same, and so are the poses.
     best, same = found["hypotheses"][0], again["hypotheses"][0]
     assert again["facing"]["evidence"] == found["facing"]["evidence"] == "image"
     apart = points(best["joints_2d"]) - points(same["joints_2d"])
@@ -296,7 +296,7 @@ WALLS = {
     "ramp": np.tile(np.uint8(COLUMNS * 0.8)[None, :, None], (240, 1, 3)),
     "stripes": np.tile(np.uint8(COLUMNS // 8 % 2 * 200)[None, :, None], (240, 1, 3)),
 }
-"""Pictures of nobody."""
+"""Pictures without people."""
 
 
 @pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60], [200, 100, 40, 40]])
@@ -324,7 +324,7 @@ def test_a_mask_without_a_person_gets_low_confidence(client: TestClient, photo: 
     person = post(client, {"frame": png(WALLS["blank"]), "mask": photo.mask_png})["persons"][0]
     assert person["posture"]["label"] == "unclear"
     assert all(hypothesis["confidence"] < 0.1 for hypothesis in person["hypotheses"])
-    # On a photograph of somebody the same mask is sure of the same entry.
+    # On a photograph of a person, the same mask has a high confidence in the same entry.
     seen = post(client, photo.files)["persons"][0]
     assert seen["posture"]["label"] == "standing"
     assert seen["hypotheses"][0]["entry"] == photo.entry
@@ -364,7 +364,7 @@ def test_the_overlay_draws_thin_lines_on_small_people(
     client: TestClient, tiny_index: PoseIndex
 ) -> None:
     def drawn(height: int, width: int) -> int:
-        """Pixels drawn around somebody 128 pixels tall in a frame of this size."""
+        """Pixels drawn around a person of 128 pixels in a frame of this size."""
         frame = np.full((height, width, 3), 128, np.uint8)
         mask = np.zeros((height, width), np.uint8)
         mask[60:188, 50:98] = tiny_index.silhouette(3)

@@ -1,4 +1,4 @@
-"""Whatever is sent: an answer that keeps the contract, or a problem; never a 5xx."""
+"""Any input gets an answer that keeps the contract, or a problem; never a 5xx."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same request has the same answer; what is mirrored or turned has that mirrored or turned."""
+"""Equal requests have equal answers; mirrored or rotated frames have such answers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MASKS = (ROOT / "tests" / "data" / "walkers-mask.png").read_bytes()
 BOTH = {"frame": STREET, "mask": MASKS}
 SENT = {"mask": {"mask": MASKS}, "both": BOTH, "frame": {"frame": STREET}}
 WALKER_PX = 70
-"""As tall are the three walkers of the street, not the two people far away."""
+"""The three walkers of the street are taller, the two distant people smaller."""
 
 OTHER_SIDE = [
     NATIVE.names.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
@@ -89,7 +89,7 @@ def persons(
 @pytest.mark.parametrize("media_type", ["image/jpeg", "IMAGE/JPEG", "image/png"])
 @pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
 def test_a_photograph_may_be_the_body(client: TestClient, path: str, media_type: str) -> None:
-    """As cameras and ``curl --data-binary`` send it."""
+    """Cameras and ``curl --data-binary`` send it so."""
     raw = client.post(path, content=STREET, headers={"content-type": media_type})
     form = client.post(path, files={"frame": STREET})
     assert raw.status_code == form.status_code == 200
@@ -139,7 +139,7 @@ def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
         for name in ("source", "silhouette", "observed_keypoints", "hypotheses"):
             assert one[name] == other[name], name
         if sent == "frame" and evidence == "photograph":
-            # Whom a session follows has the box of the body, not the detector's.
+            # A tracked person has the box of the body, not the detector's.
             assert Box(**one["box"]).iou(Box(**other["box"])) > 0.6
         else:
             assert one["box"] == other["box"]
@@ -152,7 +152,7 @@ def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, eviden
         for few, person in zip(
             persons(client, {"frame": STREET}, n=n, evidence=evidence), many, strict=True
         ):
-            # Nor does anything else depend on how many are asked for.
+            # Nothing else depends on the count either.
             assert few == {**person, "hypotheses": person["hypotheses"][:n]}
 
 
@@ -203,14 +203,14 @@ def test_a_mirrored_photograph_has_the_mirrored_answer(
             assert same["source"]["mirrored"] != best["source"]["mirrored"]
 
 
-# Which end of a silhouette is the head, it does not say: upside down it has other poses.
+# A silhouette does not show which end is the head: upside down it has other poses.
 @pytest.mark.parametrize(
     ("sent", "quarter_turns"), [("mask", 1), ("mask", 3), ("frame", 1), ("frame", 2), ("frame", 3)]
 )
 def test_a_rotated_photograph_has_the_rotated_answer(
     shipped: Client, sent: str, quarter_turns: int
 ) -> None:
-    """Whoever is found has, among seven hypotheses, the first of the same person upright."""
+    """The seven hypotheses of a detected person include the best one of the upright person."""
     here = persons(shipped, SENT[sent])
     turned = {
         name: changed(image, lambda p: np.rot90(p, quarter_turns))

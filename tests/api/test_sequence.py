@@ -24,7 +24,7 @@ from tests.support.videos import noisy_frames, numbered_frames, write_video
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
-    """Twelve frames of somebody who stands still, ten a second."""
+    """Twelve frames of a person who stands still, at 10 fps."""
     return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 12)
 
 
@@ -157,7 +157,7 @@ def test_lines_arrive_while_the_video_is_worked_on(
         eventually(lambda: sample(client, "pose_sequences") == 0)
         eventually(lambda: sample(client, "pose_in_flight") == 0)
         assert sample(client, "pose_rejected_total", reason="too_many_sequences") == 1
-        # Nor does a process go on that decodes it.
+        # The process that decoded it has ended, too.
         pid = narrow.process.pid
         assert Path(f"/proc/{pid}/task/{pid}/children").read_text().split() == []
 

@@ -1,4 +1,4 @@
-"""Zones of a camera over HTTP, and the identities of a caller who tracks people themselves."""
+"""Zones of a camera over HTTP, and track ids of callers that track people themselves."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class TestConfigure:
             assert configure(client, LEFT, headers=first).status_code == 200
             check_problem(client.get("/cameras/yard", headers=second), 404)
             check_problem(configure(client, {"name": 1}), 401)
-            # As many cameras as sessions each.
+            # Each caller may have as many cameras as sessions.
             assert configure(client, LEFT, camera="gate", headers=first).status_code == 200
             refused = configure(client, LEFT, camera="roof", headers=first)
             assert "at most 2 cameras" in check_problem(refused, 422, "zones")
@@ -102,9 +102,9 @@ class TestPeople:
         )
         answer = response.json()
         assert [person["zones"] for person in answer["persons"]] == [["door"], ["bed"]]
-        told = {event["track_id"]: event for event in answer["events"]}
+        events = {event["track_id"]: event for event in answer["events"]}
         for person in answer["persons"]:
-            event = told[person["track_id"]]
+            event = events[person["track_id"]]
             assert (event["event"], event["state"]) == ("entered", "instant")
             assert event["zones"] == person["zones"]
 
@@ -118,7 +118,7 @@ class TestPeople:
 
 @pytest.fixture(scope="module")
 def shipped() -> Iterator[TestClient]:
-    """An application over the index that ships, which knows people who lie."""
+    """An application over the shipped index, which contains lying people."""
     settings = Settings(index=DEFAULT_PATH)
     with TestClient(create_app(settings, Estimator.load(settings))) as client:
         yield client
@@ -134,7 +134,7 @@ def lying_masks(index: PoseIndex) -> list[bytes]:
 
 
 def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
-    """What is told of somebody who lies before a camera for four seconds, and where."""
+    """Events, with their zones, while a person lies in view for four seconds."""
     events = []
     for frame in range(20):
         response = client.post(
@@ -147,13 +147,13 @@ def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
 
 def test_lying_is_an_event_except_in_bed(shipped: TestClient) -> None:
     runtime: Runtime = shipped.app.state.runtime  # type: ignore[attr-defined]
-    told = set()
+    found = set()
     for mask in lying_masks(runtime.ready_estimator().index):
         configure(shipped, RIGHT | {"kind": "watch"})
-        told.update(watch(shipped, mask))
+        found.update(watch(shipped, mask))
         configure(shipped, RIGHT)
         assert watch(shipped, mask) == [("entered", "bed")]
-    assert told == {("entered", "bed"), ("lying", "bed")}
+    assert found == {("entered", "bed"), ("lying", "bed")}
 
 
 class TestTrackIds:
@@ -164,7 +164,7 @@ class TestTrackIds:
         first = track(client, photo, [one, two], track_ids='["17", 4]')
         assert [person["caller_track_id"] for person in first["persons"]] == ["17", "4"]
         own = {person["caller_track_id"]: person["track_id"] for person in first["persons"]}
-        # They change places, as no tracker of ours would believe.
+        # They swap places, which the tracker alone would not follow.
         second = track(client, photo, [three, one], track_ids='["17", "4"]')
         assert [person["caller_track_id"] for person in second["persons"]] == ["4", "17"]
         for person in second["persons"]:

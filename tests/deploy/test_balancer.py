@@ -32,7 +32,7 @@ CAMERAS = [f"yard-{number}" for number in range(20)]
 
 @dataclass(frozen=True)
 class Deployment:
-    """Two replicas and what is before them."""
+    """Two replicas behind a balancer."""
 
     replicas: tuple[Replica, Replica]
     balancer: Balancer
@@ -62,7 +62,7 @@ def client(deployment: Deployment) -> Iterator[httpx.Client]:
 
 
 def cameras_of(replica: Replica) -> set[str]:
-    """The sessions that a replica itself tells of."""
+    """The sessions that a replica itself lists."""
     cameras = httpx.get(f"{replica.url}/cameras").json()["cameras"]
     return {camera["camera_id"] for camera in cameras}
 
@@ -101,7 +101,7 @@ class TestRouting:
         assert held[0] | held[1] == set(CAMERAS)
         assert not held[0] & held[1]
         assert all(held)
-        # Whatever connection they come over.
+        # Over any connection.
         with deployment.client() as other:
             states += [[send(c, photo, name).headers["x-session"] for name in CAMERAS]
                        for c in (client, other)]  # fmt: skip
@@ -163,7 +163,7 @@ class TestPassing:
         assert services["request_id"] == balancers["request_id"] == identifier
         assert (balancers["path"], balancers["status"]) == ("/index", 200)
         assert balancers["replica"] == answer.headers["x-replica"]
-        # What the client says of itself is not believed.
+        # The client's own claim is ignored.
         assert services["client"] == balancers["client"] == "127.0.0.1"
 
     def test_early_refusals_reach_the_client(self, client: httpx.Client) -> None:
@@ -224,7 +224,7 @@ class TestPassing:
 
 
 class Senders:
-    """Clients that send a frame after the other to ``/pose`` until told to stop."""
+    """Clients that send frames to ``/pose``, one after the other, until stopped."""
 
     def __init__(self, deployment: Deployment, photo: Photo, count: int) -> None:
         self._deployment, self._photo = deployment, photo
@@ -265,12 +265,12 @@ def test_one_replica_is_killed_and_comes_back(
     assert states == dict.fromkeys(kept, "warm") | dict.fromkeys(lost, "new")
     assert cameras_of(survivor) >= set(CAMERAS)
     assert {send(client, photo, name).headers["x-session"] for name in lost} == {"warm"}
-    time.sleep(1.5)  # By now it is found out, with nobody's frame.
+    time.sleep(1.5)  # By now the health check has noticed.
     answers = senders.stop()
 
     answered = [answer for answer in answers if answer and answer.status_code == 200]
-    # Only what was being worked on by the one that was killed. HAProxy tells it with a 502, or,
-    # where the client's connection has carried requests before, by closing it.
+    # Only requests at the killed replica fail: HAProxy answers them with a 502 or, if the client's
+    # connection has carried requests before, closes it.
     assert len(answers) - len(answered) <= clients
     for answer in answers:
         if answer and answer not in answered:

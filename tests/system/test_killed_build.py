@@ -1,4 +1,4 @@
-"""kill -9 while an index is built: the old one stays, whole, and the next build tidies up."""
+"""A build ended by ``kill -9`` leaves the old index intact, and the next build cleans up."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def milvus(milvus_process: MilvusProcess) -> Iterator[Milvus]:
 
 @pytest.fixture(scope="module")
 def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of two versions whose answers can be told apart by the subject."""
+    """A folder of two versions whose answers differ in the subject."""
     folder = tmp_path_factory.mktemp("artefacts")
     save_index(build_tiny_index(), folder / "sticks")
     save_index(replace(build_tiny_index(seed=2), subjects=("other",)), folder / "others")
@@ -209,7 +209,7 @@ def wait_until_searched(milvus: Milvus) -> None:
 
 
 def wait_for_detail(server: Server, expected: str) -> str:
-    """Wait until a service that is not ready says why; return its sentence."""
+    """Wait until a service reports why it is not ready; return the sentence."""
     wait_until(f"{server.url}/healthz")
 
     def detail() -> str:

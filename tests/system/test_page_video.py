@@ -42,7 +42,7 @@ def person(track_id: int, **changed: object) -> Answer:
 
 
 def answer(number: int, timestamp: float) -> Answer:
-    """What the service may say of a frame: 7 falls on the third one."""
+    """A possible answer to a frame: person 7 falls on the third one."""
     fall = {"event": "fell", "state": "instant", "track_id": 7, "probability": 0.9}
     return {
         "image": {"width": 64, "height": 48},

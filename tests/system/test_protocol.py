@@ -26,7 +26,7 @@ def anyio_backend() -> str:
 
 
 class Hasty(HttpProtocol):
-    """Waits for nobody."""
+    """A protocol with short timeouts."""
 
     head_timeout_s = 0.5
     max_head_bytes = 1000
@@ -47,7 +47,7 @@ async def connection() -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.Stre
 
 
 async def talk(*sent: bytes) -> bytes:
-    """What the server says until it closes the connection."""
+    """Everything the server sends until it closes the connection."""
     said = bytearray()
     async with connection() as (reader, writer):
 
@@ -67,7 +67,7 @@ async def talk(*sent: bytes) -> bytes:
 
 
 def problem(answer: bytes) -> dict[str, Any]:
-    """The body of an answer that is a problem and nothing else."""
+    """The body of an answer that is one problem."""
     head, body = answer.split(b"\r\n\r\n")
     assert b"content-type: application/problem+json\r\n" in head
     assert b"connection: close" in head

@@ -1,4 +1,4 @@
-"""Tracked frames, sessions and videos as JSON."""
+"""Answers as JSON."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def estimate(estimator: Estimator, photo: Photo) -> Estimate:
 
 @pytest.fixture(scope="module")
 def frame(estimate: Estimate) -> TrackedFrame:
-    """A frame with somebody who walks, seen for a while."""
+    """A frame with a person who has walked for a while."""
     (person,) = estimate.persons
     best = person.hypotheses[0]
     pose = SmoothedPose(
@@ -90,7 +90,7 @@ def test_smoothed_joints_have_the_format_of_hypotheses(
             "none": [],
         }[form]
     )
-    # The pose of this fixture is that of the best hypothesis.
+    # The smoothed pose of this fixture is the best hypothesis.
     assert all(person["pose"][name] == best[name] for name in given)
 
 

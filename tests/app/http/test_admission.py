@@ -1,4 +1,4 @@
-"""What is refused before a byte of the body is read."""
+"""Requests that are refused before a byte of the body is read."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ async def reading(scope: Scope, receive: Receive, send: Send) -> None:
     response = PlainTextResponse("done")
     try:
         await receive()
-    except ProblemError:  # As the framework does where a body cannot be read.
+    except ProblemError:  # As the framework does if a body cannot be read.
         response = PlainTextResponse("cannot be read", 400)
     await response(scope, receive, send)
 
@@ -112,7 +112,7 @@ def test_one_caller_cannot_take_all_places() -> None:
 
 
 class StalledUploads:
-    """Requests whose bodies never come, where there is room for some."""
+    """Requests whose bodies never arrive, where there is room for some."""
 
     def __init__(self, max_open: int = 2) -> None:
         self.admission = admission(max_open=max_open, timeout_s=30)

@@ -1,4 +1,4 @@
-"""The executor: bounded, fair to frames, and dropping what nobody waits for."""
+"""The executor bounds concurrent work, is fair to frames, and drops abandoned ones."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def until_cancelled(job: Job) -> None:
 
 
 class Picture:
-    """Of which a test sees whether it is kept."""
+    """An object that can be weakly referenced."""
 
 
 class TestFrames:
@@ -176,7 +176,7 @@ class TestParts:
 
     def test_parts_are_worked_on_in_parallel(self) -> None:
         meeting = threading.Barrier(3, timeout=10)
-        # Each waits for the others: one after the other they would wait in vain.
+        # Each waits for the others: serial execution would deadlock.
         assert sorted(executor_of(3).map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
 
     @pytest.mark.parametrize("frames", [1, 2])
@@ -221,7 +221,7 @@ class TestParts:
 
             def part(_: int) -> None:
                 if threading.get_ident() == own:
-                    # The frame's own thread takes one part, so that another has to take the rest.
+                    # The frame's own thread takes one part; helpers have to take the others.
                     assert helped[name].wait(10)
                 helped[name].set()
 
@@ -233,7 +233,7 @@ class TestParts:
 
     async def test_frames_and_parts_inherit_the_request_id(self) -> None:
         executor = executor_of(2)
-        meeting = threading.Barrier(2, timeout=10)  # Two threads have to come.
+        meeting = threading.Barrier(2, timeout=10)  # Needs two threads.
 
         def part(_: int) -> str:
             meeting.wait()
@@ -245,7 +245,7 @@ class TestParts:
 
 
 class TestReentry:
-    """What could wait for itself raises instead."""
+    """Calls that could wait for themselves raise instead."""
 
     async def test_a_frame_cannot_start_another(self) -> None:
         executor = executor_of(1)

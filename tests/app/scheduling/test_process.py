@@ -48,9 +48,9 @@ CONTAINER = "0::/docker/1f\n"
         (V2, {"cpu.max": "150000 100000\n"}, 2),
         (V2, {"cpu.max": "10000 100000\n"}, 1),
         (V2, {"cpu.max": "9900000 100000\n"}, 64),
-        # A container that is told its path on the host.
+        # A container whose path is the host's.
         (CONTAINER, {"cpu.max": "200000 100000\n"}, 2),
-        # A service of systemd: its own quota, or that of the slice it is in.
+        # A systemd service: its own quota, or that of its slice.
         (SLICE, {"system.slice/pose.service/cpu.max": "300000 100000\n"}, 3),
         (
             SLICE,
