@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.vision.crops import resize
 from app.vision.geometry import Box
-from app.vision.parameters import VISION, BackgroundParameters
+from app.vision.parameters import DEFAULTS, BackgroundParameters
 from app.vision.people import Detection, SegmenterName, Silhouette, silhouette_from_mask
 from app.vision.silhouettes import fill_small_holes, keep_components
 from app.vision.truncation import with_truncation
@@ -28,7 +28,6 @@ class BackgroundSegmenter:
         BGR picture of the empty scene by the same fixed camera.
     min_person_px : float
         Height of the smallest person wanted, in pixels.
-    parameters : BackgroundParameters
     """
 
     name: SegmenterName = "background"
@@ -38,7 +37,7 @@ class BackgroundSegmenter:
         background: NDArray[np.uint8],
         *,
         min_person_px: float = 50,
-        parameters: BackgroundParameters = VISION.background,
+        parameters: BackgroundParameters = DEFAULTS.background,
     ) -> None:
         self._background = background
         self._min_person_px = min_person_px
@@ -49,22 +48,12 @@ class BackgroundSegmenter:
         """Find people as upright regions of change.
 
         The score, at most 0.9, is how much a region's size, proportions and solidity resemble a
-        person. People who touch in the frame come as one.
-
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR, of the background's size.
-
-        Returns
-        -------
-        list of Detection
-            Best first.
+        person; the best comes first. People who touch in the frame come as one.
 
         Raises
         ------
         ValueError
-            If the sizes of frame and background differ.
+            If the frame ``(H, W, 3)`` does not have the size of the background.
         """
         parameters = self._parameters
         min_height = parameters.min_height_share * self._min_person_px
@@ -123,7 +112,7 @@ class BackgroundSegmenter:
 def foreground(
     frame: NDArray[np.uint8],
     background: NDArray[np.uint8],
-    parameters: BackgroundParameters = VISION.background,
+    parameters: BackgroundParameters = DEFAULTS.background,
 ) -> NDArray[np.bool_]:
     """Pixels that differ from the background by more than exposure, noise and shadow explain.
 
@@ -133,8 +122,7 @@ def foreground(
     Parameters
     ----------
     frame, background : (H, W, 3) uint8 array
-        BGR, of one size.
-    parameters : BackgroundParameters
+        BGR.
 
     Returns
     -------
@@ -143,7 +131,7 @@ def foreground(
     Raises
     ------
     ValueError
-        If the shapes differ.
+        If the shapes of frame and background differ.
     """
     if frame.shape != background.shape:
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")

@@ -86,17 +86,7 @@ class PoseReading:
 class LandmarkNetwork:
     """BlazePose's landmark network; thread-safe.
 
-    Parameters
-    ----------
-    path : Path
-        ``pose_landmarks.tflite``.
-    threads, copies : int
-        See :class:`app.vision.tflite.TfliteNetwork`.
-
-    Raises
-    ------
-    NetworkError
-        If the file cannot be read or is another network.
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
@@ -148,17 +138,7 @@ class BlazePoseDetection:
 class BlazePoseDetector:
     """BlazePose's person detector; thread-safe.
 
-    Parameters
-    ----------
-    path : Path
-        ``pose_detection.tflite``.
-    threads, copies : int
-        See :class:`app.vision.tflite.TfliteNetwork`.
-
-    Raises
-    ------
-    NetworkError
-        If the file cannot be read or is another network.
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:

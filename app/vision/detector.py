@@ -21,7 +21,7 @@ from app.vision.hog import hog_margin, hog_people
 from app.vision.models import fitted_constants
 from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
-from app.vision.parameters import VISION, DetectorParameters, TilingParameters, VisionParameters
+from app.vision.parameters import DEFAULTS, DetectorParameters, TilingParameters, VisionParameters
 from app.vision.people import Detection
 
 DetectorName = Literal["network", "hog"]
@@ -35,19 +35,9 @@ class Detector(Protocol):
     def detect(
         self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
     ) -> list[Detection]:
-        """Find the people.
+        """Find the people of a frame ``(H, W, 3)``, BGR; best first.
 
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR.
-        expected_boxes : sequence of Box
-            Where people were a moment ago who have not been seen to leave.
-
-        Returns
-        -------
-        list of Detection
-            Best first.
+        ``expected_boxes`` are of people who were there a moment ago and were not seen to leave.
         """
         ...
 
@@ -68,7 +58,6 @@ class NetworkDetector:
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
     min_score : float, optional
         Least probability that is reported.
-    parameters : VisionParameters
     """
 
     name: DetectorName = "network"
@@ -81,7 +70,7 @@ class NetworkDetector:
         *,
         min_person_px: float | None = None,
         min_score: float | None = None,
-        parameters: VisionParameters = VISION,
+        parameters: VisionParameters = DEFAULTS,
     ) -> None:
         self._movenet = movenet
         self._body_detector = body_detector
@@ -187,11 +176,7 @@ class NetworkDetector:
 class HogDetector:
     """Find upright people by HOG alone, without a network.
 
-    Parameters
-    ----------
-    min_person_px, min_score : float, optional
-        As in :class:`NetworkDetector`.
-    parameters : VisionParameters
+    Limits are those of :class:`NetworkDetector`.
     """
 
     name: DetectorName = "hog"
@@ -201,7 +186,7 @@ class HogDetector:
         *,
         min_person_px: float | None = None,
         min_score: float | None = None,
-        parameters: VisionParameters = VISION,
+        parameters: VisionParameters = DEFAULTS,
     ) -> None:
         self._parameters = parameters.hog
         self._tiling = parameters.tiling
@@ -240,7 +225,7 @@ class HogDetector:
 
 
 def detection_odds(
-    scores: NDArray[np.float64], parameters: DetectorParameters = VISION.detector
+    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
 ) -> NDArray[np.float64]:
     """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
     constants = fitted_constants("detection")
@@ -249,7 +234,7 @@ def detection_odds(
 
 
 def detection_features(
-    scores: NDArray[np.float64], parameters: DetectorParameters = VISION.detector
+    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
 ) -> NDArray[np.float64]:
     """Features ``(N, 3)`` of the fitted probability, from :meth:`NetworkDetector.candidates`.
 
@@ -263,7 +248,7 @@ def detection_features(
 def smallest_person_px(
     frame_shape: tuple[int, ...],
     min_person_px: float | None,
-    parameters: TilingParameters = VISION.tiling,
+    parameters: TilingParameters = DEFAULTS.tiling,
 ) -> float:
     """Height of the smallest person wanted, in pixels: a share of the frame's unless given."""
     if min_person_px is not None:
@@ -328,7 +313,7 @@ def tiles_of(
     width: int,
     height: int,
     min_person_px: float | None = None,
-    parameters: TilingParameters = VISION.tiling,
+    parameters: TilingParameters = DEFAULTS.tiling,
 ) -> list[Tile]:
     """The overview of a frame, and tiles at a higher resolution if small people are wanted.
 
@@ -338,8 +323,7 @@ def tiles_of(
         Of the frame, in pixels.
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels of the frame; by default a share of its
-        height, for which the overview does.
-    parameters : TilingParameters
+        height, for which the overview is enough.
 
     Returns
     -------

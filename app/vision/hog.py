@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from app.vision.crops import PixelRect, resize
 from app.vision.geometry import Box, Boxes, intersections, iou_matrix, non_max_suppression
-from app.vision.parameters import VISION, HogParameters
+from app.vision.parameters import HogParameters
 
 # The detector was trained on windows of this size, in which a person is 96 px tall and lies within
 # these shares of width and height.
@@ -39,7 +39,7 @@ def _people_classifier() -> cv2.HOGDescriptor:
 _HOG = _people_classifier()
 
 
-def hog_margin(frame: NDArray[np.uint8], box: Box, parameters: HogParameters = VISION.hog) -> float:
+def hog_margin(frame: NDArray[np.uint8], box: Box, parameters: HogParameters) -> float:
     """Signed distance of a box from the decision boundary: how much it looks like a person."""
     scale = parameters.box_scale * box.height / _PERSON_PX
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
@@ -51,22 +51,14 @@ def hog_margin(frame: NDArray[np.uint8], box: Box, parameters: HogParameters = V
 
 
 def hog_people(
-    frame: NDArray[np.uint8], min_person_px: float, parameters: HogParameters = VISION.hog
+    frame: NDArray[np.uint8], min_person_px: float, parameters: HogParameters
 ) -> tuple[Boxes, NDArray[np.float64]]:
-    """Find upright people.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR, at the resolution to search.
-    min_person_px : float
-        Height of the smallest person wanted, in pixels.
-    parameters : HogParameters
+    """Find upright people of at least this height in a frame ``(H, W, 3)``, BGR.
 
     Returns
     -------
     boxes : (K, 4) float64 array
-        One for each person: x, y, width, height in pixels of the frame; best first.
+        One for each person, in pixels of the frame, best first.
     margins : (K,) float64 array
         Distance from the decision boundary, positive.
     """
@@ -78,10 +70,7 @@ def hog_people(
 
 
 def hog_windows(
-    frame: NDArray[np.uint8],
-    min_person_px: float,
-    threshold: float,
-    parameters: HogParameters = VISION.hog,
+    frame: NDArray[np.uint8], min_person_px: float, threshold: float, parameters: HogParameters
 ) -> tuple[Boxes, NDArray[np.float64]]:
     """Find the windows of a pyramid that look like a person, many for each person.
 
@@ -123,26 +112,19 @@ def _search(
     return boxes, np.ravel(margins).astype(np.float64)
 
 
-def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters = VISION.hog) -> list[int]:
-    """Drop boxes of a head and trunk inside a better box of the whole body, and the reverse.
+def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters) -> list[int]:
+    """Drop boxes of a head and trunk within a better box of the whole body, and the reverse.
 
-    Two people walking side by side differ in the horizontal middle of their boxes.
-
-    Parameters
-    ----------
-    boxes : (N, 4) float64 array
-    kept : list of int
-        Rows, best first; so is the result.
-    parameters : HogParameters
+    ``kept`` are rows of ``boxes``, best first. Two people side by side have different axes.
     """
     shared = intersections(boxes, boxes)
     area = boxes[:, 2] * boxes[:, 3]
-    middle = boxes[:, 0] + boxes[:, 2] / 2
+    axis = boxes[:, 0] + boxes[:, 2] / 2
     result: list[int] = []
     for row in kept:
         is_part = any(
             shared[row, other] > parameters.part_share * min(area[row], area[other])
-            and abs(middle[row] - middle[other])
+            and abs(axis[row] - axis[other])
             < parameters.part_distance * max(boxes[row, 2], boxes[other, 2])
             for other in result
         )
@@ -152,10 +134,7 @@ def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters = VISION
 
 
 def mean_boxes(
-    boxes: Boxes,
-    margins: NDArray[np.float64],
-    kept: list[int],
-    parameters: HogParameters = VISION.hog,
+    boxes: Boxes, margins: NDArray[np.float64], kept: list[int], parameters: HogParameters
 ) -> Boxes:
     """Mean of the boxes about each kept one ``(len(kept), 4)``, weighted by margin and overlap."""
     overlaps = iou_matrix(boxes[kept], boxes)

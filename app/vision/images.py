@@ -25,7 +25,7 @@ from PIL import (  # noqa: F401
     WebPImagePlugin,
 )
 
-from app.vision.parameters import VISION, ImageParameters
+from app.vision.parameters import DEFAULTS, ImageParameters
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
@@ -68,13 +68,7 @@ class LabelImage:
 
     @classmethod
     def of(cls, labels: Labels) -> LabelImage:
-        """Find the labels of an array ``(H, W)``.
-
-        Raises
-        ------
-        ValueError
-            If the array is not two-dimensional.
-        """
+        """Find the labels of an array ``(H, W)``."""
         if labels.ndim != 2:
             raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
         # `boundingRect` takes no 16 bits.
@@ -105,13 +99,6 @@ def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
     The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR,
     16 bits become 8, an alpha channel is dropped, and an animation gives its first picture.
 
-    Parameters
-    ----------
-    data : bytes
-        PNG, JPEG, WebP, BMP, TIFF or GIF.
-    max_pixels : int
-        Largest width times height; checked on the header, before anything is decoded.
-
     Returns
     -------
     (H, W, 3) uint8 array
@@ -120,42 +107,29 @@ def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
     Raises
     ------
     ImageTooLargeError
-        If the image has more than ``max_pixels`` pixels.
+        If the header says that the image has more than ``max_pixels`` pixels.
     ImageError
-        If the bytes are no image, or a broken one.
+        If the bytes are no image of :data:`FORMATS`, or a broken one.
     """
     header = _checked_header(data, max_pixels)
     return _decode(data, header.format, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
 
 
 def decode_mask(
-    data: bytes, *, max_pixels: int, parameters: ImageParameters = VISION.images
+    data: bytes, *, max_pixels: int, parameters: ImageParameters = DEFAULTS.images
 ) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
     Grey and palette images keep their stored values, whatever their bit depth; of a palette image
     the indices count, not the colours. An image of two values, 0 and any other, is one person,
     label 1. So is an image of lossy compression (JPEG, WebP), which cannot keep labels: values from
-    128 up are the person. The EXIF orientation is applied and an alpha channel dropped.
-
-    Parameters
-    ----------
-    data : bytes
-        As in :func:`decode_image`; three channels are accepted where they are equal.
-    max_pixels : int
-        Largest width times height.
-    parameters : ImageParameters
-
-    Returns
-    -------
-    LabelImage
+    128 up are the person. Three channels are accepted where they are equal. The EXIF orientation is
+    applied and an alpha channel dropped.
 
     Raises
     ------
-    ImageTooLargeError
-        If the image has more than ``max_pixels`` pixels.
-    ImageError
-        If the bytes are no image, the image is coloured, or it holds more than 100 labels.
+    ImageTooLargeError, ImageError
+        As :func:`decode_image`, and if the image is coloured or holds more than 100 labels.
     """
     header = _checked_header(data, max_pixels)
     if header.format == "PNG" and header.mode == "P":
@@ -180,24 +154,13 @@ def decode_mask(
     return image
 
 
-def read_header(data: bytes, parameters: ImageParameters = VISION.images) -> Image.Image:
-    """Read format and size.
-
-    Parameters
-    ----------
-    data : bytes
-        PNG, JPEG, WebP, BMP, TIFF or GIF.
-    parameters : ImageParameters
-
-    Returns
-    -------
-    PIL.Image.Image
-        Not loaded; ``size`` is the stored one, before any EXIF orientation.
+def read_header(data: bytes, parameters: ImageParameters = DEFAULTS.images) -> Image.Image:
+    """Read format and size, as stored, without decoding the image.
 
     Raises
     ------
     ImageError
-        If the bytes are empty, of no known format, or end within the header.
+        If the bytes are empty, of none of :data:`FORMATS`, or end within the header.
     """
     if not data:
         raise ImageError("expected an image, got no bytes")
@@ -235,7 +198,7 @@ def _checked_header(data: bytes, max_pixels: int) -> Image.Image:
     if header.format == "PNG":
         # OpenCV allocates what a chunk announces: two gigabytes for a file of a kilobyte.
         try:
-            Image.open(_LimitedReads(data, VISION.images), formats=("PNG",)).verify()
+            Image.open(_LimitedReads(data, DEFAULTS.images), formats=("PNG",)).verify()
         except Exception as error:
             raise ImageError("the PNG image is broken") from error
     return header

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from app.vision.crops import PixelRect, crop_and_resize
 from app.vision.geometry import Box
-from app.vision.parameters import VISION, KeypointParameters
+from app.vision.parameters import DEFAULTS, KeypointParameters
 from app.vision.people import COCO_NAMES, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
 
@@ -49,14 +49,13 @@ class MoveNetDetection:
 
     Parameters
     ----------
-    box : Box
+    box, keypoints : Box, ObservedKeypoints
         In pixels of the image.
     score : float
         0 to 1: of the centre, times the mean of the visible keypoints. It is no probability and is
         low for small and covered people.
     centre_score : float
         Of the centre alone.
-    keypoints : ObservedKeypoints
     """
 
     box: Box
@@ -68,18 +67,7 @@ class MoveNetDetection:
 class MoveNet:
     """MoveNet; thread-safe.
 
-    Parameters
-    ----------
-    path : Path
-        ``movenet_multipose.tflite``.
-    threads, copies : int
-        See :class:`app.vision.tflite.TfliteNetwork`.
-    parameters : KeypointParameters
-
-    Raises
-    ------
-    NetworkError
-        If the file cannot be read or is another network.
+    Paths, threads, copies and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
     def __init__(
@@ -88,7 +76,7 @@ class MoveNet:
         *,
         threads: int = 1,
         copies: int = 1,
-        parameters: KeypointParameters = VISION.keypoints,
+        parameters: KeypointParameters = DEFAULTS.keypoints,
     ) -> None:
         heads = [(None, None, channels) for channels in _CHANNELS]
         self._network = TfliteNetwork(path, (None, None, 3), heads, threads=threads, copies=copies)
@@ -109,7 +97,7 @@ class MoveNet:
 
 
 def decode_heads(
-    heads: Sequence[NDArray[np.float32]], parameters: KeypointParameters = VISION.keypoints
+    heads: Sequence[NDArray[np.float32]], parameters: KeypointParameters = DEFAULTS.keypoints
 ) -> list[MoveNetDetection]:
     """Decode the network's heads into people, highest centre score first.
 
@@ -119,7 +107,6 @@ def decode_heads(
         Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
         from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
         cell (34); rows before columns, in cells.
-    parameters : KeypointParameters
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
@@ -181,32 +168,18 @@ def _heatmap_peaks(
 
 
 class KeypointReader:
-    """Reads the keypoints of one person in a box; thread-safe.
+    """Reads the keypoints of one person in a box; thread-safe."""
 
-    Parameters
-    ----------
-    network : MoveNet
-    parameters : KeypointParameters
-    """
-
-    def __init__(self, network: MoveNet, parameters: KeypointParameters = VISION.keypoints) -> None:
+    def __init__(
+        self, network: MoveNet, parameters: KeypointParameters = DEFAULTS.keypoints
+    ) -> None:
         self._network = network
         self._parameters = parameters
 
     def read(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
-        """Read the keypoints of the person in a box.
+        """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
 
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR.
-        box : Box
-            Tight around the visible person.
-
-        Returns
-        -------
-        ObservedKeypoints or None
-            In pixels of the frame; None if the network finds nobody in the box.
+        They are in pixels of the frame; None if the network finds nobody in the box.
         """
         rect, columns, rows = keypoint_window(box, self._parameters)
         people = self._network.detect(crop_and_resize(frame, rect, columns, rows))
@@ -226,7 +199,7 @@ class KeypointReader:
 
 
 def keypoint_window(
-    box: Box, parameters: KeypointParameters = VISION.keypoints
+    box: Box, parameters: KeypointParameters = DEFAULTS.keypoints
 ) -> tuple[PixelRect, int, int]:
     """Window about a box in whole pixels, and the columns and rows at which MoveNet sees it."""
     long_px, short_px = parameters.input_px

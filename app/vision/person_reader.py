@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.geometry import Box, PersonWindow
 from app.vision.movenet import KeypointReader
-from app.vision.parameters import VISION, ReadingParameters
+from app.vision.parameters import DEFAULTS, ReadingParameters
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
@@ -50,19 +50,11 @@ _NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
 
 @dataclass(frozen=True)
 class PersonReader:
-    """Reads people; thread-safe.
-
-    Parameters
-    ----------
-    network : LandmarkNetwork
-    keypoint_reader : KeypointReader
-        Reads the keypoints of people for whom none are given.
-    parameters : ReadingParameters
-    """
+    """Reads people; thread-safe."""
 
     network: LandmarkNetwork
     keypoint_reader: KeypointReader
-    parameters: ReadingParameters = VISION.reading
+    parameters: ReadingParameters = DEFAULTS.reading
 
     def read(
         self,
@@ -120,7 +112,7 @@ def window_beyond_border(
     keypoints: ObservedKeypoints | None,
     box: Box,
     frame_shape: tuple[int, ...],
-    parameters: ReadingParameters = VISION.reading,
+    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> list[PersonWindow]:
     """Window about the whole body if the border cuts off its head or its feet; else none.
 
@@ -144,7 +136,7 @@ def window_beyond_border(
 def reading_quality(
     reading: PoseReading,
     keypoints: ObservedKeypoints | None,
-    parameters: ReadingParameters = VISION.reading,
+    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> float:
     """How good a reading is: it agrees with MoveNet, sees a person, and its window stays."""
     agreement = parameters.unknown_agreement
@@ -180,7 +172,7 @@ def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np
 def fuse(
     reading: PoseReading,
     keypoints: ObservedKeypoints,
-    parameters: ReadingParameters = VISION.reading,
+    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> PoseReading:
     """Move landmarks towards the keypoints of MoveNet that agree with them."""
     agrees = _distances(reading, keypoints) < parameters.agreement_distance
@@ -195,7 +187,7 @@ def fuse(
 def attenuate_visibility_at_border(
     reading: PoseReading,
     frame_shape: tuple[int, ...],
-    parameters: ReadingParameters = VISION.reading,
+    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> Landmarks:
     """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
 
@@ -215,7 +207,7 @@ def attenuate_visibility_at_border(
 
 
 def trunk_roll_deg(
-    keypoints: ObservedKeypoints | None, parameters: ReadingParameters = VISION.reading
+    keypoints: ObservedKeypoints | None, parameters: ReadingParameters = DEFAULTS.reading
 ) -> float | None:
     """Direction from hips to shoulders, clockwise from up; None if either is not visible."""
     if keypoints is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
-from app.vision.parameters import VISION, SilhouetteParameters
+from app.vision.parameters import DEFAULTS, SilhouetteParameters
 from app.vision.people import Silhouette, silhouette_from_mask
 from app.vision.truncation import with_truncation
 
@@ -22,7 +22,7 @@ def silhouettes_of(
     frame_shape: tuple[int, ...],
     *,
     exact: bool,
-    parameters: SilhouetteParameters = VISION.silhouettes,
+    parameters: SilhouetteParameters = DEFAULTS.silhouettes,
 ) -> list[Silhouette | None]:
     """Cut people out of the masks of their readings.
 
@@ -38,7 +38,6 @@ def silhouettes_of(
         Height and width first.
     exact : bool
         Whether boxes are tight; if not, limbs may reach beyond them.
-    parameters : SilhouetteParameters
 
     Returns
     -------

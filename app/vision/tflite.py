@@ -23,7 +23,6 @@ class TfliteNetwork:
 
     Parameters
     ----------
-    path : Path
     input_shape : (int or None, int or None, int)
         Rows, columns and channels; None where the network takes any.
     output_shapes : sequence of the same

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from app.vision.geometry import Box
-from app.vision.parameters import VISION, TruncationParameters
+from app.vision.parameters import DEFAULTS, TruncationParameters
 from app.vision.people import ObservedKeypoints, Silhouette, coco_rows
 
 _HEAD, _FEET = coco_rows("nose", "eye", "ear"), coco_rows("ankle")
@@ -18,7 +18,7 @@ def with_truncation(
     silhouettes: Sequence[Silhouette | None],
     boxes: Sequence[Box],
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = VISION.truncation,
+    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> list[Silhouette | None]:
     """Set the flag ``truncated`` of the silhouettes of one frame.
 
@@ -29,7 +29,6 @@ def with_truncation(
         The people's boxes, which stand in for missing silhouettes.
     frame_shape : tuple of int
         Height and width first.
-    parameters : TruncationParameters
     """
     people = [one or box for one, box in zip(silhouettes, boxes, strict=True)]
     result: list[Silhouette | None] = []
@@ -46,7 +45,7 @@ def with_truncation(
 def touches_border(
     silhouette: Silhouette,
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = VISION.truncation,
+    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether a silhouette runs along the frame's border; a caller's mask is taken to the pixel."""
     crop = silhouette.crop
@@ -66,7 +65,7 @@ def end_beyond_border(
     box: Box,
     keypoints: ObservedKeypoints,
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = VISION.truncation,
+    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether the frame cuts off a person's head or feet: none of their keypoints is seen in it."""
     height, width = frame_shape[:2]
@@ -79,7 +78,7 @@ def end_beyond_border(
 def ends_at_border(
     box: Box,
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = VISION.truncation,
+    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether a person's box ends so near the frame's edge that it may cut them."""
     reach = parameters.unseen_end_share * max(box.width, box.height)
@@ -95,7 +94,7 @@ def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, 
 def hidden_by_others(
     silhouette: Silhouette,
     others: Sequence[Silhouette | Box],
-    parameters: TruncationParameters = VISION.truncation,
+    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether a nearer person, one whose feet are lower in the frame, covers part of this one."""
     box = silhouette.box

@@ -25,7 +25,7 @@ from app.vision.detector import (
 from app.vision.geometry import Box
 from app.vision.movenet import MoveNet
 from app.vision.odds import sigmoid
-from app.vision.parameters import VISION
+from app.vision.parameters import DEFAULTS
 
 Make = Callable[..., Detector]
 
@@ -180,7 +180,7 @@ def test_probability_never_falls_with_a_score(
     assert 0 <= first <= min(others) <= 1
 
 
-TILING = VISION.tiling
+TILING = DEFAULTS.tiling
 OVERVIEW_PX = math.prod(TILING.overview_px)
 
 people = st.integers(16, 400)

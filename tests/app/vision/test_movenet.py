@@ -23,7 +23,7 @@ from app.vision.movenet import (
     decode_heads,
     keypoint_window,
 )
-from app.vision.parameters import VISION, KeypointParameters
+from app.vision.parameters import DEFAULTS, KeypointParameters
 from app.vision.people import COCO_NAMES
 from tests.conftest import ROOT
 
@@ -186,7 +186,7 @@ sides, places = st.floats(1, 900), st.floats(-300, 900)
 def test_person_is_in_the_middle_of_the_keypoint_window(
     x: float, y: float, width: float, height: float
 ) -> None:
-    box, parameters = Box(x, y, width, height), VISION.keypoints
+    box, parameters = Box(x, y, width, height), DEFAULTS.keypoints
     (left, top, columns, rows), *shown = keypoint_window(box)
     # Whole pixels: up to one and a half of them on each side.
     assert left - 1.5 <= box.x and box.right <= left + columns + 0.5
