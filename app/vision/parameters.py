@@ -148,7 +148,7 @@ class SilhouetteParameters:
 class TruncationParameters:
     """Whether the frame's border or another person cuts a body.
 
-    Chosen on even-numbered photographs, see docs/results/truncation.md.
+    Chosen on even-numbered photographs, see docs/history.md.
     """
 
     # A silhouette ends at an edge if it is as near as this many pixels, or this share of its longer
