@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.keypoints import Keypoints
 from index.rotations import rotate_silhouette

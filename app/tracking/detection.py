@@ -17,8 +17,9 @@ from app.estimation.finder import PeopleFinder, distinct_bodies, observed
 from app.estimation.results import ObservedPerson
 from app.scheduling.job import Job
 from app.tracking.track import LEAST_PRESENCE, Track
-from app.vision.blazepose import Reading
-from app.vision.geometry import Box, Detection
+from app.vision.blazepose import PoseReading
+from app.vision.geometry import Box
+from app.vision.people import Detection
 from app.vision.person_reader import fuse
 from app.vision.silhouettes import silhouettes_of
 
@@ -104,7 +105,7 @@ class TrackedPeopleDetector:
         timestamp: float,
         tracks: Sequence[Track],
         job: Job,
-    ) -> tuple[list[Detection], list[Track | None], list[Reading | None]]:
+    ) -> tuple[list[Detection], list[Track | None], list[PoseReading | None]]:
         """Read the tracks by their windows or, where that does not do, whoever a search finds.
 
         Who was lost at the frame before, or is lost at this one, is believed more easily.
@@ -138,14 +139,14 @@ class TrackedPeopleDetector:
         wanted: Sequence[Detection],
         owners: Sequence[Track | None],
         job: Job,
-    ) -> list[Reading | None]:
+    ) -> list[PoseReading | None]:
         job.checkpoint()
         with job.stage("keypoints"):
             return job.map(lambda pair: self._read(frame, *pair), zip(wanted, owners, strict=True))
 
     def _read(
         self, frame: NDArray[np.uint8], one: Detection, owner: Track | None
-    ) -> Reading | None:
+    ) -> PoseReading | None:
         """Read a person; None where a track's window no longer shows anybody."""
         if one.score > 0 or owner is None:
             return self._finder.reader.read(frame, one.box, one.keypoints, one.windows)
@@ -158,7 +159,7 @@ class TrackedPeopleDetector:
         return reading if keypoints is None else fuse(reading, keypoints)
 
 
-def _body_box(reading: Reading) -> Box:
+def _body_box(reading: PoseReading) -> Box:
     """The box about a body, whose landmarks end short of the crown, hands and feet."""
     box = reading.landmarks.box()
     room = BODY_ROOM * max(box.width, box.height)
@@ -166,8 +167,8 @@ def _body_box(reading: Reading) -> Box:
 
 
 def _distinct(
-    readings: Sequence[Reading | None], wanted: Sequence[Detection]
-) -> tuple[list[Reading], list[int]]:
+    readings: Sequence[PoseReading | None], wanted: Sequence[Detection]
+) -> tuple[list[PoseReading], list[int]]:
     """Readings of different bodies, and their rows.
 
     Of two in the windows of tracks, that is kept whose track is expected nearer to the body.

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.track import Sighting, Track
-from app.vision.geometry import Box, Silhouette
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
 

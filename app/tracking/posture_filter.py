@@ -14,7 +14,8 @@ from app.estimation.posture import (
     with_bent_legs,
     with_grounded,
 )
-from app.vision.geometry import Box, Landmarks
+from app.vision.geometry import Box
+from app.vision.people import Landmarks
 
 SETTLING_S = 0.4
 """Time constant with which the posture follows the frames."""

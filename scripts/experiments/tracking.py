@@ -24,7 +24,7 @@ from app.estimation.facing import azimuth_deg
 from app.estimation.results import ObservedPerson, Person
 from app.scheduling.process import available_cores
 from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
 from index.build.calibrate import expected_calibration_error

@@ -10,7 +10,8 @@ from app.estimation.results import ObservedPerson
 from app.tracking.box_filter import MotionFilter
 from app.tracking.matching import appearance_distance, appearance_histogram, associate
 from app.tracking.track import Sighting, Track
-from app.vision.geometry import Box, Silhouette
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
 

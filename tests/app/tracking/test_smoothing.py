@@ -10,7 +10,7 @@ import pytest
 from app.estimation.facing import azimuth_deg
 from app.estimation.results import Person
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 from index.posture import POSTURES
 from index.skeleton import NATIVE, POINTS, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
