@@ -19,11 +19,9 @@ from app.http.errors import register_error_handlers
 from app.http.identity import CAMERA_HEADER, Identity, IdentityMiddleware
 from app.http.metrics import Metrics
 from app.http.routing import HeadMiddleware, RouteTable
-from app.routes import cameras, deepstack, index, pose, sequence
-from app.routes import system as health
+from app.routes import cameras, deepstack, index, pose, sequence, system
 from app.routes.cameras import SESSION_HEADER
 from app.routes.openapi import SERVERS, TAGS, add_openapi
-from app.routes.system import add_docs, add_page
 from app.scheduling.executor import Executor
 from app.scheduling.process import configure_process
 from app.serving.loading import become_ready, keep_index_loaded
@@ -111,12 +109,12 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         redirect_slashes=False,  # Ours are relative: app/http/errors.py.
     )
     app.state.runtime = runtime
-    routers = [module.router for module in (pose, cameras, sequence, index, deepstack, health)]
+    routers = [module.router for module in (pose, cameras, sequence, index, deepstack, system)]
     for router in routers:
         app.include_router(router)
     add_openapi(app)
-    add_docs(app)
-    add_page(app)
+    system.add_docs(app)
+    system.add_page(app)
     table = RouteTable(route for router in (*routers, app.router) for route in router.routes)
     register_error_handlers(app, table)
     _add_middleware(app, runtime, table)
