@@ -14,7 +14,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.messages import expected_and_got, shortened, suggestion
 from app.scheduling.process import available_cores
-from app.vision.detector import DetectorName
+from app.vision import DetectorName
 from index.milvus_address import SCHEME, MilvusAddress
 from index.store import DEFAULT_PATH
 

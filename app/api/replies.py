@@ -16,7 +16,7 @@ from app.api.coco import compressed, polygon, run_lengths
 from app.estimation.facing import Facing
 from app.estimation.posture import EstimatedPosture
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
-from app.vision.detector import DetectorName
+from app.vision import DetectorName
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision import DetectorName
 from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
 from app.vision.crops import PixelRect, crop, resize
 from app.vision.geometry import Box, Boxes, PersonWindow, box_array, non_max_suppression
@@ -23,8 +24,6 @@ from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
 from app.vision.parameters import DEFAULTS, DetectorParameters, TilingParameters, VisionParameters
 from app.vision.people import Detection
-
-DetectorName = Literal["network", "hog"]
 
 
 class Detector(Protocol):
@@ -163,13 +162,9 @@ class NetworkDetector:
 
     def _may_be(self, box: Box, expected: Box) -> bool:
         """Whether a box may hold an expected person, standing there or on the ground beside."""
-        margin = max(expected.width, expected.height) / 2
-        reach = Box(
-            expected.x - margin,
-            expected.y,
-            expected.width + 2 * margin,
-            expected.height + margin / 2,
-        )
+        x, y, width, height = expected.x, expected.y, expected.width, expected.height
+        margin = max(width, height) / 2
+        reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
         return box.intersection(reach) >= self._parameters.min_expected_share * box.area
 
 
