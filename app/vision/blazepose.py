@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.crops import resize, sample_window
-from app.vision.geometry import WINDOW_SCALE, PersonWindow, non_max_suppression
+from app.vision.geometry import WINDOW_SCALE, PersonWindow, non_max_suppression, transform_points
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
@@ -105,7 +105,7 @@ class LandmarkNetwork:
         points = values.reshape(_POINTS, _POINT_VALUES).astype(np.float64)
         to_frame = window.to_frame(LANDMARK_PX)
         # The network counts pixels from the corner of the first one.
-        positions = (points[:, :2] - 0.5) @ to_frame[:, :2].T + to_frame[:, 2]
+        positions = transform_points(to_frame, points[:, :2] - 0.5)
         visibility = sigmoid(points[:_LANDMARKS, 3])
         metres = world.reshape(_POINTS, 3)[:_LANDMARKS].astype(np.float64)
         rotation = to_frame[:, :2] / (window.side / LANDMARK_PX)

@@ -162,13 +162,9 @@ class NetworkDetector:
 
     def _may_be(self, box: Box, expected: Box) -> bool:
         """Whether a box may hold an expected person, standing there or on the ground beside."""
-        margin = max(expected.width, expected.height) / 2
-        reach = Box(
-            expected.x - margin,
-            expected.y,
-            expected.width + 2 * margin,
-            expected.height + margin / 2,
-        )
+        x, y, width, height = expected.x, expected.y, expected.width, expected.height
+        margin = max(width, height) / 2
+        reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
         return box.intersection(reach) >= self._parameters.min_expected_share * box.area
 
 

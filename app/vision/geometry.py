@@ -152,6 +152,13 @@ def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: floa
     return kept
 
 
+def transform_points(
+    matrix: NDArray[np.float64], points: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Points ``(..., 2)``, x before y, after an affine transform ``(2, 3)``."""
+    return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+
+
 @dataclass(frozen=True)
 class PersonWindow:
     """A square of a frame about a person, rotated so that the trunk is upright in it.
@@ -210,8 +217,7 @@ class PersonWindow:
     def corners(self) -> NDArray[np.float64]:
         """Corners ``(4, 2)`` in the frame, clockwise from the top left one of the window."""
         corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
-        matrix = self.to_frame(2)
-        return np.asarray(corners @ matrix[:, :2].T + matrix[:, 2])
+        return transform_points(self.to_frame(2), corners)
 
     def drift(self, other: PersonWindow) -> float:
         """Mean distance to the corners of another window, as a share of this one's side."""

@@ -20,6 +20,10 @@ PLACES, SIDES, ROLLS = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 
 PERSON_WINDOWS = st.builds(PersonWindow, PLACES, PLACES, SIDES, ROLLS)
 
 
+def moved(box: Box, x: float, y: float) -> Box:
+    return Box(box.x + x, box.y + y, box.width, box.height)
+
+
 @pytest.fixture(scope="session")
 def street() -> NDArray[np.uint8]:
     """298x320 crop of a street scene with three walkers and two people far away."""

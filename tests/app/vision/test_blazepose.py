@@ -18,7 +18,7 @@ from app.vision.blazepose import (
     LandmarkNetwork,
     decode_anchors,
 )
-from app.vision.geometry import Box, PersonWindow
+from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
 from scripts.experiments.rotation import rotate_points
 
@@ -53,7 +53,7 @@ def test_landmarks_and_mask_are_the_walkers(
     assert reading.probability.min() >= 0 and reading.probability.max() <= 1
     y, x = np.nonzero(reading.probability > 0.5)
     to_frame = reading.window.to_frame(LANDMARK_PX)
-    x, y = (np.stack([x, y], axis=1) @ to_frame[:, :2].T + to_frame[:, 2]).T
+    x, y = transform_points(to_frame, np.stack([x, y], axis=1)).T
     inside = (x > box.x - 2) & (x < box.right + 2) & (y > box.y - 2) & (y < box.bottom + 2)
     assert inside.mean() > 0.95
     area = len(x) * (reading.window.side / LANDMARK_PX) ** 2

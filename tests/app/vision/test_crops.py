@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from app.vision.crops import crop, crop_and_resize, resize, sample_window
-from app.vision.geometry import PersonWindow
+from app.vision.geometry import PersonWindow, transform_points
 from tests.app.vision.conftest import PERSON_WINDOWS
 
 
@@ -112,7 +112,6 @@ def test_averaging_shifts_nothing(roll_deg: float) -> None:
     window = PersonWindow(403.3, 296.7, 400.0, roll_deg)
     seen = sample_window(frame, window, 32)[..., 0]
     grid = np.stack(np.meshgrid(np.arange(32.0), np.arange(32.0)), axis=-1)
-    matrix = window.to_frame(32)
-    x, y = np.moveaxis(grid @ matrix[:, :2].T + matrix[:, 2], -1, 0)
+    x, y = np.moveaxis(transform_points(window.to_frame(32), grid), -1, 0)
     # Grey levels are cut off to whole numbers twice; one is 5.6 pixels.
     assert np.abs(seen + 0.5 - (x + y) * (250 / 1400)).max() < 1.5

@@ -26,6 +26,7 @@ from app.vision.geometry import Box
 from app.vision.movenet import MoveNet
 from app.vision.odds import sigmoid
 from app.vision.parameters import DEFAULTS
+from tests.app.vision.conftest import moved
 
 Make = Callable[..., Detector]
 
@@ -50,10 +51,6 @@ def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box])
 
 def scores_of(detector: Detector, frame: NDArray[np.uint8], *expected: Box) -> dict[Box, float]:
     return {one.box: one.score for one in detector.detect(frame, expected)}
-
-
-def moved(box: Box, x: float, y: float) -> Box:
-    return Box(box.x + x, box.y + y, box.width, box.height)
 
 
 def test_walkers_are_detected_and_nothing_else(

@@ -16,6 +16,7 @@ from app.vision.geometry import (
     intersections,
     iou_matrix,
     non_max_suppression,
+    transform_points,
 )
 from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, ROLLS, SIDES
 
@@ -82,22 +83,19 @@ def test_suppression_of_no_boxes_keeps_none() -> None:
     assert non_max_suppression(box_array([]), np.zeros(0), 0.4) == []
 
 
-def to_frame(window: PersonWindow, pixels: int, points: np.ndarray) -> np.ndarray:
-    matrix = window.to_frame(pixels)
-    return points @ matrix[:, :2].T + matrix[:, 2]
-
-
 @given(window=PERSON_WINDOWS, pixels=st.integers(2, 300))
 def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
     window: PersonWindow, pixels: int
 ) -> None:
     middle = np.full(2, (pixels - 1) / 2)
-    assert_allclose(to_frame(window, pixels, middle), [window.x, window.y], atol=1e-9)
+    assert_allclose(
+        transform_points(window.to_frame(pixels), middle), [window.x, window.y], atol=1e-9
+    )
     linear = window.to_frame(pixels)[:, :2]
     assert_allclose(linear.T @ linear, (window.side / pixels) ** 2 * np.eye(2), atol=1e-6)
     assert np.linalg.det(linear) > 0
     # Up in the window is `roll_deg` clockwise from up in the frame.
-    right, down = to_frame(window, pixels, middle - [0, 1]) - [window.x, window.y]
+    right, down = transform_points(window.to_frame(pixels), middle - [0, 1]) - [window.x, window.y]
     angle = np.rad2deg(np.arctan2(right, -down))
     assert (angle - window.roll_deg + 180) % 360 == pytest.approx(180, abs=1e-6)
 
@@ -110,8 +108,8 @@ def test_rotated_window_shows_the_same_of_a_rotated_frame(
     turn = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarter_turns)
     rotated = PersonWindow(*(turn @ [x, y]).tolist(), side, roll_deg + 90 * quarter_turns)
     points = np.array([[0.0, 0.0], [63, 0], [63, 63], [12, 40]])
-    here = to_frame(PersonWindow(x, y, side, roll_deg), 64, points)
-    assert_allclose(to_frame(rotated, 64, points), here @ turn.T, atol=1e-6)
+    here = transform_points(PersonWindow(x, y, side, roll_deg).to_frame(64), points)
+    assert_allclose(transform_points(rotated.to_frame(64), points), here @ turn.T, atol=1e-6)
 
 
 @given(x=PLACES, y=PLACES, radius=SIDES, roll_deg=st.floats(-179, 179))

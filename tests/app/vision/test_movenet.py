@@ -25,6 +25,7 @@ from app.vision.movenet import (
 )
 from app.vision.parameters import DEFAULTS, KeypointParameters
 from app.vision.people import COCO_NAMES
+from tests.app.vision.conftest import moved
 from tests.conftest import ROOT
 
 
@@ -36,10 +37,6 @@ def person_in(box: Box, people: list[MoveNetDetection]) -> MoveNetDetection:
     best = max(people, key=lambda one: one.box.iou(box))
     assert best.box.iou(box) > 0.5, f"expected a person in {box}, the nearest is in {best.box}"
     return best
-
-
-def moved(box: Box, x: float, y: float) -> Box:
-    return Box(box.x + x, box.y + y, box.width, box.height)
 
 
 SIZE = 320

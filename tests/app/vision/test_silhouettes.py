@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.estimation.finder import distinct_bodies
 from app.vision.blazepose import LANDMARK_PX, PoseReading
-from app.vision.geometry import Box, PersonWindow
+from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.images import LabelImage
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader
@@ -35,9 +35,8 @@ def mask_of(one: Silhouette | None, shape: tuple[int, ...]) -> NDArray[np.bool_]
 def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0) -> PoseReading:
     """A reading of an ellipse in a box, surest in its middle; the bones are its axis."""
     window = PersonWindow.about_box(box, roll_deg)
-    to_frame = window.to_frame(LANDMARK_PX)
     grid = np.stack(np.meshgrid(np.arange(LANDMARK_PX), np.arange(LANDMARK_PX)), axis=-1)
-    x, y = np.moveaxis(grid @ to_frame[:, :2].T + to_frame[:, 2], -1, 0)
+    x, y = np.moveaxis(transform_points(window.to_frame(LANDMARK_PX), grid), -1, 0)
     middle = np.array([box.x + box.width / 2, box.y + box.height / 2])
     across, down = 2 * (x - middle[0]) / box.width, 2 * (y - middle[1]) / box.height
     probability = peak * np.clip(1.3 - across**2 - down**2, 0, 1)
