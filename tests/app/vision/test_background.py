@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.background import BackgroundSegmenter, foreground
+from app.vision.geometry import Box
 from app.vision.parameters import BackgroundParameters
 
 
@@ -110,3 +111,15 @@ def test_smallest_wanted_person_is_detected_in_a_frame_of_that_height() -> None:
     frame[:, 20:32] = 200
     (found,) = BackgroundSegmenter(scene, min_person_px=50).detect(frame)
     assert found.box.height == 40
+
+
+def test_pixels_of_overlapping_boxes_go_to_the_nearer_middle(empty: np.ndarray) -> None:
+    """Two people side by side, and a box outside the frame."""
+    frame = empty.copy()
+    people = [figure(frame, left, (30, 40, 150)) for left in (40, 78)]
+    boxes = [Box(35, 18, 60, 104), Box(60, 18, 60, 104), Box(500, 0, 10, 10)]
+    *found, outside = BackgroundSegmenter(empty).segment(frame, boxes)
+    assert outside is None
+    for one, person in zip(found, people, strict=True):
+        assert one is not None
+        assert iou(one.mask(frame.shape), person) > 0.8
