@@ -18,7 +18,7 @@ from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.action_features import RATE_HZ, Measured, action_features, ground_path
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import SURE_PX, Smoothed
-from index.posture import Posture, camera_up
+from index.posture import ON_THE_GROUND, Posture, camera_up
 
 WINDOW_S, LEAST_S = 3.0, 1.0
 """Seconds of motion that are looked at, and from which an action is told."""
@@ -36,7 +36,7 @@ LEAST_SHARE = 0.02
 """Of the hypotheses' votes, for actions that no hypothesis shows."""
 
 SHOWN_BY: dict[str, tuple[Posture, ...]] = {
-    "lie": ("lying", "crawling"),
+    "lie": ON_THE_GROUND,
     "sit": ("sitting",),
     "squat": ("crouching", "kneeling", "sitting", "bending"),
     "jump": ("standing", "arms_raised", "bending", "crouching", "running"),

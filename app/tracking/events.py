@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.results import Event, EventName, EventState
-from index.posture import POSTURES, UPRIGHT, Posture
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
 
 SETTLING_S = 0.5
 """Time constant of the low-pass filter over the frames' probabilities."""
@@ -30,9 +30,6 @@ STAYS_DOWN_S = 1.5
 DROPPED_TO = 0.55
 """Share of the height in the picture that somebody has upright, below which they are down, whatever
 the posture: who sits on a chair or kneels keeps two thirds."""
-
-DOWN: tuple[Posture, ...] = ("lying", "crawling")
-"""Who fell need not lie flat."""
 
 
 class _Hysteresis:
@@ -136,7 +133,7 @@ class EventDetector:
         lies = 0.0 if rests else share("lying")
         state = self._lying.update(timestamp, lies, step)
         events += happened("lying", state, self._lying.level)
-        down = 1.0 if self._dropped(height_px) else share(*DOWN)
+        down = 1.0 if self._dropped(height_px) else share(*ON_THE_GROUND)
         self._down.update(timestamp, 0.0 if rests else down, trust.person * elapsed)
         fell: EventState | None = "instant" if self._fell(timestamp) else None
         return (*events, *happened("fell", fell, self._down.level))

@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box
-from index.posture import Posture
+from index.posture import ON_THE_GROUND, Posture
 
 ZoneKind = Literal["rest", "watch"]
 """``rest``: a bed or a sofa, where lying is no event; ``watch``: any other place of interest."""
-
-ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
-"""Postures in which the whole body is on the ground, or on a bed, and not the feet alone."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from app.tracking.zones import Zone, ZoneKind, contains, place, zones_of
 from app.vision.geometry import Box
-from index.posture import POSTURES, Posture
+from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 SQUARE = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])
 # An L: the upper right quarter of the square is missing.
@@ -50,7 +50,7 @@ def test_of_two_halves_a_point_is_in_exactly_one(split: float, x: float, y: floa
 @pytest.mark.parametrize("posture", [*POSTURES, None])
 def test_people_stand_on_their_feet_and_lie_on_their_middle(posture: Posture | None) -> None:
     box = Box(10.0, 20.0, 30.0, 60.0)
-    lies = posture in ("lying", "crawling")
+    lies = posture in ON_THE_GROUND
     assert place(box, posture).tolist() == [25.0, 50.0 if lies else 80.0]
 
 
