@@ -24,11 +24,12 @@ from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
 from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
 from index.skeleton import (
-    JOINTS,
-    NATIVE,
     POINT_NAMES,
     POINTS,
+    bone_lengths,
     mean_joint_distance,
+    pixels_per_metre,
+    with_bone_lengths,
 )
 
 STATES = 12
@@ -212,7 +213,7 @@ class PoseSmoother:
         velocity = self._ground.update(
             timestamp,
             box,
-            float(weights @ _px_per_m(points_3d, points_2d)),
+            float(weights @ pixels_per_metre(points_3d, points_2d, POINTS)),
             float(weights @ elevations_deg),
         )
         log_emission = CONFIDENCE_WEIGHT * np.log(confidences + 1e-3)
@@ -331,12 +332,12 @@ class PoseSmoother:
                 log_backward -= log_backward.max()
             weights = _weights_near_best(states.points_3d, states.log_forward + log_backward)
             averages.append(np.einsum("n,npd->pd", weights, states.points_3d))
-            lengths.append(weights @ _bone_lengths(states.points_3d))
+            lengths.append(weights @ bone_lengths(states.points_3d))
             odds.append(log_odds(float(weights @ states.confidences)))
             later = states
         ages = timestamp - np.array([states.timestamp for states in reversed(self._frames)])
         smoothed = _line_at_zero(ages, np.array(averages))
-        return _with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
+        return with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
 
 
 def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
@@ -346,17 +347,6 @@ def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
     if velocity.sure_speed >= RUNNING_FROM:
         return "running"
     return "walking" if velocity.sure_speed >= WALKING_FROM else "standing"
-
-
-def _px_per_m(
-    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Scales ``(N,)`` at which skeletons appear in the picture."""
-    metres = points_3d[..., :2] - points_3d[..., :2].mean(axis=-2, keepdims=True)
-    pixels = points_2d - points_2d.mean(axis=-2, keepdims=True)
-    return np.asarray(
-        (metres * pixels).sum(axis=(-2, -1)) / np.maximum((metres**2).sum(axis=(-2, -1)), 1e-9)
-    )
 
 
 def _kept_beside(points_3d: NDArray[np.float64], turn: Turn) -> NDArray[np.float64]:
@@ -418,27 +408,6 @@ def _line_at_zero(ages: NDArray[np.float64], values: NDArray[np.float64]) -> NDA
         return np.asarray(mean)
     slope = np.tensordot(weights * (ages - centre), values, axes=1) / spread
     return np.asarray(mean - slope * centre)
-
-
-def _bone_lengths(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths ``(..., B)`` of the bones of skeletons, in the order of ``NATIVE.bones``."""
-    parents, children = np.array(NATIVE.bones).T
-    return np.asarray(
-        np.linalg.norm(points_3d[..., children, :] - points_3d[..., parents, :], axis=-1)
-    )
-
-
-def _with_bone_lengths(
-    points_3d: NDArray[np.float64], lengths: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The skeleton ``(24, 3)`` with bones of these lengths, in the same directions."""
-    result = points_3d.copy()
-    for (parent, child), length in zip(NATIVE.bones, lengths, strict=True):
-        bone = points_3d[child] - points_3d[parent]
-        result[child] = result[parent] + bone * (length / max(float(np.linalg.norm(bone)), 1e-9))
-    head = POINT_NAMES.index("head")
-    result[JOINTS:POINTS] += result[head] - points_3d[head]
-    return result
 
 
 def _log_sum_exp(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
