@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.videos import write_video
+from tests.support.videos import write_video
 
 Picture = NDArray[np.uint8]
 Point = tuple[int, int]
