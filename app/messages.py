@@ -1,4 +1,4 @@
-"""Pydantic's validation errors, in the words that all errors of the service use."""
+"""Pydantic's validation errors, and other errors, in the words that all of the service use."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from difflib import get_close_matches
 from typing import Any
 
 from pydantic import BeforeValidator
+
+SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 
 _LONGEST_VALUE = 60
 _WHOLE = re.compile("[+-]?[0-9]+")

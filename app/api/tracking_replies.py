@@ -12,7 +12,8 @@ from app.api.replies import ReplyForm, frame_fields, joint_fields, person_fields
 from app.api.schemas import ImageSize
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.sessions import CameraSummary
-from app.tracking.summary import SequenceSummary, Track
+from app.tracking.summary import TrackSummary, VideoSummary
+from app.tracking.video_run import VideoEnd
 from app.tracking.zones import Zone
 from index.store import PoseIndex
 
@@ -36,14 +37,12 @@ def sequence_frame_reply(
     )
 
 
-def sequence_end_reply(
-    summary: SequenceSummary, reason: schemas.SequenceEndReason, detail: str
-) -> schemas.SequenceEnd:
+def sequence_end_reply(summary: VideoSummary, end: VideoEnd) -> schemas.SequenceEnd:
     """Write the last line of the answer to a video."""
     return schemas.SequenceEnd(
         type="end",
-        reason=reason,
-        detail=detail,
+        reason=end.reason,
+        detail=end.detail,
         frames=summary.frames,
         tracks=[_track(track) for _, track in sorted(summary.tracks.items())],
         events=[_event(event) for event in summary.events],
@@ -129,7 +128,7 @@ def _event(event: Event) -> schemas.Event:
     )
 
 
-def _track(track: Track) -> schemas.TrackSummary:
+def _track(track: TrackSummary) -> schemas.TrackSummary:
     action = track.action()
     return schemas.TrackSummary(
         track_id=track.track_id,

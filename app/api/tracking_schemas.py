@@ -16,14 +16,10 @@ from app.api.schemas import (
     PoseResponse,
     Probability,
 )
+from app.tracking.results import EventName, EventState
+from app.tracking.video_run import VideoEndReason
+from app.tracking.zones import ZoneKind
 from index.posture import Posture as PostureLabel
-
-EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end", "instant"]
-ZoneKind = Literal["rest", "watch"]
-SequenceEndReason = Literal[
-    "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
-]
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock says in seconds, earlier than today in milliseconds."""
@@ -304,7 +300,7 @@ class SequenceEnd(Model):
     """The last line of a video's answer."""
 
     type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
-    reason: SequenceEndReason = Field(
+    reason: VideoEndReason = Field(
         description="`complete`: the video's end; `max_frames`: as many as were asked for or are "
         "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
         "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",

@@ -11,10 +11,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from app.estimation.upload import UploadError
-from app.http.problems import SEARCH_FAILED, ProblemError, busy, overloaded, problem_response
+from app.http.problems import ProblemError, busy, overloaded, problem_response
 from app.http.request_context import note_rejection
 from app.http.routing import RouteTable
-from app.messages import expected_and_got, shortened
+from app.messages import SEARCH_FAILED, expected_and_got, shortened
 from app.scheduling.job import BusyError, ClientGoneError
 from app.tracking.session import LateFrameError
 from app.video.reader import VideoError

@@ -14,8 +14,6 @@ from app.scheduling.job import BusyError
 
 MEDIA_TYPE = "application/problem+json"
 
-SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
-
 
 class ProblemError(Exception):
     """An answer other than success, raised where it is found.

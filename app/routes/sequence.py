@@ -1,12 +1,13 @@
-"""Videos: answered line by line while they are worked on."""
+"""Videos, answered line by line while they are processed."""
 
 from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import IO, Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -15,12 +16,10 @@ from starlette.datastructures import UploadFile
 from starlette.types import Message, Receive, Scope, Send
 
 from app.api.replies import ReplyForm
-from app.api.schemas import Evidence
 from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
-from app.api.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
-from app.estimation.upload import Upload
+from app.api.tracking_schemas import SequenceLine, VideoUpload
 from app.http.identity import sender_of
-from app.http.problems import SEARCH_FAILED, ProblemError, overloaded
+from app.http.problems import ProblemError, overloaded
 from app.http.request_context import is_ending, note_rejection
 from app.messages import WHOLE_NUMBER
 from app.routes.auth import RequireKey
@@ -36,14 +35,11 @@ from app.routes.uploads import (
     is_video,
     unsupported_body,
 )
-from app.scheduling.job import DeadlineError, Job
-from app.scheduling.queue import Sender
-from app.serving.runtime import Runtime, runtime_of
+from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
-from app.tracking.summary import SequenceSummary
-from app.video.reader import VideoError, VideoFrame, VideoReader, new_file, open_video
-from index.search import UnavailableError
+from app.tracking.video_run import VideoRun
+from app.video.reader import VideoFrame, VideoReader, new_file, open_video
 from index.skeleton import KEYPOINT_SETS
 
 PATH = "/sequence"
@@ -188,111 +184,36 @@ async def analyse_sequence(
     which says why it ends there. Live frames of cameras have their turn in between.
     """
     runtime = runtime_of(request)
-    most = runtime.settings.max_sequence_frames
+    settings, metrics = runtime.settings, runtime.metrics
+    most = settings.max_sequence_frames
     if max_frames is not None and max_frames > most:
         raise ProblemError(
             422, f"max_frames: expected at most {most}, got {max_frames}", field="max_frames"
         )
-    sequence = _Sequence(
-        runtime,
-        sender_of(request.scope, runtime.settings),
+    estimator = runtime.ready_estimator()
+    form = ReplyForm(KEYPOINT_SETS[keypoints], joints=joints)
+    run = VideoRun(
+        CameraSession(estimator),
+        runtime.executor,
+        sender_of(request.scope, settings),
+        kind=PATH,
         n=n,
         evidence=evidence,
-        form=ReplyForm(KEYPOINT_SETS[keypoints], joints=joints),
         max_frames=max_frames or most,
+        timeout_s=settings.sequence_timeout_s,
     )
-    return LineStream(sequence.lines(video, lambda: is_ending(request.scope)))
 
+    def write(tracked: TrackedFrame, number: int) -> bytes:
+        metrics.observe_stages(tracked.timings_ms)
+        metrics.observe_persons(person.person for person in tracked.persons)
+        return sequence_line(sequence_frame_reply(tracked, number, estimator.index, form))
 
-class _Sequence:
-    """Works on the frames of a video, one after the other.
-
-    Parameters
-    ----------
-    runtime : Runtime
-    sender : Sender
-        Whose turn its frames take.
-    n : int
-    evidence : str
-    form : ReplyForm
-    max_frames : int
-    """
-
-    def __init__(
-        self,
-        runtime: Runtime,
-        sender: Sender,
-        *,
-        n: int,
-        evidence: Evidence,
-        form: ReplyForm,
-        max_frames: int,
-    ) -> None:
-        self._runtime, self._sender = runtime, sender
-        self._n, self._evidence, self._form = n, evidence, form
-        self._max_frames = max_frames
-        self._estimator = runtime.ready_estimator()
-        self._session = CameraSession(self._estimator)
-        self._summary = SequenceSummary()
-        self._timeout_s = runtime.settings.sequence_timeout_s
-        self._deadline = asyncio.get_running_loop().time() + self._timeout_s
-
-    async def lines(self, video: _OpenVideo, is_ending: Callable[[], bool]) -> AsyncIterator[bytes]:
-        """Yield a line for each frame, and the last one.
-
-        Parameters
-        ----------
-        video : _OpenVideo
-        is_ending : callable
-            Whether the service is being stopped.
-        """
-        frame: VideoFrame | None = video.first
-        try:
-            while frame is not None:
-                if is_ending():
-                    yield self._end("shutdown", "the service is being stopped")
-                    return
-                if self._summary.frames == self._max_frames:
-                    yield self._end("max_frames", f"there are more than {self._max_frames} frames")
-                    return
-                async with asyncio.timeout_at(self._deadline):
-                    line = await self._work_on(frame)
+    async def lines() -> AsyncIterator[bytes]:
+        ending = partial(is_ending, request.scope)
+        async with aclosing(run.lines(video.first, video.reader, write, ending)) as frames:
+            async for line in frames:
                 yield line
-                async with asyncio.timeout_at(self._deadline):
-                    frame = await video.reader.next()
-        except TimeoutError:
-            yield self._end("timeout", f"the video took longer than {self._timeout_s:g} seconds")
-        except DeadlineError as error:
-            yield self._end("timeout", str(error))
-        except VideoError as error:
-            yield self._end("broken", str(error))
-        except UnavailableError:
-            yield self._end("unavailable", SEARCH_FAILED)
-        else:
-            yield self._end("complete", f"the video ended after {self._summary.frames} frames")
+        assert run.end is not None
+        yield sequence_line(sequence_end_reply(run.summary, run.end))
 
-    async def _work_on(self, frame: VideoFrame) -> bytes:
-        """Work on a frame once there is room for it, and return its line."""
-
-        def work(job: Job) -> tuple[TrackedFrame, bytes]:
-            tracked = self._session.process(
-                Upload(frame.pixels), frame.timestamp, self._n, job, self._evidence
-            )
-            self._runtime.metrics.observe_stages(tracked.timings_ms)
-            self._runtime.metrics.observe_persons(person.person for person in tracked.persons)
-            reply = sequence_frame_reply(tracked, frame.number, self._estimator.index, self._form)
-            return tracked, sequence_line(reply)
-
-        tracked, line = await self._runtime.executor.run(
-            work, _until_cancelled, sender=self._sender, kind=PATH, patient=True
-        )
-        self._summary.add(tracked)
-        return line
-
-    def _end(self, reason: SequenceEndReason, detail: str) -> bytes:
-        return sequence_line(sequence_end_reply(self._summary, reason, detail))
-
-
-async def _until_cancelled() -> None:
-    """Wait: if the client hangs up, the whole answer is cancelled."""
-    await asyncio.Event().wait()
+    return LineStream(lines())

@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 from app.estimation.facing import Facing
 from app.estimation.posture import EstimatedPosture, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
-from app.tracking.action_features import RATE_HZ, Measured, action_features
 from app.tracking.actions import (
+    RATE_HZ,
     ActionModel,
     ActionRecogniser,
+    PoseSample,
+    action_features,
     posture_factors,
     shipped_model,
     window_features,
 )
 from app.tracking.ground_motion import STILL
+from app.tracking.parameters import DEFAULTS
 from app.tracking.results import RecognisedAction, SmoothedPose
-from app.tracking.smoothing import SURE_PX, Smoothed
+from app.tracking.smoothing import Smoothed
 from app.vision.geometry import Box
 from index.matching import Hypothesis
 from index.posture import POSTURES, Posture, camera_up
@@ -31,6 +34,7 @@ from index.store import Label
 from tests.conftest import stick_figure
 
 PX_PER_M = 80.0
+FULL_WEIGHT_PX = DEFAULTS.actions.full_weight_px
 UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -110,10 +114,10 @@ def test_features_tell_tempo_and_travel() -> None:
 
 
 def test_features_do_not_change_with_the_frame_rate() -> None:
-    def measured(hz: float) -> list[Measured]:
+    def measured(hz: float) -> list[PoseSample]:
         poses = swinging(3, hz, speed=0.4)
         return [
-            Measured(number / hz, pose, np.zeros(2), PX_PER_M, 10.0)
+            PoseSample(number / hz, pose, np.zeros(2), PX_PER_M, 10.0)
             for number, pose in enumerate(poses)
         ]
 
@@ -136,7 +140,8 @@ def test_labels_that_the_model_does_not_know_leave_it_undecided(undecided: Actio
 
 
 @pytest.mark.parametrize(
-    ("height", "best"), [(2 * SURE_PX, "punch"), (SURE_PX, "punch"), (SURE_PX / 8, "stand")]
+    ("height", "best"),
+    [(2 * FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX / 8, "stand")],
 )
 def test_limbs_of_small_people_tell_little(
     undecided: ActionModel, height: float, best: str

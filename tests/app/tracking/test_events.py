@@ -7,11 +7,13 @@ from collections.abc import Iterable
 import pytest
 
 from app.estimation.posture import vote_posture
-from app.tracking.events import STAYS_DOWN_S, EventDetector, Trust
+from app.tracking.events import EventDetector, Reliability
+from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event
 from index.posture import Posture
 
 FPS = 10
+STAYS_DOWN_S = DEFAULTS.events.stays_down_s
 
 
 def watch(
@@ -30,7 +32,7 @@ def watch(
             other: Posture = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
             events += detector.update(
-                7, frame / fps, shares, Trust(confidence, confidence), rests=rests
+                7, frame / fps, shares, Reliability(confidence, confidence), rests=rests
             )
             frame += 1
     return events
@@ -105,6 +107,6 @@ def test_who_crawls_out_of_bed_and_stays_down_is_told() -> None:
     events: list[Event] = []
     for frame in range(100):
         lying = vote_posture(["lying", "bending"], [0.9, 0.1])
-        events += detector.update(7, frame / FPS, lying, Trust(1.0, 1.0), rests=frame < 50)
+        events += detector.update(7, frame / FPS, lying, Reliability(1.0, 1.0), rests=frame < 50)
     assert told(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from app.tracking.ground_motion import STILL, GroundVelocity
-from app.tracking.heading import BESIDE_DEG, HeadingFilter, Turn
+from app.tracking.heading import Heading, HeadingFilter
+from app.tracking.parameters import DEFAULTS
 
+BESIDE_DEG = DEFAULTS.heading.min_turned_deg
 TO_THE_LEFT = GroundVelocity(-1.2, 0.0, 1.2)
 
 
 def follow(
     azimuths_deg: Sequence[float], velocity: GroundVelocity = STILL, step_s: float = 0.1
-) -> list[Turn]:
+) -> list[Heading]:
     turns = HeadingFilter()
     return [
         turns.update(step_s * number, np.array([azimuth]), np.ones(1), 0.0, velocity)
@@ -51,7 +53,7 @@ def test_people_go_where_they_face() -> None:
         turn = turns.update(
             0.1 * number, np.array([90.0, -90.0]), np.full(2, 0.5), 0.0, TO_THE_LEFT
         )
-    ahead, behind = turn.log_likelihood(np.array([90.0, -90.0]))
+    ahead, behind = turn.log_likelihood(np.array([90.0, -90.0]), 20.0)
     assert ahead > behind + 1
 
 
@@ -65,5 +67,5 @@ def test_people_go_where_they_face() -> None:
 def test_the_nearest_azimuth_of_a_side(
     front: bool, azimuth_deg: float, expected_deg: float
 ) -> None:
-    turn = Turn(np.full(36, 1 / 36), front)
-    assert turn.on_its_side(azimuth_deg) == pytest.approx(expected_deg)
+    heading = Heading(np.full(36, 1 / 36), front)
+    assert heading.on_visible_side(azimuth_deg, BESIDE_DEG) == pytest.approx(expected_deg)

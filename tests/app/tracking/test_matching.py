@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import ObservedPerson
-from app.tracking.box_filter import MotionFilter
 from app.tracking.matching import appearance_distance, appearance_histogram, associate
-from app.tracking.track import Sighting, Track
+from app.tracking.track import BoxFilter, Sighting, Track
 from app.vision.geometry import Box, Silhouette
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
@@ -30,28 +29,28 @@ def walking(x: float, speed: float, appearance: NDArray[np.float32] | None = Non
     return track
 
 
-class TestMotionFilter:
+class TestBoxFilter:
     def test_learns_the_velocity(self) -> None:
         track = walking(200, 60)
-        assert track.motion.velocity[0] == pytest.approx(60, rel=0.15)
-        assert track.motion.velocity[1] == pytest.approx(0, abs=1e-9)
-        expected = track.motion.predict(1.1)
+        assert track.box_filter.velocity[0] == pytest.approx(60, rel=0.15)
+        assert track.box_filter.velocity[1] == pytest.approx(0, abs=1e-9)
+        expected = track.box_filter.predict(1.1)
         assert expected.x == pytest.approx(206, abs=2)
         assert (expected.width, expected.height) == (30, 80)
 
     def test_somebody_unseen_is_not_expected_ever_farther_away(self) -> None:
         track = walking(200, 60)
-        assert track.motion.predict(100.0).x < 200 + 1.3 * 60
+        assert track.box_filter.predict(100.0).x < 200 + 1.3 * 60
 
     def test_the_size_does_not_shrink_where_a_part_is_hidden(self) -> None:
-        motion = MotionFilter(Box(100, 100, 30, 80), 0.0)
+        motion = BoxFilter(Box(100, 100, 30, 80), 0.0)
         motion.update(Box(100, 140, 30, 40), 0.1, whole=False)
         assert motion.predict(0.1).height == 80
         motion.update(Box(100, 100, 30, 90), 0.2, whole=False)
         assert 80 < motion.predict(0.2).height < 90
 
     def test_frames_far_apart_do_not_overshoot(self) -> None:
-        motion = MotionFilter(Box(100, 100, 30, 80), 0.0)
+        motion = BoxFilter(Box(100, 100, 30, 80), 0.0)
         motion.update(Box(150, 100, 30, 80), 5.0, whole=True)
         assert motion.velocity[0] == pytest.approx(10)
 

@@ -16,7 +16,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
 from app.scheduling.job import DeadlineError, Job
 from app.tracking.actions import shipped_model
-from app.tracking.detection import SEARCH_EVERY_S
+from app.tracking.parameters import DEFAULTS
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession, LateFrameError
 from app.vision.blazepose import LANDMARK_PX, Reading
@@ -160,7 +160,7 @@ def test_everybody_is_read_on_every_frame_and_the_whole_frame_searched_every_so_
             assert observed.silhouette is not None and observed.landmarks is not None
             assert observed.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
             assert len(tracked.person.hypotheses) == 3
-    assert detector.whole == 1 + 1 // SEARCH_EVERY_S
+    assert detector.whole == 1 + 1 // DEFAULTS.detection.search_every_s
 
 
 def test_a_detection_that_holds_more_than_the_body_moves_nobody(

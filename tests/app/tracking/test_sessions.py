@@ -32,6 +32,7 @@ class FakeSession:
         n: int,
         job: Job,
         evidence: str,
+        zones: object,
     ) -> TrackedFrame:
         job.checkpoint()
         self.while_working()

@@ -7,8 +7,9 @@ import pytest
 
 from app.estimation.posture import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
+from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.tracking.summary import LONGEST_GAP_S, SequenceSummary
+from app.tracking.summary import VideoSummary
 from app.vision.geometry import Box
 from index.posture import Posture
 
@@ -21,8 +22,8 @@ def person(
     return TrackedPerson(Person(observed, None, voted, ()), track_id, 1, None, action)
 
 
-def summarised(*frames: tuple[float, list[TrackedPerson]]) -> SequenceSummary:
-    summary = SequenceSummary()
+def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
+    summary = VideoSummary()
     for index, (timestamp, persons) in enumerate(frames):
         event = Event("entered", index + 1, "instant", timestamp, 1.0)
         summary.add(
@@ -69,7 +70,7 @@ def test_a_posture_lasts_until_the_next_frame() -> None:
 
 def test_nobody_keeps_a_posture_while_unseen_for_long() -> None:
     summary = summarised(
-        (0.0, [person(1, "walking")]), (LONGEST_GAP_S + 0.1, [person(1, "walking")])
+        (0.0, [person(1, "walking")]), (DEFAULTS.summary.max_gap_s + 0.1, [person(1, "walking")])
     )
     assert summary.tracks[1].postures() == [("walking", 0.0)]
 
