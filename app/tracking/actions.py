@@ -194,7 +194,6 @@ class ActionRecogniser:
     ----------
     model : ActionModel, optional
         The shipped one by default.
-    parameters : TrackingParameters
     """
 
     def __init__(
@@ -257,15 +256,14 @@ class ActionRecogniser:
         """The likeliest action of the window, if it is likely enough."""
         features = window_features([sample for sample, _ in self._window], self._ground)
         votes = np.mean([votes for _, votes in self._window], axis=0)
-        if posture is None:
-            probabilities = self._model.probabilities(features, votes, 1.0, self._parameters)
-        else:
+        clarity, factors = 1.0, np.ones(len(self._model.actions))
+        if posture is not None:
             clarity = min(1.0, person.observed.whole_box.height / self._parameters.full_weight_px)
-            probabilities = self._model.probabilities(features, votes, clarity, self._parameters)
-            probabilities = probabilities * posture_factors(
-                self._model.actions, posture, self._parameters
-            )
-            probabilities /= probabilities.sum()
+            factors = posture_factors(self._model.actions, posture, self._parameters)
+        probabilities = factors * self._model.probabilities(
+            features, votes, clarity, self._parameters
+        )
+        probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
         if probabilities[best] < CLEAR_FROM:
             return None

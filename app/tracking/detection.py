@@ -26,18 +26,10 @@ from app.vision.silhouettes import silhouettes_of
 
 @dataclass(frozen=True)
 class _Target:
-    """A person to read: a detection, or a track whose person no detection shows.
+    """A person to read: a detection, or a track whose person no detection shows."""
 
-    Parameters
-    ----------
-    detection : Detection
-        Of a track, its predicted box and its window.
-    track : Track or None
-        None for a detection.
-    """
-
-    detection: Detection
-    track: Track | None
+    detection: Detection  # Of a track, its predicted box and its window.
+    track: Track | None  # None for a detection.
 
 
 class TrackedPeopleDetector:
@@ -47,7 +39,6 @@ class TrackedPeopleDetector:
     ----------
     finder : PeopleFinder
         Its detector and its reader are used.
-    parameters : TrackingParameters
     """
 
     def __init__(self, finder: PeopleFinder, parameters: TrackingParameters = DEFAULTS) -> None:

@@ -61,8 +61,7 @@ def associate(
 
     Parameters
     ----------
-    tracks : sequence of Track
-    sightings : sequence of Sighting
+    tracks, sightings : sequences of Track and Sighting
     timestamp : float
         Seconds, of the sightings.
 
@@ -73,16 +72,16 @@ def associate(
     """
     if not tracks or not sightings:
         return [None] * len(sightings)
-    costs = association_costs(tracks, sightings, timestamp, parameters)
+    costs = _costs(tracks, sightings, timestamp, parameters)
     _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=parameters.max_cost)
     return [int(row) if row >= 0 else None for row in assigned]
 
 
-def association_costs(
+def _costs(
     tracks: Sequence[Track],
     sightings: Sequence[Sighting],
     timestamp: float,
-    parameters: MatchingParameters = DEFAULTS.matching,
+    parameters: MatchingParameters,
 ) -> NDArray[np.float64]:
     """Costs ``(T, S)`` of all pairs, above the maximum where both cannot be the same person."""
     costs = np.full((len(tracks), len(sightings)), 10 * parameters.max_cost)
@@ -99,20 +98,17 @@ def association_costs(
             in_window = sighting.track is track
             if not in_window and (away > reach or growth > 1):
                 continue
+            appearance = parameters.unknown_appearance
+            if track.appearance is not None and sighting.appearance is not None:
+                appearance = appearance_distance(track.appearance, sighting.appearance)
             cost = (
                 parameters.place_weight * min(1.0, away / reach)
                 + parameters.overlap_weight * (1 - predicted.iou(box))
                 + parameters.size_weight * min(1.0, growth)
-                + parameters.appearance_weight * _appearance_cost(track, sighting, parameters)
+                + parameters.appearance_weight * appearance
             )
             costs[row, column] = parameters.window_factor * cost if in_window else cost
     return costs
-
-
-def _appearance_cost(track: Track, sighting: Sighting, parameters: MatchingParameters) -> float:
-    if track.appearance is None or sighting.appearance is None:
-        return parameters.unknown_appearance
-    return appearance_distance(track.appearance, sighting.appearance)
 
 
 def _growth(before: Box, after: Box) -> float:

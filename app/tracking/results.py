@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from index.skeleton import POINTS
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end", "instant"]
@@ -36,13 +35,6 @@ class SmoothedPose:
     points_2d: NDArray[np.float64]
     confidence: float
     entry: int
-
-    def __post_init__(self) -> None:
-        if self.points_3d.shape != (POINTS, 3) or self.points_2d.shape != (POINTS, 2):
-            raise ValueError(
-                f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
-                f"got {self.points_3d.shape} and {self.points_2d.shape}"
-            )
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,6 @@ class CameraSession:
         Finds people and estimates their poses.
     clock : callable
         Seconds, for frames without a timestamp.
-    parameters : TrackingParameters
     """
 
     def __init__(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from app.estimation.estimator import Estimator
@@ -63,17 +63,7 @@ class SessionSummary:
 
 @dataclass(frozen=True)
 class CameraSummary:
-    """A camera that has a session or zones.
-
-    Parameters
-    ----------
-    camera_id : str
-        Name of the camera.
-    zones : tuple of Zone
-        As the caller set them.
-    session : SessionSummary or None
-        None where there is no session.
-    """
+    """A camera that has a session or zones."""
 
     camera_id: str
     zones: tuple[Zone, ...]
@@ -88,28 +78,25 @@ class _OpenSession:
         self.estimator = estimator
         self.busy = True
         self._first = self.last = now
-        self.memory_bytes = 0
 
     def note(self, frame: TrackedFrame, now: float) -> None:
         """Summarise the newest frame."""
+        height, width = frame.frame.shape[:2]
         self.last = now
         self.memory_bytes = self.session.memory_bytes
-        self._frames = frame.frame_index + 1
-        self._timestamp = frame.timestamp
-        self._height, self._width = frame.frame.shape[:2]
-        self._track_ids = tuple(person.track_id for person in frame.persons)
-
-    def summary(self, now: float) -> SessionSummary:
-        return SessionSummary(
-            frames=self._frames,
-            timestamp=self._timestamp,
-            width=self._width,
-            height=self._height,
-            track_ids=self._track_ids,
+        self._newest = SessionSummary(
+            frames=frame.frame_index + 1,
+            timestamp=frame.timestamp,
+            width=width,
+            height=height,
+            track_ids=tuple(person.track_id for person in frame.persons),
             age_s=now - self._first,
-            idle_s=now - self.last,
+            idle_s=0.0,
             memory_bytes=self.memory_bytes,
         )
+
+    def summary(self, now: float) -> SessionSummary:
+        return replace(self._newest, age_s=now - self._first, idle_s=now - self.last)
 
 
 class CameraSessions:
@@ -282,20 +269,18 @@ class CameraSessions:
 
     def _end_idle(self) -> None:
         since = self._clock() - self._idle_s
-        for key in [
-            k for k, opened in self._open.items() if opened.last < since and not opened.busy
-        ]:
-            self._end(key, "idle")
+        for key, opened in list(self._open.items()):
+            if opened.last < since and not opened.busy:
+                self._end(key, "idle")
 
     def _shrink(self) -> None:
         """End sessions until the limits hold or all others are busy."""
         while len(self._open) > self._max_sessions and self._end_oldest("number"):
             pass
-        while self._memory_bytes() > self._max_memory_bytes and self._end_oldest("memory"):
+        while sum(
+            opened.memory_bytes for opened in self._open.values()
+        ) > self._max_memory_bytes and self._end_oldest("memory"):
             pass
-
-    def _memory_bytes(self) -> int:
-        return sum(opened.memory_bytes for opened in self._open.values())
 
     def _end_oldest(self, reason: EndReason) -> bool:
         idle = {key: opened for key, opened in self._open.items() if not opened.busy}

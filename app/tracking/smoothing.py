@@ -67,58 +67,16 @@ class Smoothed:
 
 
 @dataclass(frozen=True)
-class _States:
-    """The states of a frame and their probabilities.
-
-    Parameters
-    ----------
-    timestamp : float
-        Seconds.
-    points_3d : (N, 24, 3) float64 array
-        Camera axes, metres, origin at the pelvis.
-    confidences : (N,) float64 array
-        Of the hypotheses.
-    log_emission : (N,) float64 array
-        Log likelihoods given the frame, less a constant.
-    log_forward : (N,) float64 array
-        Log probabilities given all frames up to this one, less a constant.
-    log_moves : (M, N) float64 array or None
-        Log probabilities of moving from each state of the frame before; None for the first.
-    """
-
-    timestamp: float
-    points_3d: NDArray[np.float64]
-    confidences: NDArray[np.float64]
-    log_emission: NDArray[np.float64]
-    log_forward: NDArray[np.float64]
-    log_moves: NDArray[np.float64] | None
-
-
-@dataclass(frozen=True)
 class _Frame:
-    """A frame's hypotheses as arrays, best first, and how clearly they are seen.
-
-    Parameters
-    ----------
-    hypotheses : sequence of ProjectedHypothesis
-    points_3d : (N, 24, 3) float64 array
-        Camera axes, metres, origin at the pelvis.
-    points_2d : (N, 24, 2) float64 array
-        Pixels of the frame.
-    confidences : (N,) float64 array
-        Of the hypotheses.
-    distances : (N,) float64 array or None
-        By silhouette and landmarks; None where no landmarks were read.
-    clarity : float
-        How far landmarks count, 0 to 1; 0 where none were read.
-    """
+    """A frame's N hypotheses as arrays, best first, and how clearly they are seen."""
 
     hypotheses: Sequence[ProjectedHypothesis]
-    points_3d: NDArray[np.float64]
-    points_2d: NDArray[np.float64]
-    confidences: NDArray[np.float64]
+    points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
+    points_2d: NDArray[np.float64]  # (N, 24, 2): pixels of the frame.
+    confidences: NDArray[np.float64]  # (N,)
+    # (N,), by silhouette and landmarks; None where no landmarks were read.
     distances: NDArray[np.float64] | None
-    clarity: float
+    clarity: float  # How far landmarks count, 0 to 1; 0 where none were read.
 
     @classmethod
     def of(cls, person: Person, parameters: SmoothingParameters) -> _Frame:
@@ -145,6 +103,19 @@ class _Frame:
                 (self.distances + 1e-9) / (self.distances.min() + 1e-9)
             )
         return result
+
+
+@dataclass(frozen=True)
+class _States:
+    """The N states of a frame, and their log probabilities, each less a constant."""
+
+    timestamp: float
+    points_3d: NDArray[np.float64]  # (N, 24, 3), as those of the frame.
+    confidences: NDArray[np.float64]  # (N,), of the hypotheses.
+    log_emission: NDArray[np.float64]  # (N,), given the frame.
+    log_forward: NDArray[np.float64]  # (N,), given all frames up to this one.
+    # (M, N), of moving from the states of the frame before; None for the first.
+    log_moves: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True)
@@ -281,19 +252,11 @@ class PoseSmoother:
             log_moves = self._log_moves(last, frame.points_3d, timestamp)
             log_forward = log_emission + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
+        points_3d, confidences, clarity = frame.points_3d, frame.confidences, frame.clarity
         self._states.append(
-            _States(
-                timestamp,
-                frame.points_3d,
-                frame.confidences,
-                log_emission,
-                log_forward,
-                log_moves,
-            )
+            _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
-        line_s = (
-            frame.clarity * parameters.landmark_line_s + (1 - frame.clarity) * parameters.line_s
-        )
+        line_s = clarity * parameters.landmark_line_s + (1 - clarity) * parameters.line_s
         # The frame before stays, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
             self._states.popleft()
@@ -325,16 +288,16 @@ class PoseSmoother:
             smoothed_3d = self._kept_on_visible_side(smoothed_3d, heading)
         nearness = self._nearness(frame.points_3d, log_forward)
         agreement_odds = log_odds(float(probabilities @ nearness))
+        odds = (
+            self._parameters.confidence_offset
+            + self._parameters.hypotheses_weight * hypotheses_odds
+            + self._parameters.agreement_weight * agreement_odds
+        )
+        weights = self._weights_near_best(frame.points_3d, log_forward)
         pose = SmoothedPose(
             smoothed_3d,
-            np.einsum(
-                "n,npd->pd", self._weights_near_best(frame.points_3d, log_forward), frame.points_2d
-            ),
-            probability_of(
-                self._parameters.confidence_offset
-                + self._parameters.hypotheses_weight * hypotheses_odds
-                + self._parameters.agreement_weight * agreement_odds
-            ),
+            np.einsum("n,npd->pd", weights, frame.points_2d),
+            probability_of(odds),
             frame.hypotheses[int(probabilities.argmax())].hypothesis.entry,
         )
         return pose, (hypotheses_odds, agreement_odds)

@@ -51,7 +51,6 @@ class BoxFilter:
         The first.
     timestamp : float
         Seconds.
-    parameters : BoxParameters
     """
 
     def __init__(
@@ -116,7 +115,6 @@ class Track:
         The first.
     timestamp : float
         Seconds.
-    parameters : TrackingParameters
     """
 
     def __init__(

@@ -38,15 +38,11 @@ class VideoRun:
     session : CameraSession
         A new one.
     executor : Executor
-        Where frames are processed, in turn with those of others.
-    sender : Sender
-        Whose turn they take.
-    kind : str
-        Kind of frames, by which the executor estimates how long they take.
-    n : int
-        Hypotheses of each person.
-    evidence : str
-        As in :meth:`app.estimation.estimator.Estimator.estimate`.
+        Where frames are processed, in turn with those of other senders.
+    sender, kind
+        As in :meth:`app.scheduling.executor.Executor.run`.
+    n, evidence
+        As in :meth:`app.tracking.session.CameraSession.process`.
     max_frames : int
         Frames that are processed at most.
     timeout_s : float
@@ -99,8 +95,12 @@ class VideoRun:
         frame: VideoFrame | None = first
         try:
             while frame is not None:
-                self.end = self._end_before_next(is_ending())
-                if self.end is not None:
+                if is_ending():
+                    self.end = VideoEnd("shutdown", "the service is being stopped")
+                    return
+                if self.summary.frames == self._max_frames:
+                    detail = f"there are more than {self._max_frames} frames"
+                    self.end = VideoEnd("max_frames", detail)
                     return
                 async with asyncio.timeout_at(self._deadline):
                     line = await self._process(frame, write)
@@ -119,13 +119,6 @@ class VideoRun:
         else:
             detail = f"the video ended after {self.summary.frames} frames"
             self.end = VideoEnd("complete", detail)
-
-    def _end_before_next(self, is_ending: bool) -> VideoEnd | None:
-        if is_ending:
-            return VideoEnd("shutdown", "the service is being stopped")
-        if self.summary.frames == self._max_frames:
-            return VideoEnd("max_frames", f"there are more than {self._max_frames} frames")
-        return None
 
     async def _process(
         self, frame: VideoFrame, write: Callable[[TrackedFrame, int], bytes]

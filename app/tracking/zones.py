@@ -22,10 +22,8 @@ class Zone:
 
     Parameters
     ----------
-    name : str
-        Chosen by the caller.
-    kind : str
-        ``rest`` or ``watch``.
+    name, kind : str
+        As the caller chose them.
     polygon : (P, 2) float64 array
         Its corners in order, in pixels of the frame; it may reach beyond the frame.
     """
