@@ -79,12 +79,12 @@ def recognise(
 
 @pytest.fixture(scope="module")
 def undecided() -> ActionModel:
-    """Two actions that no feature tells apart: the votes decide."""
+    """Two actions with the same features: the votes decide."""
     size = len(action_features(swinging(2), UP, path_of(swinging(2))))
     return ActionModel(("run", "walk"), np.zeros((2, size)), np.zeros(2), 1.0)
 
 
-def test_features_do_not_change_with_the_camera() -> None:
+def test_features_are_the_same_from_any_camera() -> None:
     poses = swinging(3)
     expected = action_features(poses, UP, path_of(poses))
     for azimuth_deg, elevation_deg in ((90, 0), (200, 35)):
@@ -93,7 +93,7 @@ def test_features_do_not_change_with_the_camera() -> None:
         np.testing.assert_allclose(seen, expected, atol=2e-5)
 
 
-def test_features_do_not_tell_left_from_right_nor_small_from_large() -> None:
+def test_features_are_the_same_for_mirrored_and_larger_bodies() -> None:
     poses = swinging(3)
     expected = action_features(poses, UP, path_of(poses))
     np.testing.assert_allclose(
@@ -104,7 +104,7 @@ def test_features_do_not_tell_left_from_right_nor_small_from_large() -> None:
     )
 
 
-def test_features_tell_tempo_and_travel() -> None:
+def test_features_show_tempo_and_travel() -> None:
     poses = swinging(3)
     slow = action_features(poses, UP, path_of(poses))
     assert np.abs(action_features(swinging(3, speed=2.0), UP, path_of(poses)) - slow).max() > 0.3
@@ -113,7 +113,7 @@ def test_features_tell_tempo_and_travel() -> None:
     assert np.isclose(np.abs(changed).max(), np.sqrt(1.5), atol=1e-6)
 
 
-def test_features_do_not_change_with_the_frame_rate() -> None:
+def test_features_hardly_change_with_the_frame_rate() -> None:
     def measured(hz: float) -> list[PoseSample]:
         poses = swinging(3, hz, speed=0.4)
         return [
@@ -126,7 +126,7 @@ def test_features_do_not_change_with_the_frame_rate() -> None:
     assert np.abs(coarse - fine).mean() < 0.02
 
 
-def test_an_action_is_told_after_a_second(undecided: ActionModel) -> None:
+def test_an_action_is_recognised_after_a_second(undecided: ActionModel) -> None:
     answers = recognise(undecided, [frame / RATE_HZ for frame in range(20)])
     assert [answer is None for answer in answers] == [True] * 10 + [False] * 10
     assert answers[-1] is not None and answers[-1].label == "walk"
@@ -134,7 +134,7 @@ def test_an_action_is_told_after_a_second(undecided: ActionModel) -> None:
     assert answers[-1].probability == pytest.approx(1 / 1.02, abs=1e-3)
 
 
-def test_labels_that_the_model_does_not_know_leave_it_undecided(undecided: ActionModel) -> None:
+def test_unknown_labels_leave_the_model_undecided(undecided: ActionModel) -> None:
     answer = recognise(undecided, [frame / RATE_HZ for frame in range(20)], "swordplay")[-1]
     assert answer is not None and answer.probability == pytest.approx(0.5)
 
@@ -143,24 +143,24 @@ def test_labels_that_the_model_does_not_know_leave_it_undecided(undecided: Actio
     ("height", "best"),
     [(2 * FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX / 8, "stand")],
 )
-def test_limbs_of_small_people_tell_little(
+def test_limbs_of_small_people_count_little(
     undecided: ActionModel, height: float, best: str
 ) -> None:
-    """Of them posture decides, and what people mostly do."""
+    """Posture decides instead, and how common an action is."""
     size = undecided.weights.shape[1]
     model = ActionModel(
         ("punch", "stand", "walk"), np.zeros((3, size)), np.array([3.0, 0.0, 0.0]), 0.0
     )
-    recogniser, told = ActionRecogniser(model), None
+    recogniser, result = ActionRecogniser(model), None
     box = Box(0, 0, height / 2, height)
     for step, pose in enumerate(swinging(2)):
         one = person("walk")
         one = replace(one, observed=replace(one.observed, box=box))
-        told = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
-    assert told is not None and told.label == best
+        result = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
+    assert result is not None and result.label == best
 
 
-def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:
+def test_after_a_gap_the_window_starts_afresh(undecided: ActionModel) -> None:
     times = [frame / RATE_HZ for frame in range(15)]
     times += [10 + frame / RATE_HZ for frame in range(15)]
     answers = recognise(undecided, times)
@@ -168,7 +168,7 @@ def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:
     assert all(answer is None for answer in answers[15:25]) and answers[-1] is not None
 
 
-def test_the_shipped_model_knows_a_body_that_stands_still() -> None:
+def test_the_shipped_model_recognises_standing() -> None:
     pose = np.repeat(swinging(0.1), 30, axis=0)
     pose[:, 6:8] = pose[:, 5:6] + np.array([[0.02, -0.28, 0], [0.02, -0.54, 0]])
     pose[:, 9:11] = pose[:, 8:9] + np.array([[-0.02, -0.28, 0], [-0.02, -0.54, 0]])
@@ -201,7 +201,7 @@ def one_hot(posture: Posture) -> EstimatedPosture:
     return EstimatedPosture(posture, 1.0, shares)
 
 
-def test_no_action_is_told_that_is_less_likely_than_not(undecided: ActionModel) -> None:
+def test_no_action_is_less_likely_than_not(undecided: ActionModel) -> None:
     size = undecided.weights.shape[1]
     model = ActionModel(("walk", "sit", "lie"), np.zeros((3, size)), np.zeros(3), 0.0)
     assert set(recognise(model, [0.1 * step for step in range(20)])) == {None}
