@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.api.replies import LEAST_SCORE
+from app.api.replies import MIN_SCORE
 from app.estimation.estimator import Estimator
 from app.estimation.results import Person
 from app.estimation.upload import Upload
@@ -99,7 +99,7 @@ def best_score(found: Sequence[Person], truth: dict[str, Any], names: list[str])
         read = 0.0
         if landmarks is not None:
             own = [LANDMARK_NAMES.index(name) for name in LIMBS]
-            read = within(landmarks.positions[own], landmarks.visibility[own] >= LEAST_SCORE)
+            read = within(landmarks.positions[own], landmarks.visibility[own] >= MIN_SCORE)
         first = within(person.hypotheses[0].points_2d[_ROWS]) if person.hypotheses else 0.0
         best = max(best, (1.0, read, first), key=lambda one: one[1] + one[2] + one[0] / 1e3)
     return best

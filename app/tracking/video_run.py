@@ -132,7 +132,7 @@ class VideoRun:
             return tracked, write(tracked, frame.number)
 
         tracked, line = await self._executor.run(
-            work, _until_cancelled, sender=self._sender, kind=self._kind, patient=True
+            work, _until_cancelled, sender=self._sender, kind=self._kind, unbounded_wait=True
         )
         self.summary.add(tracked)
         return line

@@ -5,6 +5,9 @@ origin at the centre of the top-left pixel, x right, y down.
 """
 
 import os
+from typing import Literal
+
+DetectorName = Literal["network", "hog"]
 
 # OpenCV reads this when it is imported: a second line of defence behind the size check of
 # `decode`, for images whose decoder disagrees with their header.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision import DetectorName
 from app.vision.blazepose import BlazePoseDetection, LandmarkNetwork, PoseDetection
 from app.vision.boxes import Boxes, averaged, drop_parts, suppress
 from app.vision.geometry import Box, Detection, PersonWindow
@@ -18,8 +19,6 @@ from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
 from app.vision.tiles import LONGEST_PX, SMALLEST_SHARE, Tile, tiles_of
 from app.vision.windows import cut, resize, window_about
-
-DetectorName = Literal["network", "hog"]
 
 MIN_SCORE, HOG_MIN_SCORE = 0.3, 0.2
 """Defaults of the least probability reported, by the networks and by HOG alone."""

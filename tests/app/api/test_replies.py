@@ -1,4 +1,4 @@
-"""Tracked frames, sessions and videos as JSON."""
+"""Answers as JSON."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.api.replies import ReplyForm
+from app.api.replies import ReplyForm, sequence_end_reply, sequence_frame_reply, track_reply
 from app.api.schemas import JointForm
-from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, track_reply
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
 from app.estimation.estimator import Estimator
 from app.estimation.facing import Facing
@@ -32,7 +31,7 @@ def estimate(estimator: Estimator, photo: Photo) -> Estimate:
 
 @pytest.fixture(scope="module")
 def frame(estimate: Estimate) -> TrackedFrame:
-    """A frame with somebody who walks, seen for a while."""
+    """A frame with a person who has walked for a while."""
     (person,) = estimate.persons
     best = person.hypotheses[0]
     pose = SmoothedPose(
@@ -51,9 +50,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
     )
 
 
-def test_what_time_tells_stands_beside_what_the_frame_tells(
-    frame: TrackedFrame, estimator: Estimator
-) -> None:
+def test_a_tracked_reply_adds_results_over_time(frame: TrackedFrame, estimator: Estimator) -> None:
     reply = track_reply(frame, "yard", estimator.index, ReplyForm(NATIVE))
     answer = TrackResponse.model_validate_json(reply.model_dump_json())
     assert (answer.camera_id, answer.frame_index, answer.timestamp) == ("yard", 40, 12.3457)
@@ -75,7 +72,7 @@ def test_what_time_tells_stands_beside_what_the_frame_tells(
 
 @pytest.mark.parametrize("form", ["full", "compact", "none"])
 @pytest.mark.parametrize("keypoints", ["native", "coco17"])
-def test_joints_of_a_smoothed_pose_come_in_the_form_of_hypotheses(
+def test_smoothed_joints_have_the_format_of_hypotheses(
     frame: TrackedFrame, estimator: Estimator, form: JointForm, keypoints: str
 ) -> None:
     wanted = ReplyForm(KEYPOINT_SETS[keypoints], joints=form)  # type: ignore[index]
@@ -94,11 +91,13 @@ def test_joints_of_a_smoothed_pose_come_in_the_form_of_hypotheses(
             "none": [],
         }[form]
     )
-    # The pose of this fixture is that of the best hypothesis.
+    # The smoothed pose of this fixture is the best hypothesis.
     assert all(person["pose"][name] == best[name] for name in given)
 
 
-def test_who_has_no_pose_yet_has_null(frame: TrackedFrame, estimator: Estimator) -> None:
+def test_a_person_without_a_smoothed_pose_has_null(
+    frame: TrackedFrame, estimator: Estimator
+) -> None:
     unknown = replace(frame.persons[0], pose=None, action=None)
     reply = track_reply(
         replace(frame, persons=(unknown,)), "yard", estimator.index, ReplyForm(NATIVE)
@@ -107,7 +106,7 @@ def test_who_has_no_pose_yet_has_null(frame: TrackedFrame, estimator: Estimator)
     assert (person.pose, person.action) == (None, None)
 
 
-def test_lines_of_a_video(frame: TrackedFrame, estimator: Estimator) -> None:
+def test_a_video_has_frame_lines_and_an_end_line(frame: TrackedFrame, estimator: Estimator) -> None:
     line = sequence_frame_reply(frame, 80, estimator.index, ReplyForm(NATIVE)).model_dump_json()
     assert line.startswith('{"type":"frame","video_frame":80,')
     assert SequenceFrame.model_validate_json(line).frame_index == 40
