@@ -87,7 +87,7 @@ class HeadingFilter:
         if self._last is not None:
             shares, independence = self._predict(timestamp, *self._last)
         ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), parameters.walking_deg)[0]
-        weight = parameters.walking_weight * self.walking_weight(velocity) * independence
+        weight = parameters.direction_weight * self.walking_weight(velocity) * independence
         shares = shares * _with_outliers(ahead, parameters.backward_share) ** weight
         seen = weights @ _normal_about(
             azimuths_deg,

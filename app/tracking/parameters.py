@@ -119,7 +119,7 @@ class HeadingParameters:
     outlier_share: float = 0.2  # Of the frames, in which no hypothesis faces the right way.
     walking_deg: float = 40.0  # Of the direction in which people walk from the one they face.
     backward_share: float = 0.1  # Of people, who walk in any other direction.
-    walking_weight: float = 0.3  # Beside what a frame shows: it is measured over a second.
+    direction_weight: float = 0.3  # Of the walking direction, which is measured over a second.
     min_walking_m_s: float = 0.5  # Speed from which the walking direction counts.
     full_walking_m_s: float = 1.0  # Speed from which it counts in full.
     # Probability that exchanges front and back: people seen from the side keep one of them.
