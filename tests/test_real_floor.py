@@ -24,7 +24,8 @@ from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.settings import Settings
-from app.vision.geometry import LANDMARK_NAMES, Box
+from app.vision.geometry import Box
+from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
 from tests.conftest import ROOT

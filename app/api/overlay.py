@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Estimate, Person, Scene
-from app.vision.geometry import LANDMARK_NAMES
+from app.vision.people import LANDMARK_NAMES
 from index.skeleton import POINT_NAMES, KeypointSet
 
 PEOPLE = (

@@ -22,7 +22,7 @@ from app.tracking.summary import TrackSummary, VideoSummary
 from app.tracking.video_run import VideoEnd
 from app.tracking.zones import Zone
 from app.vision import DetectorName
-from app.vision.geometry import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 

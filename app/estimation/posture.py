@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import LANDMARK_NAMES, Landmarks
-from app.vision.models import fitted
+from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
 
 GROUPS: tuple[tuple[Posture, ...], ...] = (
@@ -140,7 +140,7 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
 
 def group_probability(share: float) -> float:
     """Probability that the group of the likeliest posture is right, by the group's share."""
-    constants = fitted("posture")
+    constants = fitted_constants("posture")
     return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
 
 
@@ -199,7 +199,7 @@ def _within(
 
 def grounded_probability(landmarks: Landmarks) -> float:
     """Probability that a person lies or is on all fours."""
-    constants = fitted("grounded")
+    constants = fitted_constants("grounded")
     features = (body_features(landmarks) - constants["means"]) / constants["scales"]
     odds = float(features @ np.array(constants["weights"]) + constants["offset"])
     return probability_of(odds)

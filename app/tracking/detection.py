@@ -18,8 +18,9 @@ from app.estimation.finder import PeopleFinder, distinct_bodies, observed
 from app.scheduling.job import Job
 from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.track import Sighting, Track
-from app.vision.blazepose import Reading
-from app.vision.geometry import Box, Detection, PersonWindow
+from app.vision.blazepose import PoseReading
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Detection
 from app.vision.person_reader import fuse
 from app.vision.silhouettes import silhouettes_of
 
@@ -91,7 +92,7 @@ class TrackedPeopleDetector:
 
     def _read_people(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
-    ) -> list[tuple[_Target, Reading | None]]:
+    ) -> list[tuple[_Target, PoseReading | None]]:
         """Read the tracks by their windows or, where that does not suffice, all that is found.
 
         The search lowers its threshold near people who were lost at the frame before or at this
@@ -138,13 +139,13 @@ class TrackedPeopleDetector:
 
     def _read_all(
         self, frame: NDArray[np.uint8], targets: Sequence[_Target], job: Job
-    ) -> list[tuple[_Target, Reading | None]]:
+    ) -> list[tuple[_Target, PoseReading | None]]:
         job.checkpoint()
         with job.stage("keypoints"):
             readings = job.map(lambda target: self._read(frame, target), targets)
         return list(zip(targets, readings, strict=True))
 
-    def _read(self, frame: NDArray[np.uint8], target: _Target) -> Reading | None:
+    def _read(self, frame: NDArray[np.uint8], target: _Target) -> PoseReading | None:
         """Read a person; None where a track's window no longer shows anybody."""
         detection, reader = target.detection, self._finder.reader
         if target.track is None:
@@ -157,7 +158,7 @@ class TrackedPeopleDetector:
         keypoints = reader.keypoint_reader.read(frame, reading.landmarks.box())
         return reading if keypoints is None else fuse(reading, keypoints)
 
-    def _body_box(self, reading: Reading) -> Box:
+    def _body_box(self, reading: PoseReading) -> Box:
         """The box about a body, whose landmarks end short of the crown, hands and feet."""
         box = reading.landmarks.box()
         margin = self._parameters.body_margin * max(box.width, box.height)
@@ -168,7 +169,7 @@ def _windows(track: Track) -> tuple[PersonWindow, ...]:
     return () if track.next_window is None else (track.next_window,)
 
 
-def _distinct(found: Sequence[tuple[_Target, Reading]]) -> list[tuple[_Target, Reading]]:
+def _distinct(found: Sequence[tuple[_Target, PoseReading]]) -> list[tuple[_Target, PoseReading]]:
     """One reading of each body, in their order: of a detection rather than of a track's window.
 
     Of two tracks the one counts that is predicted nearer to the body.

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from app.tracking.parameters import DEFAULTS, MatchingParameters
 from app.tracking.track import Sighting, Track
-from app.vision.geometry import Box, Silhouette
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
 

@@ -15,7 +15,8 @@ from app.estimation.posture import (
     with_grounded,
 )
 from app.tracking.parameters import DEFAULTS, PostureParameters
-from app.vision.geometry import Box, Landmarks
+from app.vision.geometry import Box
+from app.vision.people import Landmarks
 
 
 class PostureFilter:

@@ -22,7 +22,7 @@ from app.estimation.estimator import fit_poses, normalise_person
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import PoseSample
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 from index.artefact import load_index
 from index.build.body import Avatar
 from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars

@@ -25,7 +25,7 @@ from app.estimation.results import ObservedPerson, Person
 from app.scheduling.process import available_cores
 from app.tracking.parameters import DEFAULTS
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
 from index.build.calibrate import expected_calibration_error

@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 from app.api.overlay import LEGEND
 from app.api.replies import _flat, _points_3d
 from app.api.schemas import PoseResponse
-from app.vision.geometry import LANDMARK_NAMES
+from app.vision.people import LANDMARK_NAMES
 from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex
 from tests.conftest import WALKERS, Photo, photograph, png

@@ -12,7 +12,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.coco import compressed, run_lengths
-from app.vision.geometry import silhouette_from_mask
+from app.vision.people import silhouette_from_mask
 from tests.conftest import WALKERS, Photo, png
 
 MODULES = ("drawing", "photograph", "service", "session", "session_view", "timeline")

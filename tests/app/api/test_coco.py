@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
 from app.api.coco import compressed, polygon, run_lengths
-from app.vision.geometry import Silhouette, silhouette_from_mask
+from app.vision.people import Silhouette, silhouette_from_mask
 from tests.conftest import Photo
 
 masks = arrays(

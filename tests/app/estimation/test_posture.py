@@ -20,7 +20,7 @@ from app.estimation.posture import (
     with_bent_legs,
     with_grounded,
 )
-from app.vision.geometry import LANDMARK_NAMES, Landmarks
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT
 from index.search import rotate_clockwise
 from index.skeleton import camera_rotation

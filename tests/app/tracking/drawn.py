@@ -13,9 +13,10 @@ from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
-from app.vision.blazepose import LANDMARK_PX, Reading
-from app.vision.geometry import Box, Detection, Landmarks, PersonWindow
-from app.vision.windows import cut_window, window_about, window_to_frame
+from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.crops import sample_window
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Detection, Landmarks
 from index.store import PoseIndex
 from tests.conftest import png
 
@@ -60,9 +61,9 @@ class ColourReader:
         where: Box | PersonWindow,
         keypoints: object = None,
         windows: object = (),
-    ) -> Reading:
-        window = where if isinstance(where, PersonWindow) else window_about(where)
-        picture = cut_window(frame, window, LANDMARK_PX).astype(int)
+    ) -> PoseReading:
+        window = where if isinstance(where, PersonWindow) else PersonWindow.about_box(where)
+        picture = sample_window(frame, window, LANDMARK_PX).astype(int)
         middle = picture[
             LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9, LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9
         ]
@@ -72,11 +73,11 @@ class ColourReader:
         left, top, width, height = cv2.boundingRect(mask)
         seen = width > 0 and not self.lost
         shares = np.random.default_rng(0).uniform(0.1, 0.9, (33, 2))
-        to_frame = window_to_frame(window, LANDMARK_PX)
+        to_frame = window.to_frame(LANDMARK_PX)
         places = np.array([left, top]) + shares * [max(width, 1), max(height, 1)]
         places = places @ to_frame[:, :2].T + to_frame[:, 2]
         corner = to_frame[:, :2] @ np.array([left + width / 2, top + height / 2]) + to_frame[:, 2]
-        return Reading(
+        return PoseReading(
             window,
             Landmarks(places, np.full(33, 0.9), np.column_stack([shares - 0.5, shares[:, 0]])),
             1.0 if seen else 0.0,

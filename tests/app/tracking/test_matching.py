@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from app.estimation.results import ObservedPerson
 from app.tracking.matching import appearance_distance, appearance_histogram, associate
 from app.tracking.track import Sighting, Track
-from app.vision.geometry import Box, Silhouette
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
 

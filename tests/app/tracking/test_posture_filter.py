@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
 from app.tracking.posture_filter import PostureFilter
-from app.vision.geometry import LANDMARK_NAMES, Box, Landmarks
+from app.vision.geometry import Box
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 UPRIGHT, LEVEL = Box(0, 0, 40, 160), Box(0, 0, 160, 40)

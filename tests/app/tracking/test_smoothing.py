@@ -11,7 +11,7 @@ from app.estimation.facing import azimuth_deg
 from app.estimation.results import Person
 from app.tracking.parameters import DEFAULTS
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 from index.posture import POSTURES
 from index.skeleton import POINTS, bone_lengths, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
