@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from app.api import schemas, tracking_schemas
 from app.api.coco import compressed, polygon, run_lengths
-from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.sessions import CameraSummary
@@ -118,25 +116,31 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
 
 def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> dict[str, Any]:
     """Write the fields of a person in a single frame."""
-    observed, facing, silhouette = person.observed, person.facing, person.observed.silhouette
+    observed, facing, posture = person.observed, person.facing, person.posture
+    box, score = observed.box, observed.detection_score
+    silhouette, landmarks = observed.silhouette, observed.landmarks
     return {
         "box": schemas.Box(
-            x=round(observed.box.x, 2),
-            y=round(observed.box.y, 2),
-            width=round(observed.box.width, 2),
-            height=round(observed.box.height, 2),
+            x=round(box.x, 2),
+            y=round(box.y, 2),
+            width=round(box.width, 2),
+            height=round(box.height, 2),
         ),
-        "detection_score": _rounded(observed.detection_score, 4),
+        "detection_score": None if score is None else round(score, 4),
         "source": observed.source,
-        "silhouette": _silhouette(silhouette, frame_shape, form) if silhouette else None,
-        "observed_keypoints": (
-            _observed(observed.landmarks, form.observed) if observed.landmarks else None
+        "silhouette": silhouette and _silhouette(silhouette, frame_shape, form),
+        "observed_keypoints": landmarks and _observed(landmarks, form.observed),
+        "facing": None
+        if facing is None
+        else schemas.Facing(
+            front_probability=round(facing.front_probability, 4), evidence=facing.evidence
         ),
-        "facing": _facing(facing) if facing else None,
-        "posture": _posture(person.posture) if person.posture else None,
+        "posture": None
+        if posture is None
+        else schemas.Posture(label=posture.label, probability=round(posture.probability, 4)),
         "hypotheses": [
-            _hypothesis(placed, rank, form)
-            for rank, placed in enumerate(person.hypotheses, start=1)
+            _hypothesis(projected, rank, form)
+            for rank, projected in enumerate(person.hypotheses, start=1)
         ],
     }
 
@@ -144,18 +148,17 @@ def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm)
 def _silhouette(
     silhouette: Silhouette, frame_shape: tuple[int, ...], form: ReplyForm
 ) -> schemas.SilhouetteSummary:
+    rle = None
+    if form.silhouettes == "rle":
+        counts = compressed(run_lengths(silhouette, frame_shape))
+        rle = schemas.RunLengths(counts=counts, size=list(frame_shape[:2]))
     return schemas.SilhouetteSummary(
         area_px=silhouette.area_px,
         segmenter=silhouette.segmenter,
         truncated=silhouette.truncated,
-        rle=_run_lengths(silhouette, frame_shape) if form.silhouettes == "rle" else None,
+        rle=rle,
         polygon=polygon(silhouette) if form.silhouettes == "polygon" else None,
     )
-
-
-def _run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> schemas.RunLengths:
-    counts = compressed(run_lengths(silhouette, frame_shape))
-    return schemas.RunLengths(counts=counts, size=list(frame_shape[:2]))
 
 
 def _observed(
@@ -176,34 +179,20 @@ def _observed(
     ]
 
 
-def _facing(facing: Facing) -> schemas.Facing:
-    return schemas.Facing(
-        front_probability=round(facing.front_probability, 4), evidence=facing.evidence
-    )
-
-
-def _posture(posture: EstimatedPosture) -> schemas.Posture:
-    return schemas.Posture(label=posture.label, probability=round(posture.probability, 4))
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None else round(value, digits)
-
-
-def _hypothesis(placed: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
-    hypothesis, label = placed.hypothesis, placed.label
+def _hypothesis(projected: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
+    hypothesis, label = projected.hypothesis, projected.label
     # Not validated: its hundreds of points would add a third to the time that writing an answer
     # takes, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
         entry=hypothesis.entry,
-        distance=significant(placed.distance),
+        distance=significant(projected.distance),
         silhouette_distance=round(hypothesis.distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
-        confidence=round(placed.confidence, 4),
+        confidence=round(projected.confidence, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
-        **joint_fields(hypothesis.points_3d, placed.points_2d, form),
+        **joint_fields(hypothesis.points_3d, projected.points_2d, form),
         source=_source(label),
         camera=_camera(label),
     )

@@ -58,16 +58,13 @@ class ProblemError(Exception):
         reason: str | None = None,
     ) -> None:
         super().__init__(detail)
-        self.reason = reason or _default_reason(status)
+        # The phrase of 422 differs between releases of Python.
+        phrase = "invalid" if status == 422 else HTTPStatus(status).phrase
+        self.reason = reason or phrase.lower().replace(" ", "_")
         self.status = status
         self.detail = detail
         self.field = field
         self.headers = dict(headers or {})
-
-
-def _default_reason(status: int) -> str:
-    # The phrase of 422 differs between releases of Python.
-    return "invalid" if status == 422 else HTTPStatus(status).phrase.lower().replace(" ", "_")
 
 
 def overloaded(detail: str, reason: str, retry_after_s: int | None = 1) -> ProblemError:

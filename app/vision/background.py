@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app.vision.crops import resize
 from app.vision.geometry import Box
 from app.vision.parameters import DEFAULTS, BackgroundParameters
-from app.vision.people import Detection, SegmenterName, Silhouette, silhouette_from_mask
+from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.silhouettes import fill_small_holes, keep_components
 from app.vision.truncation import with_truncation
 
@@ -29,8 +29,6 @@ class BackgroundSegmenter:
     min_person_px : float
         Height of the smallest person wanted, in pixels.
     """
-
-    name: SegmenterName = "background"
 
     def __init__(
         self,

@@ -12,7 +12,6 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.overlay import LEGEND
-from app.api.replies import _flat, _points_3d
 from app.api.schemas import PoseResponse
 from app.vision.people import LANDMARK_NAMES
 from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
@@ -139,13 +138,6 @@ def test_hypotheses_come_without_joints(client: TestClient, photo: Photo) -> Non
     ):
         assert [other[field] for field in joints] == [None] * 4
         assert {**other, "joints_3d": one["joints_3d"], "joints_2d": one["joints_2d"]} == one
-
-
-def test_a_joint_that_an_entry_lacks_is_null_in_every_form() -> None:
-    pose = np.arange(72.0).reshape(24, 3)
-    pose[1, 2] = np.nan
-    assert _points_3d(pose, NATIVE)[1] is None
-    assert _flat(pose, NATIVE, 4)[:9] == [0, 1, 2, None, None, None, 6, 7, 8]
 
 
 def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) -> None:

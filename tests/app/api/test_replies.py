@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.api.replies import ReplyForm, sequence_end_reply, sequence_frame_reply, track_reply
+from app.api.replies import (
+    ReplyForm,
+    joint_fields,
+    sequence_end_reply,
+    sequence_frame_reply,
+    track_reply,
+)
 from app.api.schemas import JointForm
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
 from app.estimation.estimator import Estimator
@@ -125,3 +131,11 @@ def test_a_video_has_frame_lines_and_an_end_line(frame: TrackedFrame, estimator:
     (track,) = end.tracks
     assert (track.first_timestamp, track.last_timestamp, track.frames) == (0.0, 0.2, 3)
     assert [posture.seconds for posture in track.postures] == [0.2]
+
+
+def test_a_joint_that_an_entry_lacks_is_null_in_every_form() -> None:
+    pose = np.arange(72.0).reshape(24, 3)
+    pose[1, 2] = np.nan
+    assert joint_fields(pose, pose[:, :2], ReplyForm(NATIVE))["joints_3d"][1] is None
+    flat = joint_fields(pose, pose[:, :2], ReplyForm(NATIVE, joints="compact"))["joints_3d_flat"]
+    assert flat[:9] == [0, 1, 2, None, None, None, 6, 7, 8]

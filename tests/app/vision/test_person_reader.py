@@ -11,11 +11,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from app.estimation.finder import SAME_BODY, distinct_bodies
 from app.vision.blazepose import PoseReading
-from app.vision.geometry import Box, PersonWindow
+from app.vision.geometry import WINDOW_SCALE, Box, PersonWindow
 from app.vision.parameters import DEFAULTS
-from app.vision.people import COCO_LANDMARKS, COCO_NAMES, LANDMARK_NAMES, ObservedKeypoints
+from app.vision.people import (
+    COCO_LANDMARKS,
+    COCO_NAMES,
+    LANDMARK_NAMES,
+    ObservedKeypoints,
+    coco_rows,
+)
 from app.vision.person_reader import (
     PersonReader,
     attenuate_visibility_at_border,
@@ -122,24 +127,6 @@ def test_roll_is_unknown_without_both_ends_of_the_trunk(part: str) -> None:
     assert trunk_roll_deg(None) is None
 
 
-def test_first_reading_of_each_body_is_kept(readings: list[PoseReading]) -> None:
-    assert distinct_bodies(readings) == [0, 1, 2]
-    assert distinct_bodies([]) == []
-    again = [readings[0], moved(readings[0], 1, 1), readings[1], readings[0]]
-    assert distinct_bodies(again) == [0, 2]
-
-
-@given(share=st.floats(0, 1), angle=st.floats(-3.14, 3.14))
-def test_distant_bodies_are_distinct(
-    readings: list[PoseReading], share: float, angle: float
-) -> None:
-    size = readings[1].next_window.side / 2.5
-    x, y = share * size * np.cos(angle), share * size * np.sin(angle)
-    kept = distinct_bodies([readings[1], moved(readings[1], x, y)])
-    if abs(share - SAME_BODY) > 1e-6:
-        assert kept == ([0, 1] if share > SAME_BODY else [0])
-
-
 def test_cut_off_person_is_read_as_part_of_a_whole_body(
     person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
@@ -164,3 +151,18 @@ def test_window_of_a_whole_person_is_not_extended(walkers: list[Box]) -> None:
     assert window_beyond_border(seen, at_border, (200, 200, 3)) == []
     assert window_beyond_border(None, at_border, (200, 200, 3)) == []
     assert window_beyond_border(seen, Box(60, 60, 40, 80), (200, 200, 3)) == []
+
+
+@pytest.mark.parametrize(("unseen", "radius"), [("ankle", 1.7 * 50), ("nose", 80)])
+def test_window_reaches_beyond_the_border_to_the_unseen_end(unseen: str, radius: float) -> None:
+    """From the hips: as far as the trunk suggests, or as far as the feet on the other side."""
+    heights = {"nose": 20, "shoulder": 40, "hip": 90, "ankle": 170}
+    positions, scores = np.full((17, 2), 60.0), np.full(17, 0.9)
+    for part, y in heights.items():
+        positions[coco_rows(part), 1] = y
+    scores[coco_rows(unseen)] = 0
+    (window,) = window_beyond_border(
+        ObservedKeypoints(positions, scores), Box(40, -0.5, 40, 180), (180, 200, 3)
+    )
+    assert (window.x, window.y, window.roll_deg) == (60, 90, 0)
+    assert window.side == pytest.approx(2 * WINDOW_SCALE * radius)
