@@ -1,4 +1,4 @@
-"""Wording of validation errors: what was expected and what was given instead."""
+"""Wording of errors: of validation, what was expected and what was given instead."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from difflib import get_close_matches
 from typing import Any
 
 from pydantic import BeforeValidator
+
+# An UnavailableError's own sentence names a server that does not concern clients.
+SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 
 _MAX_VALUE_CHARACTERS = 60
 _WHOLE = re.compile("[+-]?[0-9]+")

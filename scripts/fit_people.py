@@ -27,7 +27,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator, normalise_person
-from app.estimation.posture import GROUNDED, GROUPS, body_features
+from app.estimation.posture import GROUPS, body_features
 from app.estimation.results import Person
 from app.settings import Settings
 from app.vision.detector import NetworkDetector, detection_features
@@ -36,7 +36,7 @@ from app.vision.models import write_fitted
 from app.vision.odds import log_odds
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.confidence import RIGHT_BELOW_PX
-from index.posture import POSTURES, UPRIGHT, camera_up, classify
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify
 from index.ranking import DISTANCE_WEIGHT
 from index.search import rotate_clockwise
 from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
@@ -183,7 +183,7 @@ def posture_samples(
             for one in found:
                 grounded[kind].add(_body(one), kind == "fall", name)
                 if kind == "fall":
-                    people[kind].append((one, GROUNDED))
+                    people[kind].append((one, ON_THE_GROUND))
     frames = [(one.name, one.frame) for one in read_pennfudan(real / "pennfudan")]
     frames += [(str(number), frame) for number, frame in read_vtest(real / "vtest", 20)]
     for name, frame in tqdm(frames, desc="street"):
@@ -226,7 +226,7 @@ def simulated_samples(index: PoseIndex) -> Samples:
             metres = points[row][_POINT_OF_LANDMARK] + rng.normal(0, NOISE_M, (33, 3))
             metres = rotate_clockwise(metres, float(rng.normal(0, ROLL_DEG)))
             landmarks = Landmarks(PX_PER_M * metres[:, :2], np.full(33, 0.95), metres)
-            samples.add(body_features(landmarks), posture in GROUNDED, "simulated")
+            samples.add(body_features(landmarks), posture in ON_THE_GROUND, "simulated")
     return samples
 
 

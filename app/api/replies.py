@@ -16,7 +16,8 @@ from app.api.coco import compressed, polygon, run_lengths
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.sessions import CameraSummary
-from app.tracking.summary import SequenceSummary, Track
+from app.tracking.summary import TrackSummary, VideoSummary
+from app.tracking.video_run import VideoEnd
 from app.tracking.zones import Zone
 from app.vision import DetectorName
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
@@ -279,14 +280,12 @@ def sequence_frame_reply(
     )
 
 
-def sequence_end_reply(
-    summary: SequenceSummary, reason: tracking_schemas.SequenceEndReason, detail: str
-) -> tracking_schemas.SequenceEnd:
+def sequence_end_reply(summary: VideoSummary, end: VideoEnd) -> tracking_schemas.SequenceEnd:
     """Write the last line of the answer to a video."""
     return tracking_schemas.SequenceEnd(
         type="end",
-        reason=reason,
-        detail=detail,
+        reason=end.reason,
+        detail=end.detail,
         frames=summary.frames,
         tracks=[_track_summary(track) for _, track in sorted(summary.tracks.items())],
         events=[_event(event) for event in summary.events],
@@ -372,7 +371,7 @@ def _event(event: Event) -> tracking_schemas.Event:
     )
 
 
-def _track_summary(track: Track) -> tracking_schemas.TrackSummary:
+def _track_summary(track: TrackSummary) -> tracking_schemas.TrackSummary:
     action = track.action()
     return tracking_schemas.TrackSummary(
         track_id=track.track_id,

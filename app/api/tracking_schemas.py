@@ -17,12 +17,9 @@ from app.api.schemas import (
     Probability,
 )
 from app.tracking.results import EventName, EventState
+from app.tracking.video_run import VideoEndReason
 from app.tracking.zones import ZoneKind
 from index.posture import Posture as PostureLabel
-
-SequenceEndReason = Literal[
-    "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
-]
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock says in seconds, earlier than today in milliseconds."""
@@ -308,7 +305,7 @@ class SequenceEnd(Model):
     """The last line of a video's answer."""
 
     type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
-    reason: SequenceEndReason = Field(
+    reason: VideoEndReason = Field(
         description="`complete`: the video's end; `max_frames`: as many frames as requested or "
         "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
         "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",

@@ -18,7 +18,7 @@ from app.api.schemas import Problem
 from app.estimation.upload import UploadError
 from app.http.request_state import request_state
 from app.http.routing import RouteTable
-from app.messages import expected_and_got, shortened
+from app.messages import SEARCH_FAILED, expected_and_got, shortened
 from app.scheduling.job import BusyError, ClientGoneError
 from app.tracking.session import LateFrameError
 from app.video.reader import VideoError
@@ -26,8 +26,6 @@ from index.search import UnavailableError
 
 MEDIA_TYPE = "application/problem+json"
 
-# An UnavailableError's own sentence names a server that does not concern clients.
-SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 _SEARCH_RETRY_S = 2
 
 _UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}

@@ -6,6 +6,7 @@ import asyncio
 import shutil
 from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
+from dataclasses import dataclass
 from typing import IO, Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
@@ -13,6 +14,7 @@ from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.types import Message, Receive, Scope, Send
 
+from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceLine, VideoUpload
 from app.http.errors import ProblemError
 from app.http.identity import RequireKey, identity_of
@@ -21,8 +23,10 @@ from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, SequenceQuery
 from app.routes.uploads import check_fields, is_multipart, is_video, unsupported_body
 from app.serving.runtime import runtime_of
-from app.serving.sequence import OpenVideo, SequenceRun
-from app.video.reader import new_file, open_video
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession
+from app.tracking.video_run import VideoRun
+from app.video.reader import VideoFrame, VideoReader, new_file, open_video
 
 PATH = "/sequence"
 
@@ -82,9 +86,17 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
         yield file
 
 
+@dataclass(frozen=True)
+class _OpenVideo:
+    """A video whose first frame could be read."""
+
+    reader: VideoReader
+    first: VideoFrame
+
+
 async def _open(
     request: Request, query: Annotated[SequenceQuery, Query()]
-) -> AsyncIterator[OpenVideo]:
+) -> AsyncIterator[_OpenVideo]:
     """Receive and open the video; it is closed once the request has been answered."""
     runtime = runtime_of(request)
     runtime.ready_estimator()
@@ -98,7 +110,7 @@ async def _open(
         ):
             first = await reader.next()
             assert first is not None
-            yield OpenVideo(reader, first)
+            yield _OpenVideo(reader, first)
 
 
 @router.post(
@@ -123,7 +135,7 @@ async def _open(
 async def analyse_sequence(
     request: Request,
     query: Annotated[SequenceQuery, Query()],
-    video: Annotated[OpenVideo, Depends(_open)],
+    video: Annotated[_OpenVideo, Depends(_open)],
 ) -> LineStream:
     """Track the people of a video of a fixed camera.
 
@@ -137,12 +149,31 @@ async def analyse_sequence(
         raise ProblemError(
             422, f"max_frames: expected at most {most}, got {query.max_frames}", field="max_frames"
         )
-    run = SequenceRun(
-        runtime,
+    estimator, metrics = runtime.ready_estimator(), runtime.metrics
+    run = VideoRun(
+        CameraSession(estimator),
+        runtime.executor,
         identity_of(request.scope).sender,
+        kind=PATH,
         n=query.n,
         evidence=query.evidence,
-        form=query.form,
         max_frames=query.max_frames or most,
+        timeout_s=runtime.settings.sequence_timeout_s,
     )
-    return LineStream(run.lines(video, lambda: request_state(request.scope).is_ending))
+
+    def write(tracked: TrackedFrame, number: int) -> bytes:
+        metrics.observe_stages(tracked.timings_ms)
+        metrics.observe_persons(person.person for person in tracked.persons)
+        return sequence_line(sequence_frame_reply(tracked, number, estimator.index, query.form))
+
+    def is_ending() -> bool:
+        return request_state(request.scope).is_ending
+
+    async def lines() -> AsyncIterator[bytes]:
+        async with aclosing(run.lines(video.first, video.reader, write, is_ending)) as frames:
+            async for line in frames:
+                yield line
+        assert run.end is not None
+        yield sequence_line(sequence_end_reply(run.summary, run.end))
+
+    return LineStream(lines())

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
-from app.estimation.posture import GROUNDED
 from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
@@ -28,6 +27,7 @@ from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES
+from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.asking import HYPOTHESES, estimate
 from scripts.experiments.real_data import read_frames, read_pennfudan
@@ -45,7 +45,7 @@ ACTIVITIES: dict[int, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     7: ("stands", ("standing",), ("stand",)),
     8: ("sits", ("sitting",), ("sit",)),
     10: ("jumps", ("standing", "crouching", "bending", "arms_raised"), ("jump",)),
-    11: ("lies", GROUNDED, ("lie",)),
+    11: ("lies", ON_THE_GROUND, ("lie",)),
 }
 """Of UP-Fall's activities what people do, in which postures, and with which actions."""
 
@@ -100,7 +100,7 @@ def _encoded(frame: NDArray[np.uint8]) -> bytes:
 
 def grounded(person: Person) -> bool:
     """Whether somebody is said to lie or crawl."""
-    return person.posture is not None and person.posture.label in GROUNDED
+    return person.posture is not None and person.posture.label in ON_THE_GROUND
 
 
 def sport(estimator: Estimator, folder: Path) -> list[Row]:
@@ -407,7 +407,7 @@ def street(estimator: Estimator, folder: Path, frames: int = 300) -> list[Row]:
                 actions.append(one.action.label)
     long = [track for track in sides.values() if len(track) >= 10]
     flips = [a != b for track in long for a, b in itertools.pairwise(track)]
-    low = [label in (*GROUNDED, "sitting", "kneeling", "crouching") for label in postures]
+    low = [label in (*ON_THE_GROUND, "sitting", "kneeling", "crouching") for label in postures]
     return [
         (
             f"PETS 2009, {frames} frames",

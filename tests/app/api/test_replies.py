@@ -22,7 +22,8 @@ from app.estimation.results import Estimate
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.summary import SequenceSummary
+from app.tracking.summary import VideoSummary
+from app.tracking.video_run import VideoEnd
 from index.skeleton import KEYPOINT_SETS, NATIVE
 from tests.conftest import Photo
 
@@ -115,11 +116,11 @@ def test_a_video_has_frame_lines_and_an_end_line(frame: TrackedFrame, estimator:
     line = sequence_frame_reply(frame, 80, estimator.index, ReplyForm(NATIVE)).model_dump_json()
     assert line.startswith('{"type":"frame","video_frame":80,')
     assert SequenceFrame.model_validate_json(line).frame_index == 40
-    summary = SequenceSummary()
+    summary = VideoSummary()
     for timestamp in np.arange(3) / 10:
         summary.add(replace(frame, timestamp=float(timestamp)))
     end = SequenceEnd.model_validate_json(
-        sequence_end_reply(summary, "complete", "the video ended").model_dump_json()
+        sequence_end_reply(summary, VideoEnd("complete", "the video ended")).model_dump_json()
     )
     assert (end.reason, end.detail, end.frames, len(end.events)) == (
         "complete",
