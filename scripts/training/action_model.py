@@ -1,4 +1,4 @@
-"""How the actions of tracks are learned: motion clips as cameras and hypotheses would show them."""
+"""Learn the actions of tracks from motion clips, shown as cameras and hypotheses would see them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
 from index.skeleton import JOINT_NAMES, POINT_NAMES, camera_rotation
-from scripts.experiments.sequences import CLIP_FPS, on_ground, unbroken_stretches
+from scripts.film import CLIP_FPS, on_ground, unbroken_stretches
 
 ACTIONS = (
     "arm-circle", "jump", "jumping-jack", "knee-raise", "lie", "punch",
     "run", "sit", "squat", "stand", "twist", "walk",
 )  # fmt: skip
-"""What is told apart: actions that two subjects or more do, each in the same sense.
+"""The recognised actions: those that at least two subjects do, each in the same sense.
 
-Not: bend, duck and kick, which mean another motion for each subject (reaching down or sideways;
-creeping or a leap from a run; football or karate); sit-down and roll, of which the second subject
-shows less than two seconds; and what one subject alone does, which nobody else can be tried on.
+Left out are bend, duck and kick, which mean another motion for each subject (reaching down or
+sideways; creeping or a leap from a run; football or karate); sit-down and roll, of which the second
+subject shows less than two seconds; and actions of a single subject, which no other can test.
 """
 
 SEVERAL_ACTIONS = ("127_25", "127_27", "127_33", "127_35")
-"""Clips under one label that show two: people run, jump once and run on."""
+"""Clips with one label that show two actions: people run, jump once and run on."""
 
 SHORTEST_S, LONGEST_S = 1.2, 20.0
 """Shorter stretches are left out, longer ones cut."""
@@ -37,7 +37,7 @@ SHORTEST_S, LONGEST_S = 1.2, 20.0
 IDLE_BELOW = 0.3
 """Mean speed of limbs and pelvis, metres a second, below which a person only stands.
 
-Many clips begin and end with a person who waits; these parts are learned as standing.
+Many clips begin and end with a waiting person; these parts are learned as standing.
 """
 
 STILL_ACTIONS = ("lie", "sit", "stand")
@@ -45,22 +45,22 @@ STILL_ACTIONS = ("lie", "sit", "stand")
 FRAME_RATES = (5, 6, 10, 15, 30)
 TEMPO = (0.8, 1.25)
 PACE_M_S, FASTEST_TEMPO = (0.7, 1.9), 2.0
-"""Speeds at which people walk, and how far a clip is sped up for it: half of the clips' walkers are
-slower than 0.65 m/s, on purpose."""
+"""Walking speeds, and the fastest tempo used to reach them: half of the clips' walkers are
+deliberately slower than 0.65 m/s."""
 ON_THE_SPOT_M_S = 0.25
 ELEVATIONS_DEG = (2.0, 40.0)
 ELEVATION_ERROR_DEG = (-4.0, 9.0)
-"""Mean and deviation of what hypotheses take a camera's elevation for."""
+"""Mean and deviation of the error of a camera's estimated elevation."""
 
 NOISE_M = (0.02, 0.07)
-"""Deviation of a joint's place, of which half stays and half changes within a second."""
+"""Deviation of a joint's position, of which half stays and half changes within a second."""
 
 NOISE_OF_AXIS = (0.6, 0.6, 1.3)
-"""Depth is known least."""
+"""Relative deviation along x, y and depth, which is the least certain."""
 
 SHRINKAGE = 0.4
-"""Of the covariance towards a multiple of the identity; more than half of the features'
-dimensions are noise to a handful of subjects."""
+"""Shrinkage of the covariance towards a multiple of the identity: with a handful of subjects, more
+than half of the features' dimensions are noise."""
 
 VOTE_WEIGHT = 0.15
 HOP_S = 0.5
@@ -83,7 +83,7 @@ _NOISE_OF_POINT = np.array([
 
 @dataclass(frozen=True)
 class Motion:
-    """Somebody who does one action, from a frame of a clip on: ``(F, 24, 3)`` m, y up, 30 fps."""
+    """One action of one subject, from a frame of a clip on: ``(F, 24, 3)`` m, y up, 30 fps."""
 
     clip: str
     subject: str
@@ -95,10 +95,9 @@ class Motion:
 def read_motions(
     folder: Path, segments: Sequence[Segment], avatars: Sequence[Avatar]
 ) -> list[Motion]:
-    """Every unbroken stretch of one of :data:`ACTIONS`, on avatars in turn.
+    """Read every unbroken stretch of one of :data:`ACTIONS`, on avatars in turn.
 
-    Waiting before and after is cut off and comes as standing of its own; standing comes once more,
-    laid down.
+    Waiting before and after is split off as standing; standing is added a second time, laid down.
     """
     wanted = [s for s in segments if s.action in ACTIONS and s.clip not in SEVERAL_ACTIONS]
     subjects = {segment.clip: segment.subject for segment in wanted}
@@ -123,7 +122,7 @@ def read_motions(
 
 
 def laid_down(motion: Motion, quarter_turns: int) -> Motion:
-    """The same on the back, turned about the body's long axis by quarters."""
+    """Lay a motion on its back, turned about the body's long axis by quarters."""
     pelvis = motion.world[:, :1]
     angle = np.pi / 2 * quarter_turns
     about_axis = np.array([
@@ -137,7 +136,7 @@ def laid_down(motion: Motion, quarter_turns: int) -> Motion:
 
 
 def _without_waiting(motion: Motion) -> list[Motion]:
-    """The part between waiting at the start and at the end, and both as standing."""
+    """Split off the waiting at the start and at the end as standing."""
     if motion.action in STILL_ACTIONS or len(motion.world) < CLIP_FPS:
         return [motion]
     steps = np.linalg.norm(np.diff(motion.world[:, _LIMBS], axis=0), axis=-1).mean(axis=1)
@@ -162,7 +161,7 @@ def _pieces(motion: Motion, most: int) -> list[Motion]:
 
 
 def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
-    """A motion as a camera by chance and its hypotheses would show it."""
+    """Show a motion as a random camera and its hypotheses would."""
     tempo = _tempo(motion, generator) * CLIP_FPS
     rate = float(generator.choice(FRAME_RATES))
     frames = np.arange(0, len(motion.world) - 1, tempo / rate)
@@ -190,7 +189,7 @@ def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
 
 
 def _tempo(motion: Motion, generator: np.random.Generator) -> float:
-    """How much faster than recorded; walkers at the speeds at which people walk."""
+    """Draw how much faster than recorded a motion is shown; walkers get a usual walking speed."""
     path = motion.world[:, 0][:, [0, 2]]
     speed = float(np.linalg.norm(path[-1] - path[0])) * CLIP_FPS / len(path)
     if motion.action != "walk" or speed < ON_THE_SPOT_M_S:
@@ -199,7 +198,7 @@ def _tempo(motion: Motion, generator: np.random.Generator) -> float:
 
 
 def _wandering(count: int, rate: float, generator: np.random.Generator) -> NDArray[np.float64]:
-    """Errors ``(count, 24, 3)`` of deviation 1.4: half constant, half forgotten in a second."""
+    """Draw errors ``(count, 24, 3)`` of deviation 1.4: half constant, half gone in a second."""
     kept = 0.1 ** (1 / rate)
     errors = np.empty((count, len(POINT_NAMES), 3))
     errors[0] = generator.normal(size=errors.shape[1:])
@@ -211,7 +210,7 @@ def _wandering(count: int, rate: float, generator: np.random.Generator) -> NDArr
 
 @dataclass(frozen=True)
 class Windows:
-    """Features of the last seconds before moments of motions, and of which motion each is."""
+    """Features ``(W, D)`` of windows, and the motion ``(W,)`` that each belongs to."""
 
     features: NDArray[np.float64]
     motion: NDArray[np.int64]
@@ -224,12 +223,12 @@ class Windows:
         return np.array(self.actions)[self.motion]
 
     def of_subject(self, subject: str) -> NDArray[np.bool_]:
-        """Which windows ``(W,)`` show somebody."""
+        """Whether each window ``(W,)`` shows a subject."""
         return np.asarray((np.array(self.subjects) == subject)[self.motion])
 
 
 def merged(parts: Sequence[Windows]) -> Windows:
-    """Windows of several sources together."""
+    """Concatenate windows of several sources."""
     firsts = np.cumsum([0, *(len(part.actions) for part in parts[:-1])])
     return Windows(
         np.concatenate([part.features for part in parts]),
@@ -240,7 +239,7 @@ def merged(parts: Sequence[Windows]) -> Windows:
 
 
 def make_windows(motions: Sequence[Motion], copies: int, seed: int) -> Windows:
-    """See every motion some times and take windows from it, ``HOP_S`` apart."""
+    """Show every motion ``copies`` times and take windows from it, ``HOP_S`` apart."""
     generator = np.random.default_rng(seed)
     shown = [motion for motion in motions for _ in range(copies)]
     parts = [windows_of(seen(motion, generator)) for motion in shown]
@@ -253,7 +252,7 @@ def make_windows(motions: Sequence[Motion], copies: int, seed: int) -> Windows:
 
 
 def windows_of(measured: Sequence[Measured]) -> NDArray[np.float64]:
-    """Features ``(W, D)`` of windows that end ``HOP_S`` apart, the last at the last pose."""
+    """Return features ``(W, D)`` of windows that end ``HOP_S`` apart, back from the last pose."""
     times = np.array([m.timestamp for m in measured])
     ends = np.arange(times[-1], min(WINDOW_S, times[-1]) - 1e-9, -HOP_S)
     return np.stack([
@@ -269,7 +268,7 @@ def fit(windows: Windows, rows: NDArray[np.bool_], vote_weight: float = VOTE_WEI
     features, labels = windows.features[rows], windows.labels[rows]
     mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-6
     names, counts = np.unique(labels, return_counts=True)
-    # Between what the clips hold and all alike: people walk more than they squat.
+    # Between the clips' shares and equal ones: people walk more than they squat.
     priors = np.sqrt(counts) / np.sqrt(counts).sum()
     model = LinearDiscriminantAnalysis(solver="lsqr", shrinkage=SHRINKAGE, priors=priors)
     model.fit((features - mean) / spread, labels)
@@ -280,16 +279,16 @@ def fit(windows: Windows, rows: NDArray[np.bool_], vote_weight: float = VOTE_WEI
 
 
 def at_temperature(model: ActionModel, temperature: float) -> ActionModel:
-    """The same answers, less sure of them where the temperature is above 1."""
+    """Divide a model's log odds by a temperature: above 1 it is less certain."""
     return replace(model, weights=model.weights / temperature, offsets=model.offsets / temperature)
 
 
 @dataclass(frozen=True)
 class Unseen:
-    """What models say of subjects whom they were not trained on.
+    """Predictions for subjects that a model was not trained on.
 
-    Log odds of :data:`ACTIONS` for the windows whose action somebody else does as well; those that
-    the model was not taught are at -inf.
+    ``rows`` are the windows whose action another subject does as well, ``odds`` their log odds over
+    :data:`ACTIONS`, -inf for actions that the model was not taught, ``truth`` positions in them.
     """
 
     rows: NDArray[np.int64]
@@ -297,23 +296,23 @@ class Unseen:
     truth: NDArray[np.int64]
 
     def probabilities(self, temperature: float) -> NDArray[np.float64]:
-        """Probabilities ``(U, A)``."""
+        """Return probabilities ``(U, A)``."""
         odds = self.odds / temperature
         odds = np.exp(odds - odds.max(axis=1, keepdims=True))
         return np.asarray(odds / odds.sum(axis=1, keepdims=True))
 
 
 def leave_subjects_out(windows: Windows) -> Unseen:
-    """Ask about each subject a model that was trained on all others."""
+    """Predict the windows of each subject by a model trained on all others."""
     rows, odds = [], []
     for subject in sorted(set(windows.subjects)):
         held = windows.of_subject(subject)
         model = fit(windows, ~held)
-        asked = np.flatnonzero(held & np.isin(windows.labels, model.actions))
-        answers = np.full((len(asked), len(ACTIONS)), -np.inf)
+        shown = np.flatnonzero(held & np.isin(windows.labels, model.actions))
+        answers = np.full((len(shown), len(ACTIONS)), -np.inf)
         columns = [ACTIONS.index(action) for action in model.actions]
-        answers[:, columns] = windows.features[asked] @ model.weights.T + model.offsets
-        rows.append(asked)
+        answers[:, columns] = windows.features[shown] @ model.weights.T + model.offsets
+        rows.append(shown)
         odds.append(answers)
     together = np.concatenate(rows)
     truth = np.array([ACTIONS.index(label) for label in windows.labels[together]])
@@ -321,7 +320,7 @@ def leave_subjects_out(windows: Windows) -> Unseen:
 
 
 def best_temperature(unseen: Unseen, candidates: Iterable[float]) -> float:
-    """The temperature at which unseen subjects' actions are likeliest."""
+    """Return the temperature at which the actions of unseen subjects are likeliest."""
 
     def loss(temperature: float) -> float:
         given = unseen.probabilities(temperature)[np.arange(len(unseen.truth)), unseen.truth]

@@ -1,4 +1,4 @@
-"""How right detections are: average precision, recall and precision.
+"""Metrics of detections and of confidences.
 
 Average precision counts every detection that overlaps no *labelled* person by half as wrong.
 Penn-Fudan leaves some visible people unlabelled, so the figures are on the low side.
@@ -17,11 +17,11 @@ Scored = tuple[Boxes, NDArray[np.float64]]
 """Detections of one photograph and their scores."""
 
 FOUND_FROM = 0.5
-"""Overlap (IoU) of boxes from which a labelled person counts as found."""
+"""Minimum overlap (IoU) at which a labelled person counts as found."""
 
 
-def figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[str, float]:
-    """Average precision, and recall and precision at a score of 0.5."""
+def detection_figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[str, float]:
+    """Return average precision, and recall and precision at a score of 0.5."""
     people = sum(map(len, truths))
     table = matches(found, truths)
     sure = table[table[:, 0] >= 0.5]
@@ -35,9 +35,9 @@ def figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[str, float
 
 
 def matches(found: Sequence[Scored], truths: Sequence[Boxes]) -> NDArray[np.float64]:
-    """Score and rightness of every detection, best first, ``(N, 2)``.
+    """Return score and rightness of every detection, best first, ``(N, 2)``.
 
-    A detection is right if it overlaps a labelled person that no better one took by half.
+    A detection is right if it overlaps, by half, a labelled person that no better one took.
     """
     rows = [
         np.stack([one[1], rightness(one, truth)], axis=1)
@@ -48,7 +48,7 @@ def matches(found: Sequence[Scored], truths: Sequence[Boxes]) -> NDArray[np.floa
 
 
 def rightness(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
-    """Which detections of a photograph are right, ``(N,)``; see :func:`matches`."""
+    """Return whether each detection of a photograph is right, ``(N,)``; see :func:`matches`."""
     boxes, scores = found
     right, free = np.zeros(len(boxes), bool), np.ones(len(truth), bool)
     overlaps = iou_matrix(boxes, truth) if len(truth) else np.zeros((len(boxes), 0))
@@ -61,15 +61,41 @@ def rightness(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
 
 
 def recall_at(table: NDArray[np.float64], people: int, *, precision: float) -> float:
-    """Highest recall at which the precision of :func:`matches` is at least so high."""
+    """Return the highest recall at which the precision of :func:`matches` is reached."""
     hits = np.cumsum(table[:, 1])
     precise = hits / np.arange(1, len(table) + 1) >= precision
     return float(hits[precise].max() / people) if precise.any() else 0.0
 
 
 def average_precision(table: NDArray[np.float64], people: int) -> float:
-    """Area under the precision-recall curve (all points, monotone envelope)."""
+    """Return the area under the precision-recall curve (all points, monotone envelope)."""
     hits = np.cumsum(table[:, 1])
     precision = hits / np.arange(1, len(table) + 1)
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float((np.diff(np.concatenate([[0], hits / people])) * envelope).sum())
+
+
+def confusion(
+    size: int, truth: NDArray[np.integer], answer: NDArray[np.integer]
+) -> NDArray[np.int64]:
+    """Count ``(size, size)`` answers: truth in rows, answers in columns."""
+    counts = np.zeros((size, size), np.int64)
+    np.add.at(counts, (truth, answer), 1)
+    return counts
+
+
+def reliability(
+    confidence: NDArray[np.floating], right: NDArray[np.bool_], bins: int
+) -> list[dict[str, float]]:
+    """Return confidences stated and met in bins of equal width, without empty ones."""
+    bin_of = np.minimum((confidence * bins).astype(int), bins - 1)
+    return [
+        {
+            "from": b / bins,
+            "to": (b + 1) / bins,
+            "hypotheses": int((bin_of == b).sum()),
+            "stated": float(confidence[bin_of == b].mean()),
+            "right": float(right[bin_of == b].mean()),
+        }
+        for b in np.unique(bin_of).tolist()
+    ]

@@ -1,4 +1,4 @@
-"""Motion clips filmed by a fixed camera: the people whom the experiments on tracks follow."""
+"""Film motion clips with a fixed camera: the people that experiments on tracks follow."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from index.skeleton import JOINT_NAMES, camera_rotation
 
 CLIP_FPS = 30
 FPS = 10
-"""Of the cameras, as in the street video."""
+"""Frame rate of the cameras, as in the street video."""
 
-LEAST_S, MOST_S = 1.5, 20.0
+MIN_S, MAX_S = 1.5, 20.0
 """Shorter stretches are left out, longer ones cut."""
 
 ELEVATIONS_DEG = (2.0, 40.0)
 FIELD_DEG = 50.0
-"""Diagonal field of view: cameras stand far enough away to see the whole path."""
+"""Diagonal field of view; cameras stand far enough away to see the whole path."""
 
 NEAREST_M = 5.0
 PERSON_PX = 160.0
-"""A body of 1.7 m in the middle of the path."""
+"""Height of a body of 1.7 m in the middle of the path."""
 
 _MARGIN_PX = 8
 
@@ -76,7 +76,7 @@ def film(
 ) -> list[Filmed]:
     """Film every stretch of recorded motion, with avatars in turn and ``views`` random cameras.
 
-    ``subjects`` says who moved in which clip; ``fps`` is a divisor of 30.
+    ``subjects`` gives the subject of each clip; ``fps`` is a divisor of 30.
     """
     generator = np.random.default_rng(seed)
     filmed: list[Filmed] = []
@@ -94,20 +94,20 @@ def film(
 
 
 def unbroken_stretches(poses: Poses) -> list[NDArray[np.int64]]:
-    """Rows of unbroken motion of one action, stretch by stretch."""
+    """Return the rows of unbroken motion of one action, stretch by stretch."""
     parted = (np.diff(poses.clip) != 0) | (np.diff(poses.action) != 0) | (np.diff(poses.frame) != 1)
     return np.split(np.arange(len(poses)), np.flatnonzero(parted) + 1)
 
 
 def _pieces(poses: Poses, step: int) -> list[NDArray[np.int64]]:
-    """Rows of stretches cut to length, every ``step``-th frame."""
-    most = round(MOST_S * CLIP_FPS)
+    """Cut stretches to length and take every ``step``-th frame."""
+    most = round(MAX_S * CLIP_FPS)
     pieces = [
         rows[first : first + most]
         for rows in unbroken_stretches(poses)
         for first in range(0, len(rows), most)
     ]
-    return [piece[::step] for piece in pieces if len(piece) >= LEAST_S * CLIP_FPS]
+    return [piece[::step] for piece in pieces if len(piece) >= MIN_S * CLIP_FPS]
 
 
 def film_stretch(
@@ -166,7 +166,7 @@ def film_stretch(
 def on_ground(
     clip: Clip, frames: NDArray[np.int64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Way of the pelvis ``(F, 3)`` of a body ``(F, 24, 3)`` that stands on the ground."""
+    """Return the path ``(F, 3)`` of the pelvis of a body ``(F, 24, 3)`` on the ground."""
     path = clip.positions[frames] * _leg_length(points[0]) / _clip_leg_length(clip)
     path[:, 1] += _ground_gap(points, path)
     return path
@@ -199,5 +199,5 @@ def _clip_leg_length(clip: Clip) -> float:
 
 
 def _ground_gap(points: NDArray[np.float64], path: NDArray[np.float64]) -> float:
-    """How far the lowest joints of a stretch, most of the time, are below the ground."""
+    """Return how far the lowest joints are below the ground, most of the time."""
     return -float(np.quantile((points[..., 1] + path[:, None, 1]).min(axis=1), 0.1))

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import sys
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from index.artefact import save_index
 from index.build.builder import CMU_ATTRIBUTION, Plan, build
-from index.build.garments import GarmentError
-from index.build.rig import MotionError
 from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
 from index.store import DEFAULT_PATH
+from scripts.results import SHARED
 
 
-def main() -> int:
-    """Parse the command line, build, save; 1 with one sentence where that fails."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Build and save as the command line asks."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
-    add("--mocap", type=Path, default=Path("../shared/mocap"), help="has manifest.csv and bvh/")
+    add("--mocap", type=Path, default=SHARED / "mocap", help="has manifest.csv and bvh/")
     add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
     add("--out", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
     add("--name", help="of the index; by default that of its folder")
@@ -44,29 +43,27 @@ def main() -> int:
         help="keeps what is drawn, so that a build can be resumed, and is shared by a cluster; "
         "by default a temporary folder beside --out",
     )
-    arguments = parser.parse_args()
-    name = arguments.name or arguments.out.resolve().name
-    attribution = CMU_ATTRIBUTION if arguments.attribution == "cmu" else arguments.attribution
+    options = parser.parse_args(arguments)
+    name = options.name or options.out.resolve().name
+    attribution = CMU_ATTRIBUTION if options.attribution == "cmu" else options.attribution
+    plan = Plan(
+        entries=options.entries,
+        bodies=options.bodies,
+        views=options.views,
+        seed=options.seed,
+        descriptor=options.descriptor,
+    )
+    shards = nullcontext(options.shards) if options.shards else staging(options.out)
     try:
-        plan = Plan(
-            entries=arguments.entries,
-            bodies=arguments.bodies,
-            views=arguments.views,
-            seed=arguments.seed,
-            descriptor=arguments.descriptor,
-        )
-        shards = nullcontext(arguments.shards) if arguments.shards else staging(arguments.out)
-        with _workers(arguments.scheduler) as workers:
+        with _workers(options.scheduler) as workers:
             index = build(
-                arguments.mocap, arguments.garments, plan, name=name, attribution=attribution,
+                options.mocap, options.garments, plan, name=name, attribution=attribution,
                 workers=workers, shards=shards, progress=True, say=print,
             )  # fmt: skip
-        version = save_index(index, arguments.out)
-    except (MotionError, GarmentError, ShardError, WorkersError, ValueError, OSError) as error:
-        print(f"build_index: {error}", file=sys.stderr)
-        return 1
-    print(f"{len(index)} entries in {arguments.out}, {version}")
-    return 0
+    except (ShardError, WorkersError) as error:
+        raise SystemExit(f"build: {error}") from None
+    version = save_index(index, options.out)
+    print(f"{len(index)} entries in {options.out}, {version}")
 
 
 def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:
@@ -77,7 +74,3 @@ def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:
     except ModuleNotFoundError as error:
         raise WorkersError(f"--scheduler needs the extra cluster ({error})") from error
     return Cluster(scheduler)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

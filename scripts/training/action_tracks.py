@@ -1,8 +1,8 @@
-"""Tracks of people whom the index does not know: filmed motion and simulated falls, matched.
+"""Tracks of subjects that the index does not know: filmed motion and simulated falls, matched.
 
-The index is the shipped one without the entries of a group of subjects, who are then filmed, on the
-avatars that it does not know either, and matched frame by frame, from silhouettes alone. Its
-descriptor and confidence stay those that were learned on all clips.
+The entries of a group of subjects are removed from the shipped index. These subjects are then
+filmed, on avatars that it does not know either, and matched frame by frame, from silhouettes alone.
+Descriptor and confidence stay those that were learned on all clips.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import pickle
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson, Person
-from app.estimation.hypotheses import fit_poses, normalise_person
+from app.estimation.estimates import Person
 from app.tracking.measures import Measured
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.vision.people import Silhouette
 from index.artefact import load_index
 from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.body import Avatar
@@ -31,7 +28,16 @@ from index.build.poses import Poses, read_poses
 from index.posture import classify
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
-from scripts.experiments.action_model import (
+from scripts.film import (
+    CLIP_FPS,
+    FPS,
+    Filmed,
+    film,
+    film_stretch,
+    unbroken_stretches,
+)
+from scripts.helpers import match_silhouettes
+from scripts.training.action_model import (
     ACTIONS,
     COPIES,
     SEED,
@@ -43,14 +49,6 @@ from scripts.experiments.action_model import (
     read_motions,
     windows_of,
 )
-from scripts.experiments.sequences import (
-    CLIP_FPS,
-    FPS,
-    Filmed,
-    film,
-    film_stretch,
-    unbroken_stretches,
-)
 
 LEFT_OUT_TOGETHER = (
     ("13",),
@@ -60,16 +58,16 @@ LEFT_OUT_TOGETHER = (
     ("03", "05", "07", "09", "16", "17", "49"),
     ("11", "64", "85", "127", "135", "141"),
 )
-"""Subjects who are taken out of the index at a time; 13 and 14 do the same exercises."""
+"""Subjects removed from the index at a time; 13 and 14 do the same exercises."""
 
 HYPOTHESES = 20
 LONGEST_S = 6.0
 MOST_OF_A_KIND = 4
-"""Stretches of one action of one subject."""
+"""Most stretches of one action of one subject."""
 
 FALL = "fall"
 TIPPED = 20
-"""Simulated falls of people who stand, walk or exercise."""
+"""Number of simulated falls."""
 
 TIPPED_ACTIONS = ("jumping-jack", "punch", "stand", "twist", "walk")
 BEFORE_S, AFTER_S = 2.0, 4.0
@@ -81,23 +79,15 @@ CAMERAS_OF_RECORDED = 4
 
 OTHER_FPS = 5
 ACROBATICS = ("breakdance", "cartwheel", "fall", "flip", "roll")
-"""Actions in which people throw themselves down, so that a fall told is hardly false."""
+"""Actions in which people throw themselves down, so that a reported fall is hardly false."""
 
 
 @dataclass(frozen=True)
 class Track:
     """A person over time, as the service would see them.
 
-    Parameters
-    ----------
-    clip, subject, action : str
-    timestamps : (F,) float64 array
-        Seconds.
-    posture : (F,) int64 array
-        Of the true skeletons, with the true speed.
-    people : tuple of Person
-        Without their silhouettes.
-    smoothed : tuple of Smoothed
+    ``posture`` ``(F,)`` is that of the true skeletons and their true speed, as positions in
+    ``POSTURES``; ``people`` are the frames' answers, without their silhouettes.
     """
 
     clip: str
@@ -109,8 +99,32 @@ class Track:
     smoothed: tuple[Smoothed, ...]
 
 
+@dataclass(frozen=True)
+class Cast:
+    """Motion clips, the subject of each, and the avatars that play them."""
+
+    motion: Path
+    segments: list[Segment]
+    avatars: list[Avatar]
+
+    @classmethod
+    def read(cls, shared: Path) -> Cast:
+        """Read the clips, and make avatars that the index does not know."""
+        avatars = make_avatars(HELD_OUT_AVATARS, shared / "garments")
+        return cls(shared / "mocap", read_manifest(shared / "mocap"), avatars)
+
+    @property
+    def subjects(self) -> dict[str, str]:
+        """Subject by clip."""
+        return {segment.clip: segment.subject for segment in self.segments}
+
+    def poses(self, wanted: Callable[[Segment], bool]) -> Poses:
+        """Read the poses of some segments."""
+        return read_poses(self.motion, [one for one in self.segments if wanted(one)])[0]
+
+
 def read_or_make_tracks(shared: Path, index: Path, file: Path | None) -> list[Track]:
-    """Read tracks that were kept, or make them, which takes ten minutes, and keep them."""
+    """Read tracks from a file, or make them, which takes ten minutes, and keep them there."""
     if file is not None and file.exists():
         kept: list[Track] = pickle.loads(file.read_bytes())
         return kept
@@ -121,25 +135,19 @@ def read_or_make_tracks(shared: Path, index: Path, file: Path | None) -> list[Tr
 
 
 def make_tracks(shared: Path, index: PoseIndex, seed: int = 3) -> list[Track]:
-    """Film all subjects of :data:`ACTIONS` and those who fall, and match them."""
-    motion = shared / "mocap"
-    segments = read_manifest(motion)
-    subjects = {segment.clip: segment.subject for segment in segments}
-    avatars = make_avatars(HELD_OUT_AVATARS, shared / "garments")
+    """Film all subjects of :data:`ACTIONS` and the falls, and match them."""
+    cast = Cast.read(shared)
     generator = np.random.default_rng(seed)
-    films = film_actions(motion, segments, subjects, avatars, generator)
-    films += film_falls(motion, segments, subjects, avatars, generator)
-    return _match_unseen(index, films, subjects)
+    films = [*film_actions(cast, generator), *film_falls(cast, generator)]
+    return _match_unseen(index, films, cast.subjects)
 
 
 def make_others(shared: Path, index: PoseIndex, seed: int = 4) -> list[Track]:
     """Film all motion but falls and :data:`ACROBATICS`, and match it."""
-    motion = shared / "mocap"
-    segments = read_manifest(motion)
-    subjects = {segment.clip: segment.subject for segment in segments}
-    avatars = make_avatars(HELD_OUT_AVATARS, shared / "garments")
-    poses, _ = read_poses(motion, [s for s in segments if s.action not in ACROBATICS])
-    return _match_unseen(index, film(poses, subjects, avatars, seed, fps=OTHER_FPS), subjects)
+    cast = Cast.read(shared)
+    poses = cast.poses(lambda segment: segment.action not in ACROBATICS)
+    films = film(poses, cast.subjects, cast.avatars, seed, fps=OTHER_FPS)
+    return _match_unseen(index, films, cast.subjects)
 
 
 def _match_unseen(
@@ -150,13 +158,13 @@ def _match_unseen(
     with tqdm(total=sum(map(len, films)), desc="matching", unit="frame") as bar:
         for left_out in LEFT_OUT_TOGETHER:
             clips = {clip for clip, subject in subjects.items() if subject in left_out}
-            asked = [film for film in films if film.subject in left_out]
-            tracks += match_films(without_clips(index, clips), asked, bar.update)
+            shown = [film for film in films if film.subject in left_out]
+            tracks += match_films(without_clips(index, clips), shown, bar.update)
     return tracks
 
 
 def without_clips(index: PoseIndex, clips: set[str]) -> PoseIndex:
-    """The index without the entries of some clips, and without the network, which knows them."""
+    """Remove the entries of some clips, and the network, which knows them, from an index."""
     known = np.array([clip not in clips for clip in index.clips])
     rows = np.flatnonzero(known[index.skeleton_labels["clip"][index.entries["skeleton"]]])
     return replace(
@@ -168,15 +176,9 @@ def without_clips(index: PoseIndex, clips: set[str]) -> PoseIndex:
     )
 
 
-def film_actions(
-    motion: Path,
-    segments: Sequence[Segment],
-    subjects: dict[str, str],
-    avatars: Sequence[Avatar],
-    generator: np.random.Generator,
-) -> list[Filmed]:
-    """A piece of every stretch, of no more than some of an action by a subject."""
-    poses = _poses(motion, segments)
+def film_actions(cast: Cast, generator: np.random.Generator) -> list[Filmed]:
+    """Film a piece of every stretch, at most :data:`MOST_OF_A_KIND` of an action of a subject."""
+    poses, subjects, avatars = cast.poses(_shows_an_action), cast.subjects, cast.avatars
     counts: Counter[tuple[str, str]] = Counter()
     films: list[Filmed] = []
     for rows in unbroken_stretches(poses):
@@ -193,15 +195,9 @@ def film_actions(
     return films
 
 
-def film_falls(
-    motion: Path,
-    segments: Sequence[Segment],
-    subjects: dict[str, str],
-    avatars: Sequence[Avatar],
-    generator: np.random.Generator,
-) -> list[Filmed]:
-    """Upright people tipped over, and the recorded falls."""
-    poses = _poses(motion, segments)
+def film_falls(cast: Cast, generator: np.random.Generator) -> list[Filmed]:
+    """Film upright people who tip over, and the recorded falls."""
+    poses, subjects, avatars = cast.poses(_shows_an_action), cast.subjects, cast.avatars
     upright = [
         rows
         for rows in unbroken_stretches(poses)
@@ -215,8 +211,7 @@ def film_falls(
         clips.append(
             tipped_over(poses.clips[poses.clip[rows[0]]], poses.frame[rows[first:]], generator)
         )
-    recorded, _ = read_poses(motion, [s for s in segments if s.clip in RECORDED_FALLS])
-    for clip in recorded.clips:
+    for clip in cast.poses(lambda segment: segment.clip in RECORDED_FALLS).clips:
         order = np.arange(len(clip.rotations))[:: RECORDED_FALLS[clip.name]]
         held = np.concatenate([
             np.repeat(order[:1], round(BEFORE_S * CLIP_FPS)), order,
@@ -239,7 +234,7 @@ def film_falls(
 
 
 def tipped_over(clip: Clip, frames: NDArray[np.int64], generator: np.random.Generator) -> Clip:
-    """Somebody who goes on as recorded, tips over about their feet, and lies, hardly moving."""
+    """Make a subject go on as recorded, tip over about the feet, and lie, hardly moving."""
     before, after = round(BEFORE_S * CLIP_FPS), round(AFTER_S * CLIP_FPS)
     falling = int(generator.uniform(*FALL_S) * CLIP_FPS)
     ahead = np.concatenate(
@@ -270,41 +265,31 @@ def tipped_over(clip: Clip, frames: NDArray[np.int64], generator: np.random.Gene
 def match_films(
     index: PoseIndex, films: Sequence[Filmed], done: Callable[[int], object]
 ) -> list[Track]:
-    """Match every frame and smooth what was found."""
-
-    def matched(silhouette: Silhouette) -> Person:
-        observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, observed, normalise_person(observed), HYPOTHESES)
-
+    """Match every frame and smooth the poses."""
     tracks = []
-    with ThreadPoolExecutor(2) as pool:
-        for film in films:
-            people = list(pool.map(matched, film.silhouettes))
-            smoother = PoseSmoother()
-            smoothed = [
-                smoother.update(person, timestamp)
-                for person, timestamp in zip(people, film.timestamps.tolist(), strict=True)
-            ]
-            tracks.append(Track(
-                film.clip, film.subject, film.action, film.timestamps,
-                classify(film.world, BODY_UP, film.speeds),
-                tuple(
-                    replace(person, observed=replace(person.observed, silhouette=None))
-                    for person in people
-                ),
-                tuple(s for s in smoothed if s is not None),
-            ))  # fmt: skip
-            done(len(film))
+    for filmed in films:
+        people = match_silhouettes(index, filmed.silhouettes, HYPOTHESES)
+        smoother = PoseSmoother()
+        smoothed = [
+            smoother.update(person, timestamp)
+            for person, timestamp in zip(people, filmed.timestamps.tolist(), strict=True)
+        ]
+        seen = [replace(one, observed=replace(one.observed, silhouette=None)) for one in people]
+        posture = classify(filmed.world, BODY_UP, filmed.speeds)
+        tracks.append(Track(
+            filmed.clip, filmed.subject, filmed.action, filmed.timestamps, posture, tuple(seen),
+            tuple(one for one in smoothed if one is not None),
+        ))  # fmt: skip
+        done(len(filmed))
     return tracks
 
 
-def _poses(motion: Path, segments: Sequence[Segment]) -> Poses:
-    wanted = [s for s in segments if s.action in ACTIONS and s.clip not in SEVERAL_ACTIONS]
-    return read_poses(motion, wanted)[0]
+def _shows_an_action(segment: Segment) -> bool:
+    return segment.action in ACTIONS and segment.clip not in SEVERAL_ACTIONS
 
 
 def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:
-    """The tracks that show one of :data:`ACTIONS`, and their windows."""
+    """Return the tracks that show one of :data:`ACTIONS`, and their windows."""
     shown = [track for track in tracks if track.action in ACTIONS and len(track.smoothed) > FPS]
     parts = [
         windows_of([
@@ -324,7 +309,7 @@ def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:
 
 
 def training_windows(shared: Path, tracks: Sequence[Track]) -> Windows:
-    """Windows of simulated skeletons, then those of tracks, which are few, three times."""
+    """Return windows of simulated skeletons, then those of tracks, which are few, three times."""
     motion = shared / "mocap"
     avatars = make_avatars(CALIBRATION_AVATARS, None)
     simulated = make_windows(read_motions(motion, read_manifest(motion), avatars), COPIES, SEED)

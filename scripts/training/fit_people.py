@@ -1,21 +1,19 @@
-"""Fit what photographs teach: who is a person, who lies on the ground, and which posture is right.
+"""Fit detection scores, lying bodies, postures and confidences to photographs.
 
 Writes the parts `detection`, `grounded`, `posture` and `confidence` of
-``app/vision/weights/fitted.json``. Takes about ten minutes.
+``app/vision/weights/fitted.json`` within about ten minutes.
 
-    python -m scripts.fit_people --shared ../shared
-
-Fitted on street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP
-Extended: detection and confidence), photographs of people who fell and who did not (Ambianic), and
-simulated bodies of the index, for who bends or crouches. Not used, so that they remain a test:
-Pose2Sim, UP-Fall and the fall videos. Frames of UP-Fall among the fall photographs are left out.
+The data are street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP
+Extended: detection and confidence), photographs with and without a fallen person (Ambianic), and
+simulated bodies of the index, since few people bend or crouch in photographs. Pose2Sim, UP-Fall and
+the fall videos are not used, so that they remain a test; frames of UP-Fall among the fall
+photographs are left out.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +30,7 @@ from app.estimation.hypotheses import normalise_person
 from app.estimation.posture import GROUNDED, GROUPS, body_features
 from app.settings import Settings
 from app.vision.boxes import Boxes, iou_matrix
-from app.vision.detection.detector import NetworkDetector, detection_features
+from app.vision.detection.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.odds import log_odds
 from app.vision.people import LANDMARK_NAMES, Box, Landmarks
 from app.vision.weights import write_fitted
@@ -42,17 +40,21 @@ from index.posture import POSTURES, UPRIGHT, camera_up, classify
 from index.ranking import DISTANCE_WEIGHT
 from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
 from index.store import PoseIndex
-from scripts.experiments.asking import estimate
-from scripts.experiments.real_data import (
+from scripts.datasets import (
+    Marks,
+    Photograph,
     as_array,
+    read_lsp,
+    read_marks,
     read_pennfudan,
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import fit_hog
-from scripts.experiments.real_vtest import Marks, read_marks
+from scripts.helpers import LIMB_POINTS, estimate
+from scripts.metrics import rightness
+from scripts.results import SHARED
 
-COMMAND = "python -m scripts.fit_people"
+COMMAND = "python -m scripts fit-people"
 UPFALL_SHAPE = (352, 640)
 """Fall photographs of this size are frames of UP-Fall."""
 
@@ -61,26 +63,17 @@ SAME = 0.5
 """Overlap (IoU) from which a candidate is an annotated person."""
 
 SIMULATED_FROM, SIMULATED_EACH, SIMULATED_WEIGHT = 40_000, 400, 100.0
-"""Entries among which simulated bodies are chosen, how many of each posture, and for how many
-people of photographs all of them count: people who bend or crouch are rare there."""
+"""Entries from which simulated bodies are drawn, how many of each posture, and the number of
+photographed people that all of them together count for."""
 
 NOISE_M, ROLL_DEG, PX_PER_M = (0.03, 0.03, 0.08), 6.0, 200.0
 
 _STRENGTH = 0.1
-_LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 
 
 @dataclass
 class Samples:
-    """Features and truths of one source.
-
-    Parameters
-    ----------
-    features : list of arrays
-    truths : list of bool
-    groups : list of str
-        The photograph of each.
-    """
+    """Features and truths of one source, and the photograph of each, its group."""
 
     features: list[NDArray[np.float64]] = field(default_factory=list)
     truths: list[bool] = field(default_factory=list)
@@ -97,7 +90,7 @@ Source = Iterator[tuple[str, NDArray[np.uint8]]]
 
 
 def photographs(folder: Path) -> Source:
-    """Names and pixels of the photographs of a folder, in order."""
+    """Yield names and pixels of the photographs of a folder, in order."""
     for file in sorted(folder.glob("*.jpg")):
         frame = cv2.imread(str(file))
         if frame is not None and frame.shape[:2] != UPFALL_SHAPE:
@@ -107,7 +100,7 @@ def photographs(folder: Path) -> Source:
 def candidate_samples(
     detector: NetworkDetector, frame: NDArray[np.uint8], judge: Callable[[Box], bool | None]
 ) -> Iterator[tuple[NDArray[np.float64], bool]]:
-    """Scores of the candidates of a frame, with whether they are people where that is known."""
+    """Yield scores of the candidates of a frame, and whether they are people, where known."""
     found, scores = detector.candidates(frame)
     for one, row in zip(found, detection_features(scores), strict=True):
         truth = judge(one.box)
@@ -116,22 +109,22 @@ def candidate_samples(
 
 
 def overlap(box: Box, people: Boxes) -> float:
-    """Largest overlap of a box with people."""
+    """Return the largest overlap of a box with people."""
     return float(iou_matrix(as_array([box]), people).max(initial=0.0))
 
 
 def pedestrian(people: Boxes) -> Callable[[Box], bool | None]:
-    """Judge of street photographs."""
+    """Judge candidates in street photographs."""
     return lambda box: overlap(box, people) >= SAME
 
 
 def athlete(body: Boxes) -> Callable[[Box], bool | None]:
-    """Judge of sports photographs, where only one person is annotated."""
+    """Judge candidates in sports photographs, where only one person is annotated."""
     return lambda box: True if overlap(box, body) >= 0.3 else None
 
 
 def walker(marks: Marks) -> Callable[[Box], bool | None]:
-    """Judge of the street video: None for people who are hardly seen."""
+    """Judge candidates in the street video: None for barely visible people."""
 
     def judge(box: Box) -> bool | None:
         if overlap(box, as_array(marks.people)) >= SAME:
@@ -142,7 +135,7 @@ def walker(marks: Marks) -> Callable[[Box], bool | None]:
 
 
 def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
-    """Candidates of every source that has boxes or joints."""
+    """Collect the candidates of every source that has boxes or joints."""
     detector = estimator.detector
     assert isinstance(detector, NetworkDetector)
     sources = {name: Samples() for name in ("pennfudan", "vtest", "lsp")}
@@ -156,22 +149,18 @@ def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
         if number in marks:
             for sample in candidate_samples(detector, frame, walker(marks[number])):
                 sources["vtest"].add(*sample, str(number))
-    document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
-    for person in tqdm(document["people"], desc="sports photographs"):
-        picture = cv2.imread(str(shared / "real" / "lsp" / person["image"]))
-        joints = np.array(person["joints_2d"])
-        low, size = joints.min(axis=0), np.ptp(joints, axis=0)
+    for person in tqdm(read_lsp(shared / "real" / "lsp"), desc="sports photographs"):
+        low, size = person.every_joint.min(axis=0), np.ptp(person.every_joint, axis=0)
         body = np.array([[*low, *np.maximum(size, 1)]])
-        frame = np.asarray(picture, np.uint8)
-        for sample in candidate_samples(detector, frame, athlete(body)):
-            sources["lsp"].add(*sample, person["image"])
+        for sample in candidate_samples(detector, person.frame, athlete(body)):
+            sources["lsp"].add(*sample, person.name)
     return sources
 
 
 def posture_samples(
     estimator: Estimator, shared: Path
 ) -> tuple[dict[str, Samples], dict[str, list[tuple[Person, tuple[str, ...]]]]]:
-    """Bodies that lie or do not, and people with the postures that are right for them."""
+    """Collect bodies that lie or do not, and people with the postures that are right for them."""
     grounded = {name: Samples() for name in ("fall", "not-fall", "street")}
     people: dict[str, list[tuple[Person, tuple[str, ...]]]] = {name: [] for name in grounded}
     real = shared / "real"
@@ -179,7 +168,7 @@ def posture_samples(
         for name, frame in tqdm([*photographs(real / "falls" / kind)], desc=kind):
             found = [one for one in estimate(estimator, frame) if one.observed.landmarks]
             if kind == "fall":
-                # Who fell is in the middle of the picture's interest; helpers are smaller.
+                # The fallen person is the subject of the picture; helpers are smaller.
                 found = sorted(found, key=lambda one: -one.observed.box.area)[:1]
             for one in found:
                 grounded[kind].add(_body(one), kind == "fall", name)
@@ -202,7 +191,7 @@ def _body(person: Person) -> NDArray[np.float64]:
 
 
 def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
-    """Weights of what the detectors say; none of them may speak against a person."""
+    """Fit the weights of the detectors' scores; none may be negative."""
     features = np.concatenate([np.array(one.features) for one in sources.values()])
     truths = np.concatenate([np.array(one.truths) for one in sources.values()])
     model = LogisticRegression(C=10.0).fit(features, truths)
@@ -212,8 +201,23 @@ def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in constants.items()}
 
 
+def fit_hog(street: Sequence[Photograph]) -> dict[str, float]:
+    """Fit the constants that turn HOG's margins alone into probabilities."""
+    right, margins = [], []
+    alone = HogDetector(min_score=0.0)
+    for photograph in street:
+        boxes, found = alone.people(photograph.frame)
+        right.append(rightness((boxes, found), as_array(photograph.boxes)))
+        margins.append(found)
+    model = LogisticRegression().fit(np.concatenate(margins)[:, None], np.concatenate(right))
+    return {
+        "hog_alone": round(float(model.coef_[0, 0]), 4),
+        "hog_alone_offset": round(float(model.intercept_[0]), 4),
+    }
+
+
 def simulated_samples(index: PoseIndex) -> Samples:
-    """Bodies of the index in every posture, with landmarks as a network would read them."""
+    """Draw bodies of the index in every posture, with landmarks as a network would read them."""
     rng = np.random.default_rng(0)
     rows = np.sort(rng.permutation(len(index))[:SIMULATED_FROM])
     entries = index.entries[rows]
@@ -232,7 +236,7 @@ def simulated_samples(index: PoseIndex) -> Samples:
 
 
 def _point_of_landmark(name: str) -> int:
-    """The point of the index that is nearest to a landmark."""
+    """Return the point of the index that is nearest to a landmark."""
     side, _, part = name.rpartition("_") if name.startswith("mouth") else name.partition("_")
     if part in ("inner", "outer") or "eye" in name:
         return POINT_NAMES.index(f"{side}_eye")
@@ -246,7 +250,7 @@ _POINT_OF_LANDMARK = [_point_of_landmark(name) for name in LANDMARK_NAMES]
 
 
 def fit_grounded(sources: dict[str, Samples], simulated: Samples) -> dict[str, Any]:
-    """A logistic model of lying, on features standardised by those of photographs."""
+    """Fit a logistic model of lying, on features standardised by those of photographs."""
     photographed = np.concatenate([np.array(one.features) for one in sources.values()])
     truths = np.concatenate(
         [*(np.array(one.truths) for one in sources.values()), np.array(simulated.truths)]
@@ -268,7 +272,7 @@ def fit_grounded(sources: dict[str, Samples], simulated: Samples) -> dict[str, A
 def cross_validated(
     sources: dict[str, Samples], simulated: Samples
 ) -> dict[str, NDArray[np.float64]]:
-    """Probability of lying of each sample, by models that did not see its photograph."""
+    """Return the probability of lying of each sample, by models that did not see its photograph."""
     names = sorted({group for one in sources.values() for group in one.groups})
     order = np.random.default_rng(0).permutation(len(names)) % FOLDS
     fold = dict(zip(names, order.tolist(), strict=True))
@@ -291,14 +295,14 @@ def cross_validated(
 
 
 def probability(features: NDArray[np.float64], model: dict[str, Any]) -> float:
-    """What a model of :func:`fit_grounded` says."""
+    """Apply a model of :func:`fit_grounded`."""
     standardised = (features - np.array(model["means"])) / np.array(model["scales"])
     odds = standardised @ np.array(model["weights"]) + model["offset"]
     return float(1 / (1 + np.exp(-odds)))
 
 
 def by_photograph(samples: Samples, probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The highest probability of each photograph."""
+    """Return the highest probability of each photograph."""
     highest: dict[str, float] = {}
     for group, one in zip(samples.groups, probabilities.tolist(), strict=True):
         highest[group] = max(highest.get(group, 0.0), one)
@@ -308,7 +312,7 @@ def by_photograph(samples: Samples, probabilities: NDArray[np.float64]) -> NDArr
 def fit_posture(
     people: dict[str, list[tuple[Person, tuple[str, ...]]]],
 ) -> dict[str, float]:
-    """Slope and offset of the log odds that the group of the likeliest posture is right."""
+    """Fit the log odds that the group of the likeliest posture is right."""
     shares, right, weights = [], [], []
     for people_of_kind in people.values():
         for person, postures in people_of_kind:
@@ -330,10 +334,10 @@ def fit_posture(
 def confidence_samples(
     estimator: Estimator, shared: Path
 ) -> tuple[list[tuple[float, float]], list[bool]]:
-    """Agreement and adjustment of the hypotheses of people in sport and in the street.
+    """Collect agreement and adjustment of the hypotheses of people in sport and in the street.
 
-    With whether their limbs are right: those that are annotated as visible, and those that
-    MediaPipe's landmarks name where its mask agrees with the true one.
+    The second list says whether each is right: over the limbs annotated as visible, or those of
+    MediaPipe's landmarks where its mask agrees with the true one.
     """
     features: list[tuple[float, float]] = []
     right: list[bool] = []
@@ -344,29 +348,24 @@ def confidence_samples(
             return
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
-            errors = np.linalg.norm(placed.points_2d[_LIMB_ROWS] - joints, axis=1)[seen]
+            errors = np.linalg.norm(placed.points_2d[LIMB_POINTS] - joints, axis=1)[seen]
             agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))
             features.append((agreement, placed.hypothesis.adjusted_m))
             right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
 
-    document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
-    annotated = [document["joint_names"].index(name) for name in LIMBS]
-    for one in tqdm(document["people"], desc="sports people"):
-        frame = np.asarray(cv2.imread(str(shared / "real" / "lsp" / one["image"])), np.uint8)
-        joints = np.array(one["joints_2d"])[annotated]
-        seen = np.array(one["visible"])[annotated]
-        middle = joints.mean(axis=0)
+    for one in tqdm(read_lsp(shared / "real" / "lsp"), desc="sports people"):
+        middle = one.limbs.mean(axis=0)
         people = [
             person
-            for person in estimate(estimator, frame)
+            for person in estimate(estimator, one.frame)
             if _holds(person.observed.whole_box, middle) and person.hypotheses
         ]
-        if people and seen.any():
-            add(max(people, key=lambda other: other.observed.whole_box.area), joints, seen)
+        if people and one.visible.any():
+            largest = max(people, key=lambda other: other.observed.whole_box.area)
+            add(largest, one.limbs, one.visible)
     folder = shared / "real" / "pennfudan"
     for street in tqdm(read_street_people(folder, read_pennfudan(folder)), desc="street people"):
-        box = street.photograph.boxes[street.label - 1]
-        (person,) = estimate(estimator, street.photograph.frame, box)
+        (person,) = estimate(estimator, street.photograph.frame, street.box)
         add(person, street.reference.joints_2d, np.ones(len(LIMBS), bool))
     return features, right
 
@@ -376,7 +375,7 @@ def _holds(box: Box, place: NDArray[np.float64]) -> bool:
 
 
 def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> dict[str, float]:
-    """Weights of the log odds that a hypothesis is right."""
+    """Fit the log odds that a hypothesis is right."""
     model = LogisticRegression(C=100.0).fit(np.array(features), right)
     slope, adjusted_m = model.coef_[0].tolist()
     return {
@@ -386,42 +385,32 @@ def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> di
     }
 
 
-def main() -> None:
-    """Fit as the command line asks."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fit all parts, one after the other."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=Path("../shared"))
-    options = parser.parse_args()
-    if not (options.shared / "real").is_dir():
-        parser.error(f"expected {options.shared}/real to hold the photographs, it is not there")
+    parser.add_argument("--shared", type=Path, default=SHARED)
+    shared = parser.parse_args(arguments).shared
+    if not (shared / "real").is_dir():
+        parser.error(f"expected {shared}/real to hold the photographs, it is not there")
     estimator = Estimator.load(Settings())
-    detection = detection_samples(estimator, options.shared)
-    street = read_pennfudan(options.shared / "real" / "pennfudan")
-    write_fitted(
-        "detection",
-        COMMAND,
-        ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items()),
-        {**fit_detection(detection), **fit_hog(street)},
-    )
-    grounded, _ = posture_samples(estimator, options.shared)
+    detection = detection_samples(estimator, shared)
+    data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items())
+    street = read_pennfudan(shared / "real" / "pennfudan")
+    write_fitted("detection", COMMAND, data, {**fit_detection(detection), **fit_hog(street)})
+    grounded, _ = posture_samples(estimator, shared)
     simulated = simulated_samples(estimator.index)
-    told = cross_validated(grounded, simulated)
+    probabilities = cross_validated(grounded, simulated)
     for name, samples in grounded.items():
-        share = (by_photograph(samples, told[name]) >= 0.5).mean()
+        share = (by_photograph(samples, probabilities[name]) >= 0.5).mean()
         print(f"{name}: lying or crawling in {100 * share:.1f} % of photographs, cross-validated")
     data = ", ".join(f"{len(one.truths)} people of {name}" for name, one in grounded.items())
     write_fitted("grounded", COMMAND, data, fit_grounded(grounded, simulated))
     # Shares depend on the model above.
-    _, people = posture_samples(estimator, options.shared)
+    _, people = posture_samples(estimator, shared)
     write_fitted("posture", COMMAND, "people who fell or walk", fit_posture(people))
-    features, right = confidence_samples(estimator, options.shared)
-    write_fitted(
-        "confidence",
-        COMMAND,
+    features, right = confidence_samples(estimator, shared)
+    data = (
         f"{len(right)} hypotheses of people in sport and in the street, "
-        f"{100 * np.mean(right):.0f} % of them right",
-        fit_confidence(features, right),
+        f"{100 * np.mean(right):.0f} % of them right"
     )
-
-
-if __name__ == "__main__":
-    main()
+    write_fitted("confidence", COMMAND, data, fit_confidence(features, right))

@@ -1,10 +1,8 @@
-"""Train the model that tells actions of tracks: ``app/tracking/weights/actions.json``.
+"""Train the model of actions: ``app/tracking/weights/actions.json``.
 
-    python -m scripts.train_actions
-
-Learns from the motion clips of ``../shared/mocap``, as true skeletons with simulated noise and as
-tracks of hypotheses, which takes ten minutes on two cores. How well unseen subjects' actions are
-told is measured by ``python -m scripts.evaluate actions``.
+It learns from the motion clips of ``../shared/mocap``, as true skeletons with simulated noise and
+as tracks of hypotheses. That takes ten minutes on two cores. ``evaluate actions`` measures how well
+it recognises the actions of unseen subjects.
 """
 
 from __future__ import annotations
@@ -17,24 +15,24 @@ from pathlib import Path
 import numpy as np
 
 from app.tracking.actions import MODEL
-from scripts.experiments.action_model import (
+from index.store import DEFAULT_PATH
+from scripts.results import SHARED
+from scripts.training.action_model import (
     TEMPERATURES,
     at_temperature,
     best_temperature,
     fit,
     leave_subjects_out,
 )
-from scripts.experiments.action_tracks import read_or_make_tracks, training_windows
-
-ROOT = Path(__file__).resolve().parent.parent
+from scripts.training.action_tracks import read_or_make_tracks, training_windows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line."""
+    """Train as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--shared", type=Path, default=SHARED)
     parser.add_argument("--out", type=Path, default=MODEL)
-    parser.add_argument("--index", type=Path, default=ROOT / "index" / "data")
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--tracks", type=Path, help="file that keeps the tracks for the next time")
     options = parser.parse_args(arguments)
     tracks = read_or_make_tracks(options.shared, options.index, options.tracks)
@@ -42,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     temperature = best_temperature(leave_subjects_out(windows), TEMPERATURES)
     model = at_temperature(fit(windows, np.ones(len(windows.motion), bool)), temperature)
     values = {
-        "made_by": "python -m scripts.train_actions",
+        "made_by": "python -m scripts train-actions",
         "temperature": temperature,
         "vote_weight": model.vote_weight,
         "actions": model.actions,
@@ -51,7 +49,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     options.out.write_text(json.dumps(values).replace("], [", "],\n [") + "\n")
     print(f"{options.out}: {len(windows.motion)} windows, temperature {temperature:g}")
-
-
-if __name__ == "__main__":
-    main()
