@@ -6,6 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+LEARNED_STD_PX = 3.0
+"""Most noise of :func:`outline_faults`."""
+
+_SHIFT = 4
+"""Binary digits after the point of a contour point."""
+
 
 def disturb(
     silhouette: NDArray[np.uint8], std_px: float, generator: np.random.Generator
@@ -19,12 +25,11 @@ def disturb(
     std_px : float
         Standard deviation of the change of the radius, which is measured from the centroid of
         the silhouette. 0 leaves the silhouette as it is.
-    generator : np.random.Generator
 
     Returns
     -------
     (H, W) uint8 array
-        The outer contours and those of holes, all redrawn; clipped to the frame.
+        Outer contours and holes, all redrawn; clipped to the frame.
     """
     if std_px == 0:
         return silhouette.copy()
@@ -44,26 +49,18 @@ def disturb(
     return redrawn
 
 
-_SHIFT = 4
-"""Binary digits of a contour point after the point."""
-
-
 def disturb_all(silhouettes: NDArray[np.uint8], std_px: float, seed: int) -> NDArray[np.uint8]:
-    """Disturb silhouettes ``(B, H, W)``, each with noise of its own."""
+    """Disturb silhouettes ``(B, H, W)``, each with its own noise."""
     generator = np.random.default_rng(seed)
     return np.stack([disturb(silhouette, std_px, generator) for silhouette in silhouettes])
 
 
-LEARNED_STD_PX = 3.0
-"""Most noise of :func:`contour_faults`."""
-
-
-def contour_faults(
+def outline_faults(
     silhouettes: NDArray[np.uint8],
     joints: NDArray[np.floating],
     generator: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
-    """Contour noise for a descriptor to learn to overlook; from none to 3 px, in equal shares."""
+    """Add noise that a descriptor learns to overlook: 0 to 3 px, evenly distributed."""
     stds = generator.uniform(0.0, LEARNED_STD_PX, len(silhouettes))
     disturbed = [disturb(s, std, generator) for s, std in zip(silhouettes, stds, strict=True)]
     return np.stack(disturbed), joints

@@ -1,9 +1,9 @@
 """The data of the paper's experiments, and what counts as recognised.
 
-Four unclothed avatars (two women, two men) do four actions before a rig of eight fixed cameras.
-Of every action one stretch of motion is sampled at regular steps; nearly every sixth of these
-frames is asked for, the others are known, for all avatars and cameras alike: 19 frames x 4
-avatars x 8 cameras make 608 unseen silhouettes, 92 x 4 x 8, evenly thinned, 2,925 known ones.
+Four unclothed avatars (two women, two men) perform four actions before eight fixed cameras.
+One stretch of each action is sampled at regular steps. Nearly every sixth of these frames is unseen
+and the others are known, for all avatars and cameras alike: 19 frames x 4 avatars x 8 cameras make
+608 unseen silhouettes, 92 x 4 x 8, evenly thinned, 2,925 known ones.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ STRETCHES = {
 """Clip and first frame of each action."""
 
 STEP = 2
-"""Frames from one sample to the next: 15 a second."""
+"""Frames from one sample to the next, for 15 samples a second."""
 
 CAMERA_DISTANCE_M = 5.0
 
 
 def rig() -> NDArray[np.void]:
-    """Eight cameras about the person, 45 degrees apart, at 10 and 30 degrees in turn."""
+    """Place eight cameras about the person, 45 degrees apart, at 10 and 30 degrees in turn."""
     cameras = np.zeros(8, VIEW_DTYPE)
     cameras["azimuth_deg"] = np.arange(8) * 45.0
     cameras["elevation_deg"] = np.tile([10.0, 30.0], 4)
@@ -61,7 +61,7 @@ def rig() -> NDArray[np.void]:
 def film(
     poses: Poses, avatars: Sequence[Avatar], cameras: NDArray[np.void], *, progress: bool = False
 ) -> Simulation:
-    """Every pose on every avatar before every camera, in that order."""
+    """Film every pose on every avatar before every camera, in that order."""
     bodies, views = len(avatars), len(cameras)
     to_camera = camera_rotation(
         cameras["azimuth_deg"], cameras["elevation_deg"], cameras["roll_deg"]
@@ -101,7 +101,7 @@ def film(
 
 @dataclass(frozen=True)
 class PaperData:
-    """Silhouettes known to the index, and those asked for."""
+    """Silhouettes known to the index, and unseen ones."""
 
     known: Simulation
     unseen: Simulation
@@ -134,7 +134,7 @@ def paper_data(motion: Path, *, step: int = STEP, progress: bool = False) -> Pap
 def joint_errors(
     known: Simulation, unseen: Simulation, numbers: NDArray[np.integer]
 ) -> NDArray[np.float32]:
-    """Mean joint reprojection errors ``(Q, N)`` in px of answers ``(Q, N)`` in 128x48."""
+    """Return mean joint reprojection errors ``(Q, N)`` in px of answers ``(Q, N)`` in 128x48."""
     answers, truth = view_joints(known)[1], view_joints(unseen)[1]
     errors = [
         np.linalg.norm(answers[row] - joints, axis=-1).mean(axis=-1)
@@ -146,7 +146,7 @@ def joint_errors(
 def nearest(
     known: NDArray[np.float32], asked: NDArray[np.float32], count: int
 ) -> NDArray[np.int64]:
-    """Rows ``(Q, count)`` of the nearest known vectors by exact Euclidean distance."""
+    """Return rows ``(Q, count)`` of the nearest known vectors by exact Euclidean distance."""
     import faiss
 
     flat = faiss.IndexFlatL2(known.shape[1])
@@ -155,5 +155,5 @@ def nearest(
 
 
 def recognised(errors: NDArray[np.floating], n: int) -> float:
-    """Share of queries, in percent, with one of the ``n`` nearest under 5 px."""
+    """Return the percentage of queries with one of the ``n`` nearest under 5 px."""
     return 100 * float((errors[:, :n] < RIGHT_BELOW_PX).any(axis=1).mean())

@@ -1,191 +1,203 @@
-"""The strict experiment: bodies, clips and views that the index never saw.
+"""The simulation experiment: bodies, clips and views that the index never saw.
 
 The index is built as the shipped one is, but without the held-out clips
-(:func:`index.build.builder.split_by_clip`, and :data:`ALSO_HELD_OUT`); descriptor and confidence
-are fitted on what remains; the network that re-ranks is the shipped one, which knows none of these
-clips either. Queries are frames spread evenly over the held-out clips, on the bodies
-of ``HELD_OUT_AVATARS``, each from one random view of the hemisphere: of upright motion, of clips
-near the ground, and of both laid down.
+(:mod:`scripts.training.held_out`); descriptor and confidence are fitted to what remains. The
+network that re-ranks is the shipped one, which knows none of these clips either. Queries are frames
+spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, each from one random
+view of the hemisphere: upright motion, clips near the ground, and both laid down.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
-from index.artefact import load_index, save_index
 from index.build.avatars import HELD_OUT_AVATARS, make_avatars
-from index.build.builder import (
-    Asked,
-    Plan,
-    build,
-    simulate_queries,
-    split_by_clip,
+from index.build.builder import Asked, simulate_queries
+from index.build.calibrate import (
+    HYPOTHESES,
+    Queries,
+    Trial,
+    expected_calibration_error,
+    run_trial,
 )
-from index.build.calibrate import Queries, Trial, expected_calibration_error, run_trial
-from index.build.motion import Segment, read_manifest
+from index.build.motion import read_manifest
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX
+from index.landmark_search import rotate_clockwise
 from index.posture import LOW, POSTURES, classify
-from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
+from index.reranker import Reranker
+from index.rotations import RotatedQuery, find_rotated_candidates, usual_rotations
+from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS
 from index.store import PoseIndex
-from scripts.experiments.report import confusion, plot_reliability, reliability, table, write
-from scripts.experiments.strict_ranking import shipped_reranker, steps
-
-ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
-"""Clips near the ground whose actions have too few clips for one to be held out of each."""
+from scripts.metrics import confusion, reliability
+from scripts.training.held_out import hold_out, strict_index
 
 ASKED = Asked(upright=4000, near_ground=2000, laid_down=1200)
-"""So many that a share of upright people is known to 0.8 points (one standard deviation)."""
+"""Numbers of queries; the share of right upright ones has a standard deviation of 0.8 points."""
 
 QUERY_SEED = 99
 DEGRADED_EVERY = 2
-"""Of the upright queries, one in so many is asked again, degraded."""
+"""One in so many upright queries is asked again, degraded."""
 
 ELEVATIONS_DEG = ((-5, 10), (10, 25), (25, 45), (45, 60))
+NEAR_BELOW_PX = 8.0
 
-COLUMNS = (
-    "queries",
-    "right at 1",
-    "right within 7",
-    "3D first (mm)",
-    "3D best of 7 (mm)",
-    "ECE",
-)
-
-LOW_GROUP = "low: " + ", ".join(LOW)
-
-HARD_QUERIES = (
-    "## Ten hard queries\n\nEvenly chosen at revision 24b3b49 (later ones do not draw them) among "
-    "those whose first hypothesis was wrong: the query with its true skeleton, then its seven "
-    "hypotheses over the silhouettes of their entries, with confidence and joint error; framed in "
-    "green where right. Orange is the person's left, blue the right.\n\n"
-    "![hard queries](strict-hard.png)"
-)
-
-COMMAND = "python -m scripts.evaluate simulation"
+Figures = dict[str, float]
+Rows = NDArray[np.bool_]
 
 
-def add_arguments(parser: argparse._ArgumentGroup) -> None:
-    """Add no options."""
-
-
-def run(options: argparse.Namespace) -> None:
-    """Run the experiment and write ``strict.md``, ``strict.json`` and the reliability diagram."""
-    motion, garments = options.shared / "mocap", options.shared / "garments"
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Run the experiment."""
+    motion = options.shared / "mocap"
     _, held = hold_out(read_manifest(motion))
-    index = replace(
-        strict_index(options.shared, options.strict_index), reranker=shipped_reranker(held)
-    )
-    avatars = make_avatars(HELD_OUT_AVATARS, garments)
+    index = strict_index(options.shared, options.strict_index)
+    avatars = make_avatars(HELD_OUT_AVATARS, options.shared / "garments")
     simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)
+    return {
+        **measure(index, simulated),
+        "index": {
+            "entries": len(index),
+            "poses": index.parameters["poses"],
+            "bodies_per_pose": index.parameters["bodies_per_pose"],
+            "views_per_body": index.parameters["views_per_body"],
+            "avatars": len(index.subjects),
+        },
+        "held_out_clips": sorted({segment.clip for segment in held}),
+    }
+
+
+def measure(index: PoseIndex, simulated: Simulation, asked: Asked = ASKED) -> dict[str, object]:
+    """Ask an index for simulated queries, the upright ones first."""
     queries = Queries.of(simulated)
-    everybody = run_trial(index, queries, progress=True)
-    clean = everybody.take(np.arange(ASKED.upright))
-    some = np.arange(0, ASKED.upright, DEGRADED_EVERY)
-    degraded = queries.take(some).degraded(QUERY_SEED)
-    trials = {"upright": clean, "degraded": run_trial(index, degraded, progress=True)}
+    every = run_trial(index, queries, progress=True)
+    upright = every.take(np.arange(asked.upright))
+    some = np.arange(0, asked.upright, DEGRADED_EVERY)
+    degraded_queries = queries.take(some).degraded(QUERY_SEED)
+    degraded = run_trial(index, degraded_queries, progress=True)
     postures = true_postures(simulated)
-    low = np.flatnonzero(posture_groups(postures)[LOW_GROUP])
-    by_step = steps(index, {
-        "upright": (queries.take(some), everybody.take(some)),
-        "degraded": (degraded, trials["degraded"]),
-        "low postures": (queries.take(low), everybody.take(low)),
-    })  # fmt: skip
-    limb_px = {name: limb_threshold_px(trial) for name, trial in trials.items()}
-    figures: dict[str, object] = {name: summary(trial) for name, trial in trials.items()}
-    write(options.out, "strict", COMMAND, [
-        "Strict: unseen bodies, clips and views",
-        f"Index: {len(index):,} entries: {index.parameters['poses']:,} poses, each on "
-        f"{index.parameters['bodies_per_pose']} of the {len(index.subjects)} avatars, "
-        f"{index.parameters['views_per_body']} views of each; each stands for its mirror image "
-        f"too. Queries: {ASKED.upright:,} frames spread evenly over the held-out clips of upright "
-        "motion, on 4 bodies and in clothes of their own, one random view each (elevation -5 to "
-        "60 degrees, 3 to 20 m, 2 degrees of roll). Right: mean joint reprojection error "
-        "under 5 px in the 128x48 frame. ECE: expected calibration error of all seven "
-        "confidences, ten bins. Degraded: as silhouettes cut out of photographs are, with gaps "
-        "filled, background attached, hands, feet or heads missing (index/build/noise.py).",
-        table(COLUMNS, [row(name, trial) for name, trial in trials.items()]),
-        "## What ranks the hypotheses",
-        "The descriptor alone: the nearest entries as they are. Modes: distinct and interpolated, "
-        "in the order of their distance. The network: in the order of distance and of the "
-        "likelihood that it gives their joints, made of candidates that it weighs, and fitted to "
-        "it (docs/index.md); alone: the likeliest place of each joint by itself. The confidence "
-        "was fitted with all of it.",
-        table(["queries", "ranked by", *COLUMNS[1:]], by_step),
-        "## By posture",
-        f"The same and {ASKED.near_ground:,} frames of held-out clips near the ground and "
-        f"{ASKED.laid_down:,} of all held-out clips laid on the ground (elevation 5 to 70 degrees "
-        "for those who lie or crawl). Held out are "
-        f"{', '.join(sorted({s.clip for s in held}))}. Postures are told by the rules of "
-        "docs/index.md from the true skeleton and, for the last column, from the silhouette: the "
-        "vote of seven hypotheses, weighted by confidence.",
-        *by_posture(postures, everybody),
-        "### Which posture is taken for which\n\nTrue postures in rows.",
-        confusion(POSTURES, postures, voted_postures(everybody)),
-        "## By action",
-        table(COLUMNS, by_action(simulated, everybody)),
-        "## By elevation of the camera",
-        table(COLUMNS, by_elevation(simulated.take(np.arange(ASKED.upright)), clean)),
-        "## What limits it",
-        limits(clean),
-        "## Limb joints alone",
-        "Real people are measured at the 12 joints of their limbs, which err more than all 19 do: "
-        f"as many of the hypotheses above come within {limb_px['upright']:.1f} px there "
-        f"as within {RIGHT_BELOW_PX:g} px over all joints; of the degraded, within "
-        f"{limb_px['degraded']:.1f} px.",
-        "## Calibration\n\n![reliability diagram](strict-reliability.png)",
-        HARD_QUERIES,
-    ], {
-        **figures,
-        "postures": posture_figures(postures, everybody),
-        "limb_threshold_px": limb_px,
-    })  # fmt: skip
-    bins = reliability(clean.confidence.ravel(), clean.right.ravel(), 10)
-    plot_reliability({"upright": bins}, options.out / "strict-reliability.png")
+    low = np.flatnonzero(posture_groups(postures)["low"])
+    rankings = {
+        "upright": rank(index, queries.take(some), every.take(some)),
+        "degraded": rank(index, degraded_queries, degraded),
+        "low_postures": rank(index, queries.take(low), every.take(low)),
+    }
+    return {
+        "asked": {
+            "upright": asked.upright,
+            "near_ground": asked.near_ground,
+            "laid_down": asked.laid_down,
+        },
+        "right_below_px": RIGHT_BELOW_PX,
+        "summary": {"upright": summary(upright), "degraded": summary(degraded)},
+        "ranking": rankings if index.reranker else {},
+        "postures": posture_figures(postures, every),
+        "posture_right": posture_shares(postures, every),
+        "posture_confusion": confusion(len(POSTURES), postures, voted_postures(every)).tolist(),
+        "actions": by_action(simulated, every),
+        "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
+        "limits": limits(upright),
+        "limb_threshold_px": {
+            "upright": limb_threshold_px(upright),
+            "degraded": limb_threshold_px(degraded),
+        },
+        "reliability": {
+            "upright": reliability(upright.confidence.ravel(), upright.right.ravel(), 10)
+        },
+    }
 
 
-def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
-    """An index built as the shipped one is, but without the held-out clips.
-
-    Parameters
-    ----------
-    shared : Path
-        Folder with ``mocap/`` and ``garments/``.
-    folder : Path or None
-        Where it was kept before, or is kept from now on.
-    """
-    if folder is not None and folder.exists():
-        return load_index(folder)
-    motion, garments = shared / "mocap", shared / "garments"
-    kept, _ = hold_out(read_manifest(motion))
-    index = build(motion, garments, Plan(), name="strict", segments=kept, progress=True, say=print)
-    if folder is not None:
-        save_index(index, folder)
-    return index
+def summary(trial: Trial, rows: Rows | None = None) -> Figures:
+    """Return the figures of a trial, or of some of its queries."""
+    some = np.ones(len(trial.error_m), bool) if rows is None else rows
+    return {
+        **_errors(trial.error_px[some], trial.error_m[some]),
+        "ece": expected_calibration_error(trial.confidence[some], trial.right[some]),
+    }
 
 
-def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]:
-    """The segments that the index may know, and those it is asked for."""
-    kept, _ = split_by_clip(segments)
-    clips = {s.clip for s in kept}.difference(ALSO_HELD_OUT)
-    return [s for s in segments if s.clip in clips], [s for s in segments if s.clip not in clips]
+def _errors(error_px: NDArray[np.float64], error_m: NDArray[np.float64]) -> Figures:
+    """Return the figures of errors ``(Q, N)`` of ranked hypotheses."""
+    right = error_px < RIGHT_BELOW_PX
+    return {
+        "queries": len(right),
+        "right_1": _percent(right[:, 0]),
+        "right_7": _percent(right.any(axis=1)),
+        "first_mm": 1000 * float(error_m[:, 0].mean()),
+        "best_mm": 1000 * float(error_m.min(axis=1).mean()),
+    }
+
+
+def _percent(right: NDArray[np.bool_]) -> float:
+    return 100 * float(right.mean())
+
+
+def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figures]:
+    """Return what each step of the matching adds; ``answered`` is the trial with all of them."""
+    if index.reranker is None:
+        return {}
+    unfitted = replace(index.reranker, spread=(0.0, 0.0, 0.0))
+    steps: Mapping[str, Reranker | None] = {
+        "modes": None,
+        "network_order": replace(unfitted, support_weight=0.0),
+        "network_order_and_weights": unfitted,
+    }
+    trials = {
+        name: run_trial(replace(index, reranker=network), queries)
+        for name, network in steps.items()
+    }
+    return {
+        "descriptor_alone": _errors(*nearest_entries(index, queries)),
+        **{name: summary(trial) for name, trial in trials.items()},
+        "network_order_weights_and_fit": summary(answered),
+        "network_alone": {
+            "queries": len(queries),
+            "right_1": _percent(right_by_itself(index.reranker, queries)),
+        },
+    }
+
+
+def nearest_entries(
+    index: PoseIndex, queries: Queries
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the errors ``(Q, N)`` in pixels and in metres of the nearest entries as they are."""
+    error_px, error_m = (np.full((len(queries), HYPOTHESES), np.inf) for _ in range(2))
+    for row, (silhouette, roll_deg) in enumerate(
+        zip(queries.silhouettes, queries.roll_deg.tolist(), strict=True)
+    ):
+        rotations = usual_rotations(silhouette, roll_deg)
+        rotated = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
+        found = find_rotated_candidates(index, rotated, HYPOTHESES).take(slice(HYPOTHESES))
+        apart_2d = found.points_normalised[:, :JOINTS] - queries.joints_2d[row]
+        points_3d = rotate_clockwise(found.points_3d[:, :JOINTS], -roll_deg)
+        apart_3d = points_3d - queries.joints_3d[row]
+        error_px[row, : len(found)] = np.linalg.norm(apart_2d, axis=-1).mean(axis=-1)
+        error_m[row, : len(found)] = np.linalg.norm(apart_3d, axis=-1).mean(axis=-1)
+    return error_px, error_m
+
+
+def right_by_itself(reranker: Reranker, queries: Queries) -> NDArray[np.bool_]:
+    """Return whether the likeliest positions of the joints make a right skeleton ``(Q,)``."""
+    places = np.stack(
+        [reranker.network.distributions(s).likeliest()[:, :2] for s in queries.silhouettes]
+    )
+    errors = np.linalg.norm(places - queries.joints_2d, axis=-1).mean(axis=-1)
+    return np.asarray(errors < RIGHT_BELOW_PX)
 
 
 def true_postures(queries: Simulation) -> NDArray[np.int64]:
-    """Postures ``(Q,)`` of the skeletons themselves, as positions in ``POSTURES``."""
+    """Return the postures ``(Q,)`` of the skeletons themselves, as positions in ``POSTURES``."""
     rows = queries.entries["skeleton"]
     return classify(queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows])
 
 
 def voted_postures(trial: Trial) -> NDArray[np.int64]:
-    """Postures ``(Q,)`` that the hypotheses of each query vote for, as in the service."""
+    """Return the postures ``(Q,)`` that the hypotheses of each query vote for."""
     voted = []
     for postures, confidences in zip(trial.postures, trial.confidence, strict=True):
         offered = postures >= 0
@@ -194,109 +206,80 @@ def voted_postures(trial: Trial) -> NDArray[np.int64]:
     return np.array(voted)
 
 
-def posture_groups(postures: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
-    """Which queries are in each posture, and which in the upright and the low ones together."""
+def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
+    """Return the queries of each posture, and of all upright and all low ones."""
     low = np.isin(postures, [POSTURES.index(name) for name in LOW])
-    groups = {"upright": ~low, LOW_GROUP: low}
+    groups = {"upright": ~low, "low": low}
     groups |= {name: postures == row for row, name in enumerate(POSTURES)}
     return {name: rows for name, rows in groups.items() if rows.any()}
 
 
-def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, dict[str, float]]:
-    """The figures of each group of postures."""
-    told = voted_postures(trial) == postures
+def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figures]:
+    """Return the figures of each group of postures."""
+    right = voted_postures(trial) == postures
     return {
-        name: {**summary(trial, rows), "posture_right": 100 * float(told[rows].mean())}
+        name: {**summary(trial, rows), "posture_right": _percent(right[rows])}
         for name, rows in posture_groups(postures).items()
     }
 
 
-def by_posture(postures: NDArray[np.int64], trial: Trial) -> list[str]:
-    """A line for each posture, and what is said of lying against all else."""
-    told = voted_postures(trial)
-    lying = POSTURES.index("lying")
-    right_of_lying = 100 * ((told == lying) == (postures == lying)).mean()
+def posture_shares(postures: NDArray[np.int64], trial: Trial) -> Figures:
+    """Return how often the vote is right, and how often a hypothesis is in the right posture."""
+    voted, lying = voted_postures(trial), POSTURES.index("lying")
     nearest = np.take_along_axis(trial.postures, trial.error_m.argmin(axis=1)[:, None], axis=1)
-    offered = (trial.postures == postures[:, None]).any(axis=1)
-    rows = [
-        [*row(name, trial, rows), f"{100 * (told == postures)[rows].mean():.1f} %"]
-        for name, rows in posture_groups(postures).items()
-    ]
-    return [
-        table([*COLUMNS, "posture right"], rows),
-        f"Posture right for {100 * (told == postures).mean():.1f} % of all, lying against all "
-        f"else for {right_of_lying:.1f} %. At the best: of the seven hypotheses the nearest in 3D "
-        f"is in the right posture for {100 * (nearest[:, 0] == postures).mean():.1f} %, any for "
-        f"{100 * offered.mean():.1f} %.",
-    ]
-
-
-def summary(trial: Trial, rows: NDArray[np.bool_] | None = None) -> dict[str, float]:
-    """The figures of a trial, or of some of its queries."""
-    some = np.ones(len(trial.error_m), bool) if rows is None else rows
     return {
-        "queries": int(some.sum()),
-        "right_1": 100 * float(trial.right[some, 0].mean()),
-        "right_7": 100 * float(trial.right[some].any(axis=1).mean()),
-        "first_mm": 1000 * float(trial.error_m[some, 0].mean()),
-        "best_mm": 1000 * float(trial.error_m[some].min(axis=1).mean()),
-        "ece": expected_calibration_error(trial.confidence[some], trial.right[some]),
+        "all": _percent(voted == postures),
+        "lying_or_not": _percent((voted == lying) == (postures == lying)),
+        "nearest_in_3d": _percent(nearest[:, 0] == postures),
+        "any_of_seven": _percent((trial.postures == postures[:, None]).any(axis=1)),
     }
 
 
 def limb_threshold_px(trial: Trial) -> float:
-    """Mean error of the limb joints below which as many hypotheses come as are right."""
+    """Return the mean limb error below which as many hypotheses come as are right."""
     offered = np.isfinite(trial.error_px)
     limbs = trial.joint_errors_px[..., [JOINT_NAMES.index(name) for name in LIMBS]].mean(axis=-1)
     return float(np.quantile(limbs[offered], trial.right[offered].mean()))
 
 
-def row(name: str, trial: Trial, rows: NDArray[np.bool_] | None = None) -> list[str]:
-    """One line of a table."""
-    s = summary(trial, rows)
-    return [
-        f"{name} ({s['queries']})", f"{s['right_1']:.1f} %", f"{s['right_7']:.1f} %",
-        f"{s['first_mm']:.0f}", f"{s['best_mm']:.0f}", f"{s['ece']:.3f}",
-    ]  # fmt: skip
-
-
-def by_action(queries: Simulation, trial: Trial) -> list[list[str]]:
-    """A line for each action."""
+def by_action(queries: Simulation, trial: Trial) -> dict[str, Figures]:
+    """Return the figures of each action."""
     action = queries.skeleton_labels["action"][queries.entries["skeleton"]]
-    return [row(queries.actions[a], trial, action == a) for a in np.unique(action)]
+    return {
+        queries.actions[a].replace("-", "_"): summary(trial, action == a) for a in np.unique(action)
+    }
 
 
-def by_elevation(queries: Simulation, trial: Trial) -> list[list[str]]:
-    """A line for each band of elevations."""
+def by_elevation(queries: Simulation, trial: Trial) -> dict[str, Figures]:
+    """Return the figures of each band of elevations."""
     elevation = queries.entries["elevation_deg"]
-    return [
-        row(f"{low} to {high} degrees", trial, (elevation >= low) & (elevation < high))
+    return {
+        f"{low}_to_{high}".replace("-", "minus_"): {
+            "from_deg": low,
+            "to_deg": high,
+            **summary(trial, (elevation >= low) & (elevation < high)),
+        }
         for low, high in ELEVATIONS_DEG
-    ]
+    }
 
 
-def limits(trial: Trial) -> str:
-    """How the first hypothesis goes wrong, by what the others say."""
+def limits(trial: Trial) -> Figures:
+    """Return how the first hypothesis goes wrong, judged by the others, in percent."""
     first, best = trial.error_px[:, 0], trial.error_px.min(axis=1)
     wrong = first >= RIGHT_BELOW_PX
-    either = np.minimum(first, trial.twin_error_px[:, 0])
-    near = wrong & (first < 8.0)
+    near = wrong & (first < NEAR_BELOW_PX)
     twin = wrong & ~near & (best < RIGHT_BELOW_PX)
-    share = 100 / len(first)
     outlines = trial.features[..., FEATURES.index("reprojection_error_px")]
     wrong_px = outlines[twin, 0]
     right_px = outlines[twin, trial.error_px[twin].argmin(axis=1)]
-    lines = [
-        f"- {share * wrong.sum():.1f} % of the first hypotheses are wrong.",
-        f"- {share * near.sum():.1f} % are near: 5 to 8 px off.",
-        f"- {share * (either < RIGHT_BELOW_PX).sum():.1f} % would be right at rank 1 if left and "
-        "right did not count, which an outline seen from the height of the hips cannot tell.",
-        f"- {share * twin.sum():.1f} % are farther off while a later hypothesis is right: a twin "
-        "(front and back, left and right, or a leg before or behind) with the same outline: "
-        f"that of the wrong first one's entry lies {wrong_px.mean():.1f} px from the query's, "
-        f"that of the right one's {right_px.mean():.1f} px, and the wrong one is the nearer in "
-        f"{100 * (wrong_px < right_px).mean():.0f} % of these.",
-        f"- {share * (wrong & ~near & ~twin).sum():.1f} % are farther off and none of the seven is "
-        "right: the pose or the view is not covered.",
-    ]
-    return "\n".join(lines)
+    either_side = np.minimum(first, trial.twin_error_px[:, 0])
+    return {
+        "wrong": _percent(wrong),
+        "near": _percent(near),
+        "right_with_either_side": _percent(either_side < RIGHT_BELOW_PX),
+        "twin": _percent(twin),
+        "twin_wrong_outline_px": float(wrong_px.mean()),
+        "twin_right_outline_px": float(right_px.mean()),
+        "twin_wrong_outline_nearer": _percent(wrong_px < right_px),
+        "not_covered": _percent(wrong & ~near & ~twin),
+    }

@@ -1,7 +1,5 @@
 """Measure whole requests to a real server, and a yardstick in the same minutes.
 
-    python -m scripts.load.benchmark [--rounds 30] [--write FILE]
-
 Every kind of request is sent a few times in a row, in turn and for many rounds, so that a slow
 minute of the machine affects all of them. OpenCV's people detector takes part in the same rounds.
 """
@@ -16,39 +14,41 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from index.store import DEFAULT_PATH
-from scripts.load.benchmark_cases import (
+from scripts.experiments import pages
+from scripts.load.bench_cases import (
     WALKERS,
+    Case,
     Street,
     mask_call,
     street_cases,
     walkers_case,
     yardstick,
 )
-from scripts.load.benchmark_report import Measured, Row, report
 from scripts.load.client import Call, Client
 from scripts.load.server import ServerProcess
-from scripts.results import ROOT
+from scripts.results import RESULTS, SHARED, machine, revision
 
 REPEATS = 3
 """Consecutive requests of a kind: most then find warm caches."""
 
-FEW = 3
+COUNTED = 3
 """Answers of a kind in which people are counted."""
 
-HOG = "yardstick: OpenCV's `detectMultiScale`, 640x480, one thread"
+READY_WANTED_S, MEMORY_WANTED_MB = 2, 300
 Task = Callable[[], object]
 
 
 def interleaved(
     tasks: Mapping[str, Task], rounds: int, repeats: int = REPEATS
 ) -> dict[str, list[float]]:
-    """Milliseconds of every run: ``repeats`` in a row, task after task, round after round."""
+    """Return milliseconds of every run: ``repeats`` in a row, task after task, in rounds."""
     times: dict[str, list[float]] = {name: [] for name in tasks}
     for _ in range(rounds):
         for name, task in tasks.items():
@@ -63,7 +63,7 @@ def answer(client: Client, call: Call) -> bytes:
     """Return the body of an answer that must be 200."""
     status, body = client.send(call)
     if status != 200:
-        raise RuntimeError(f"expected status 200, got {status}: {body.decode(errors='replace')}")
+        raise ValueError(f"expected status 200, got {status}: {body.decode(errors='replace')}")
     return body
 
 
@@ -73,53 +73,68 @@ def sender(client: Client, calls: Sequence[Call]) -> Task:
     return lambda: answer(client, next(turns))
 
 
-def people_found(client: Client, calls: Sequence[Call]) -> str:
-    """Count the people of each answer."""
-    bodies = [answer(client, call) for call in calls]
+def people_found(client: Client, case: Case) -> str | None:
+    """Count the people of some answers."""
+    if case.in_order:
+        return None
+    bodies = [answer(client, call) for call in case.calls[:COUNTED]]
     return ", ".join(str(len(json.loads(body)["persons"])) for body in bodies)
 
 
-def describe_index(reply: bytes) -> str:
-    """Write the reply of ``GET /index`` in a line."""
-    index = json.loads(reply)
-    return f"{index['name']}, {index['entries']} entries, {index['version'][:19]}"
-
-
 def processor_time() -> NDArray[np.int64]:
-    """Ticks of all processors by what they were spent on, as /proc/stat has them; 7 is stolen."""
+    """Return ticks of all processors by use, as /proc/stat has them; 7 is stolen."""
     with Path("/proc/stat").open() as file:
         return np.array(file.readline().split()[1:9], np.int64)
 
 
-def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> Measured:
+def spread(milliseconds: Sequence[float]) -> dict[str, float]:
+    """Return the tenth percentile and the median."""
+    p10, median = np.percentile(milliseconds, [10, 50]).tolist()
+    return {"p10_ms": p10, "median_ms": median}
+
+
+def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict[str, Any]:
     """Measure a server that was just started."""
     ready_s = server.wait_until_ready()
     client = Client(server.url)
-    cases = [walkers_case()]
+    cases = {"small_four_walkers": walkers_case()}
     picture = np.asarray(cv2.imread(str(WALKERS)), np.uint8)
     if street:
-        cases += street_cases(street, answer(client, mask_call(street)))
+        cases |= street_cases(street, answer(client, mask_call(street)))
         picture = street.busy[0]
-    tasks: dict[str, Task] = {HOG: yardstick(picture)}
-    tasks |= {case.what: sender(client, case.calls) for case in cases}
+    tasks: dict[str, Task] = {"yardstick": yardstick(picture)}
+    tasks |= {name: sender(client, case.calls) for name, case in cases.items()}
     interleaved(tasks, rounds=1)  # Warms up.
     before = processor_time()
     times = interleaved(tasks, rounds)
     spent = processor_time() - before
-    rows = [
-        Row(
-            case.what, times[case.what],
-            "" if case.in_order else people_found(client, case.calls[:FEW]),
-            case.wanted_ratio,
-        )
-        for case in cases
-    ]  # fmt: skip
-    index = answer(client, Call("GET", "/index"))
+    unit = spread(times["yardstick"])
+    index = json.loads(answer(client, Call("GET", "/index")))
+    figures = {
+        "yardstick": unit,
+        "requests_of_a_kind": len(times["yardstick"]),
+        "cases": {
+            name: {
+                "title": case.title,
+                "people": people_found(client, case),
+                **spread(times[name]),
+                "ratio": spread(times[name])["median_ms"] / unit["median_ms"],
+                "wanted_ratio": case.wanted_ratio,
+            }
+            for name, case in cases.items()
+        },
+        "stolen": float(spent[7] / max(1, spent.sum())),
+        "index": {
+            "name": index["name"], "entries": index["entries"], "version": index["version"][:19],
+        },
+        "ready_s": ready_s,
+        "ready_wanted_s": READY_WANTED_S,
+        "memory_mb": server.memory_mb(),
+        "max_memory_mb": server.memory_mb("VmHWM"),
+        "memory_wanted_mb": MEMORY_WANTED_MB,
+    }  # fmt: skip
     client.close()
-    return Measured(
-        Row(HOG, times[HOG]), rows, float(spent[7] / max(1, spent.sum())), describe_index(index),
-        ready_s, server.memory_mb(), server.memory_mb("VmHWM"),
-    )  # fmt: skip
+    return figures
 
 
 def read_street(folder: Path) -> tuple[Street | None, list[str]]:
@@ -131,26 +146,19 @@ def read_street(folder: Path) -> tuple[Street | None, list[str]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line."""
+    """Measure as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--shared", type=Path, default=SHARED)
     parser.add_argument("--rounds", type=int, default=30, help=f"of {REPEATS} requests a kind")
-    parser.add_argument("--write", type=Path, help="also write the report to this file")
+    parser.add_argument("--write", action="store_true", help="into docs/results/bench")
     options = parser.parse_args(arguments)
     street, left_out = read_street(options.shared / "real")
-    try:
-        with ServerProcess(options.index) as server:
-            measured = benchmark(server, street, options.rounds)
-    except (OSError, RuntimeError) as error:  # A server that is never ready among them.
-        raise SystemExit(f"benchmark: {error}") from None
-    command = shlex.join(["python", "-m", "scripts.load.benchmark", *(arguments or sys.argv[1:])])
-    page = report(measured, command, left_out)
-    print(page)
+    with ServerProcess(options.index) as server:
+        figures = {**benchmark(server, street, options.rounds), "left_out": left_out}
+    given = sys.argv[1:] if arguments is None else arguments
+    command = shlex.join(["python", "-m", "scripts", "bench", *given])
+    origin = {"command": command, "revision": revision(), "machine": machine()}
+    print(pages.render("bench", {**origin, "figures": figures}))
     if options.write:
-        options.write.parent.mkdir(parents=True, exist_ok=True)
-        options.write.write_text(page)
-
-
-if __name__ == "__main__":
-    main()
+        pages.write(RESULTS, "bench", command, figures)
