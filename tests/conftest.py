@@ -30,8 +30,8 @@ from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
-from scripts.load.server import free_ports
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.ports import free_ports
 
 # Tests do not time: the machine may be busy.
 property_settings.register_profile(

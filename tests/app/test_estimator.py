@@ -18,8 +18,8 @@ from app.vision.people import Box, Landmarks, silhouette_from_mask
 from app.vision.person.reader import PersonReader
 from index.landmark_search import rotate_clockwise
 from index.posture import LOW
-from scripts.experiments.rotation import rotate_box, rotate_points
 from tests.conftest import WALKERS, Photo, png
+from tests.support.rotation import rotate_box, rotate_points
 
 WALKER = Box(135, 162, 40, 105)
 

@@ -17,12 +17,11 @@ from app import __main__ as main
 from app.serving import remote_index
 from index.artefact import load_index, save_index
 from index.store import PoseIndex
-from scripts.load.client import Call
-from scripts.load.server import free_ports
 from tests.app.test_server import value
 from tests.conftest import Photo, Server, build_tiny_index, start_server, wait_until
 from tests.support.background import BackgroundLoop, Reply
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.ports import free_ports
 from tests.support.service import check_problem, eventually, send
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
@@ -91,7 +90,7 @@ def server(
 @pytest.fixture
 def load(server: Server, photo: Photo) -> BackgroundLoop:
     """Two clients that send one frame after the other."""
-    return BackgroundLoop(server.url, [Call("POST", "/pose", photo.files)])
+    return BackgroundLoop(server.url, photo.files)
 
 
 def wait_for(load: BackgroundLoop, status: int) -> None:

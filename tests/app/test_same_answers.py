@@ -22,8 +22,8 @@ from app.vision.people import Box
 from app.work.executor import Executor, map_serially
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from scripts.experiments.rotation import rotate_points
 from tests.conftest import ROOT, WALKERS, Photo, photograph, png, running_server
+from tests.support.rotation import rotate_points
 from tests.support.service import Client
 
 STREET = WALKERS.read_bytes()

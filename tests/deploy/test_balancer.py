@@ -18,9 +18,9 @@ from typing import Any
 import httpx
 import pytest
 
-from scripts.load.server import ServerProcess
 from tests.conftest import Photo
 from tests.support.balancer import CONFIGURATION, Balancer
+from tests.support.replica import Replica
 from tests.support.service import check_problem, eventually, sample, send
 from tests.videos import numbered_frames, write_video
 
@@ -35,7 +35,7 @@ CAMERAS = [f"yard-{number}" for number in range(20)]
 class Deployment:
     """Two replicas and what is before them."""
 
-    replicas: tuple[ServerProcess, ServerProcess]
+    replicas: tuple[Replica, Replica]
     balancer: Balancer
     folder: Path
 
@@ -49,8 +49,7 @@ def deployment(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> It
     folder = tmp_path_factory.mktemp("deployment")
     with ExitStack() as stack:
         first, second = (
-            stack.enter_context(ServerProcess(index_path, folder / f"{number}.log"))
-            for number in (1, 2)
+            stack.enter_context(Replica(index_path, folder / f"{number}.log")) for number in (1, 2)
         )
         first.wait_until_ready()
         second.wait_until_ready()
@@ -65,7 +64,7 @@ def client(deployment: Deployment) -> Iterator[httpx.Client]:
         yield client
 
 
-def cameras_of(replica: ServerProcess) -> set[str]:
+def cameras_of(replica: Replica) -> set[str]:
     """The sessions that a replica itself tells of."""
     cameras = httpx.get(f"{replica.url}/cameras").json()["cameras"]
     return {camera["camera_id"] for camera in cameras}
@@ -294,7 +293,7 @@ def test_one_replica_is_killed_and_comes_back(
 
 @pytest.mark.slow
 def test_without_any_replica_a_503_says_when_to_come_back(index_path: Path, photo: Photo) -> None:
-    with ServerProcess(index_path) as replica:
+    with Replica(index_path) as replica:
         replica.wait_until_ready()
         with Balancer(replica.url, "http://127.0.0.1:1") as balancer:
             with httpx.Client(base_url=balancer.url, timeout=30) as client:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from http.client import HTTPException
 
-from scripts.load.client import Call, Client
+import httpx
 
 
 @dataclass(frozen=True)
@@ -21,14 +21,14 @@ class Reply:
 
 
 class BackgroundLoop:
-    """Clients that send calls beside whatever else is done; who is refused waits a moment."""
+    """Clients that post a form to ``/pose`` beside the test; a refused one waits a moment."""
 
-    def __init__(self, url: str, calls: list[Call], clients: int = 2) -> None:
+    def __init__(self, url: str, files: Mapping[str, bytes], clients: int = 2) -> None:
         self.replies: list[Reply] = []
         self.broken = 0
-        self._url, self._calls = url, calls
+        self._url, self._files = url, files
         self._ended = threading.Event()
-        self._threads = [threading.Thread(target=self._send, args=(i,)) for i in range(clients)]
+        self._threads = [threading.Thread(target=self._send) for _ in range(clients)]
 
     def __enter__(self) -> BackgroundLoop:
         """Start."""
@@ -43,18 +43,19 @@ class BackgroundLoop:
         for thread in self._threads:
             thread.join()
 
-    def _send(self, first: int) -> None:
-        client, number = Client(self._url), first
-        while not self._ended.is_set():
-            try:
-                status, headers, body = client.exchange(self._calls[number % len(self._calls)])
-            except (OSError, HTTPException):
-                self.broken += 1
-                continue
-            number += 1
-            self.replies.append(Reply(time.monotonic(), status, headers["Retry-After"], body))
-            if status == 503:
-                time.sleep(0.1)
+    def _send(self) -> None:
+        with httpx.Client(base_url=self._url, timeout=30) as client:
+            while not self._ended.is_set():
+                try:
+                    answer = client.post("/pose", files=self._files)
+                except httpx.TransportError:
+                    self.broken += 1
+                    continue
+                retry_after = answer.headers.get("Retry-After")
+                status = answer.status_code
+                self.replies.append(Reply(time.monotonic(), status, retry_after, answer.content))
+                if status == 503:
+                    time.sleep(0.1)
 
     def first(self, status: int, after: float, timeout_s: float = 60) -> float:
         """Wait for the first answer of a status after a time; return when it came."""

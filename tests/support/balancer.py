@@ -9,8 +9,8 @@ from pathlib import Path
 
 import httpx
 
-from scripts.load.server import free_ports
-from scripts.results import ROOT
+from tests.conftest import ROOT
+from tests.support.ports import free_ports
 
 CONFIGURATION = ROOT / "deploy" / "haproxy.cfg"
 

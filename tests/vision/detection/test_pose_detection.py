@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.vision.detection.pose_detection import CELLS, PIXELS, PoseDetection, decode
 from app.vision.people import Box
-from scripts.experiments.rotation import rotate_points
+from tests.support.rotation import rotate_points
 
 
 def anchors() -> list[tuple[float, float]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.vision.people import LANDMARK_NAMES, Box, PersonWindow
 from app.vision.person.landmarks import PIXELS, LandmarkNetwork, Reading
 from app.vision.person.window import window_about, window_to_frame
-from scripts.experiments.rotation import rotate_points
+from tests.support.rotation import rotate_points
 
 LIMBS = [
     i

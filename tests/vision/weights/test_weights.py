@@ -24,8 +24,8 @@ from app.vision.weights import (
     network_path,
     write_fitted,
 )
-from scripts.load.server import free_ports
 from tests.conftest import ROOT
+from tests.support.ports import free_ports
 
 DOCUMENT = json.loads(MODELS.read_text())
 

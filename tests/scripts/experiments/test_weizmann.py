@@ -12,8 +12,14 @@ from scipy.io import savemat
 from app.estimation.estimator import Estimator
 from descriptor.descriptor import DiagonalDescriptor
 from index.store import PoseIndex
-from scripts.experiments.weizmann import Film, Recording, leave_one_person_out, read_films
-from scripts.experiments.weizmann_report import in_frames, watch
+from scripts.experiments.weizmann import (
+    Film,
+    Recording,
+    in_frames,
+    leave_one_person_out,
+    read_films,
+    watch,
+)
 
 FRAMES = 6
 HEIGHT, WIDTH = 72, 90
@@ -79,7 +85,7 @@ def test_people_and_actions_are_read_from_the_names_of_the_fields(file: Path) ->
 def test_people_left_out_are_recognised_by_the_others(file: Path) -> None:
     recognition = leave_one_person_out(read_recordings(file), DiagonalDescriptor(), mirrored=True)
     assert recognition.right == recognition.frames_right == 1.0
-    assert recognition.confusion().tolist() == [[4, 0, 0], [0, 3, 0], [0, 0, 3]]
+    assert recognition.figures()["confusion"] == [[4, 0, 0], [0, 3, 0], [0, 0, 3]]
 
 
 def test_nobody_is_recognised_by_their_own_frames(file: Path) -> None:
@@ -96,7 +102,7 @@ def test_films_are_watched_as_by_a_camera(estimator: Estimator, tiny_index: Pose
     assert [frame.sum() for frame in in_frames(film)] == [mask.sum() for mask in film.masks]
     session = watch(film, estimator)
     assert session.vote in tiny_index.actions
-    assert session.told in (None, *session.frames)
+    assert session.answer in (None, *session.frames)
 
 
 @pytest.mark.parametrize(

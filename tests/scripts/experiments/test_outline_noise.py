@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from scripts.experiments.contour import contour_faults, disturb
+from scripts.experiments.outline_noise import disturb, outline_faults
 
 RADIUS = 20
 
@@ -50,7 +50,7 @@ def test_holes_stay_holes(ring: NDArray[np.uint8]) -> None:
 
 def test_learned_noise_leaves_joints_where_they_are(disc: NDArray[np.uint8]) -> None:
     joints = np.ones((8, 19, 2))
-    noisy, same = contour_faults(np.stack([disc] * 8), joints, np.random.default_rng(3))
+    noisy, same = outline_faults(np.stack([disc] * 8), joints, np.random.default_rng(3))
     assert noisy.shape == (8, 128, 48)
     assert_array_equal(same, joints)
     # From none to much.

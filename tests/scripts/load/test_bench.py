@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scripts.load.benchmark import interleaved, read_street, sender
-from scripts.load.benchmark_cases import camera_calls, without_people
+from scripts.load.bench import interleaved, read_street, sender
+from scripts.load.bench_cases import camera_calls, without_people
 from scripts.load.client import Call, Client
 
 
@@ -43,7 +43,7 @@ def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPat
     for _ in range(3):
         send()
     assert sent == ["/a", "/b", "/a"]
-    with pytest.raises(RuntimeError, match="got 422: no such thing"):
+    with pytest.raises(ValueError, match="got 422: no such thing"):
         send()
 
 

@@ -9,7 +9,7 @@ pytest.importorskip("pybvh", reason="needs the test extra: pybvh")
 
 from index.candidates import Candidates
 from index.skeleton import POINTS
-from scripts.experiments.paper_answers import ranked_modes
+from scripts.experiments.paper import ranked_modes
 
 CLUSTERS, EACH = 4, 5
 

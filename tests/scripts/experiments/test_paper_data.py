@@ -11,7 +11,7 @@ from index.build.simulate import Simulation
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
-from scripts.experiments.protocol import joint_errors, recognised
+from scripts.experiments.paper_data import joint_errors, recognised
 
 FRAMES, BODIES, VIEWS = 12, 2, 3
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -73,15 +72,14 @@ def video(tmp_path: Path) -> str:
     return str(tmp_path / "yard.avi")
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["watch_camera", *arguments])
-    return watch_camera.main()
+def run(*arguments: str) -> int:
+    return watch_camera.main(arguments)
 
 
 def test_events_are_printed_and_the_camera_is_forgotten(
     service: str, video: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(monkeypatch, video, "yard 2", "--url", f"{service}/prefix") == 0
+    assert run(video, "yard 2", "--url", f"{service}/prefix") == 0
     frames, last = Service.seen[:-1], Service.seen[-1]
     times = [float(parse_qs(urlsplit(path).query)["timestamp"][0]) for _, path in frames]
     assert times == sorted(set(times))
@@ -95,7 +93,7 @@ def test_a_service_that_is_busy_restarted_or_older_is_asked_again(
     service: str, video: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Service.statuses = [503, 0, 409]
-    assert run(monkeypatch, video, "yard", "--url", service, "--fps", "1000") == 0
+    assert run(video, "yard", "--url", service, "--fps", "1000") == 0
     assert [what for what, _ in Service.seen[:4]] == [
         "POST 503",
         "POST 409",
@@ -111,13 +109,13 @@ def test_what_does_not_pass_ends_it(
     service: str, video: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Service.statuses = [401]
-    assert run(monkeypatch, video, "yard", "--url", service) == 1
+    assert run(video, "yard", "--url", service) == 1
     assert "status 401" in capsys.readouterr().err
 
 
 def test_a_missing_file_is_no_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit):
-        run(monkeypatch, "missing.avi", "yard")
+        run("missing.avi", "yard")
 
 
 class Stream:
@@ -165,6 +163,6 @@ def test_a_real_service_follows_a_file(
     frame = np.asarray(cv2.imread(str(WALKERS)), np.uint8)
     write_video(tmp_path / "walkers.avi", [frame] * 12)
     source = str(tmp_path / "walkers.avi")
-    assert run(monkeypatch, source, "walkers", "--url", server.url) == 0
+    assert run(source, "walkers", "--url", server.url) == 0
     assert "entered instant" in capsys.readouterr().out
     assert httpx.get(f"{server.url}/cameras/walkers").status_code == 404

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from app.vision.people import Box
-from scripts.experiments.rotation import rotate_box, rotate_points
+from tests.support.rotation import rotate_box, rotate_points
 
 SHAPE = (30, 50, 3)
 TURNS = pytest.mark.parametrize("quarter_turns", [-3, -1, 0, 1, 2, 3])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
+import itertools
 import socket
 import socketserver
 import threading
@@ -12,7 +12,7 @@ from http.client import IncompleteRead
 import pytest
 
 from scripts.load.client import Call, Client
-from scripts.load.loops import ClosedLoop, OpenLoop
+from scripts.load.loops import Request, Tally, closed_loop, open_loop
 
 
 class Server(socketserver.ThreadingTCPServer):
@@ -21,6 +21,7 @@ class Server(socketserver.ThreadingTCPServer):
     daemon_threads = True
     connections = 0
     breaks_off = False
+    refusals = 0
     closes: bytes | None = None
     """The value of the header ``Connection``; None for a server that closes without a word."""
 
@@ -43,7 +44,11 @@ class Handler(socketserver.StreamRequestHandler):
 
     def _answer(self, body: bytes) -> None:
         kept = b"Connection: %s\r\n" % self.server.closes if self.server.closes else b""
-        head = b"HTTP/1.1 201 Created\r\nContent-Length: %d\r\n%s\r\n" % (len(body), kept)
+        status = b"201 Created"
+        if self.server.refusals:
+            self.server.refusals -= 1
+            status = b"503 Busy\r\nRetry-After: 0"
+        head = b"HTTP/1.1 %s\r\nContent-Length: %d\r\n%s\r\n" % (status, len(body), kept)
         if self.server.breaks_off:
             body = body[:-1]
         for start in range(0, len(head + body), 7):
@@ -59,8 +64,12 @@ def server() -> Iterator[Server]:
         running.shutdown()
 
 
+def address_of(server: Server) -> str:
+    return f"http://127.0.0.1:{server.server_address[1]}"
+
+
 def client_of(server: Server) -> Client:
-    return Client(f"http://127.0.0.1:{server.server_address[1]}", timeout_s=5)
+    return Client(address_of(server), timeout_s=5)
 
 
 @pytest.mark.parametrize(("closes", "connections"), [(b"keep-alive", 1), (b"close", 3), (None, 3)])
@@ -95,13 +104,20 @@ def test_images_are_sent_as_files_and_text_as_fields() -> None:
 
 def test_loops_count_every_request(server: Server) -> None:
     server.closes = b"keep-alive"
-    url, calls = (
-        f"http://127.0.0.1:{server.server_address[1]}",
-        [Call("POST", "/pose", {"frame": b"x"})],
-    )
-    tally = asyncio.run(OpenLoop(url, calls).run([0, 0.01, 0.02]))
+    url, request = address_of(server), Request(Call("POST", "/pose", {"frame": b"x"}))
+    tally = open_loop(url, itertools.repeat(request), [0, 0.01, 0.02])
     assert [answer.status for answer in tally.answers] == [201] * 3
-    assert (tally.broken, tally.unsent, len(tally.late_ms)) == (0, 0, 3)
-    assert len(asyncio.run(ClosedLoop(url, calls).run(2, 0.1)).of(201)) >= 2
+    assert (tally.broken, tally.unsent, len(tally.late_ms)) == ([], 0, 3)
+    clients = [(Client(url), itertools.repeat(request)) for _ in range(2)]
+    assert all(len(one.with_status(201)) >= 2 for one in closed_loop(clients, 0.2))
+    few = [(Client(url), iter([request] * count)) for count in (2, 3)]
+    assert Tally.of(closed_loop(few)).statuses() == {"201": 5}
     server.breaks_off, server.closes = True, b"close"
-    assert asyncio.run(OpenLoop(url, calls).run([0, 0])).broken == 2
+    assert open_loop(url, itertools.repeat(request), [0, 0]).broken == ["IncompleteRead"] * 2
+
+
+def test_a_patient_client_sends_a_refused_request_again(server: Server) -> None:
+    server.closes, server.refusals = b"keep-alive", 2
+    clients = [(client_of(server), iter([Request(Call("POST", "/pose", {"frame": b"x"}))]))]
+    (tally,) = closed_loop(clients, 10, patient=True)
+    assert [answer.status for answer in tally.answers] == [503, 503, 201]

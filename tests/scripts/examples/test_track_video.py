@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import cv2
@@ -19,9 +18,8 @@ SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
 STREET = SHARED / "real" / "vtest" / "vtest.avi"
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
-    monkeypatch.setattr(sys, "argv", ["track_video", *map(str, arguments)])
-    track_video.main()
+def run(*arguments: object) -> None:
+    track_video.main(list(map(str, arguments)))
 
 
 def frames_of(video: Path) -> list[NDArray[np.uint8]]:
@@ -47,7 +45,7 @@ def test_people_are_drawn_into_a_video(
 ) -> None:
     out, sheet = tmp_path / "out" / "street.mp4", tmp_path / "sheet.png"
     options = ("--stride", 2, "--max-frames", 3, "--index", index_path, "--sheet", sheet)
-    run(monkeypatch, street, out, *options)
+    run(street, out, *options)
     drawn, filmed = frames_of(out), frames_of(street)
     assert len(drawn) == 3
     changed = cv2.absdiff(drawn[0], filmed[0]).max(axis=-1) > 100
@@ -58,12 +56,12 @@ def test_people_are_drawn_into_a_video(
     assert picture.shape == (300, 3 * track_video.CELL_PX, 3)
 
 
-def test_what_is_no_video_is_told(
+def test_a_file_that_is_no_video_is_refused(
     index_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "notes.avi").write_bytes(b"no video")
     with pytest.raises(SystemExit, match="expected a video that OpenCV reads"):
-        run(monkeypatch, tmp_path / "notes.avi", tmp_path / "out.mp4", "--index", index_path)
+        run(tmp_path / "notes.avi", tmp_path / "out.mp4", "--index", index_path)
 
 
 def test_a_short_sheet_is_filled_up() -> None:
