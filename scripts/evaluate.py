@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -70,7 +69,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
             command = f"python -m scripts evaluate {name}"
             pages.write(options.out, EXPERIMENTS[name], command, figures)
         print(f"{name} took {(time.monotonic() - started) / 60:.1f} minutes")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -218,7 +218,7 @@ def fall_figures(falling: Sequence[Track], rate: int) -> dict[str, float]:
         "frames_per_s": rate,
         "number": len(falling),
         "found": found,
-        "percent": 100 * found / len(falling),
+        "percent": 100 * found / max(1, len(falling)),
     }
 
 

@@ -33,6 +33,7 @@ NAMES = {
     "movenet_alone": "MoveNet alone",
     "hog_alone": "HOG alone",
     "low": f"low: {', '.join(LOW)}",
+    "paper": "paper's descriptor",
     "paper_nearest": "paper's descriptor",
     "paper_modes": "paper's, our matching",
     "ours_nearest": "ours, nearest",

@@ -166,7 +166,7 @@ def measure_vtest(
     detector: Detector,
     min_score: float,
 ) -> Figures:
-    """Return the share of marked walkers that are found in numbered frames, and false boxes."""
+    """Return the percentage of marked walkers found in numbered frames, and false boxes."""
     by_number = dict(frames)
     marked = found = boxes = false = 0
     spent = []
@@ -185,7 +185,7 @@ def measure_vtest(
         "found_from": FOUND_FROM,
         "frames": len(marks),
         "walkers": marked,
-        "found": found / max(1, marked),
+        "found": 100 * found / max(1, marked),
         "boxes": boxes,
         "false_per_frame": false / max(1, len(marks)),
         "milliseconds": float(np.median(spent)),

@@ -143,7 +143,7 @@ class LyingCounts:
 
 
 def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> Figures:
-    """Return how many people who lie are found, and how many of them the right way up.
+    """Return the percentage of lying people who are found, and of these the right way up.
 
     The odd photographs are turned to the left, the others to the right.
     """
@@ -174,19 +174,19 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> Fi
         for detection in find_people(estimator, photograph.frame):
             counts.upright_detections += 1
             counts.upright_taken_for_lying += not is_turned(detection, 0.0)
+    upright = max(1, counts.upright_detections)
     return {
         "photographs": len(photographs),
         "people": counts.people,
-        "found": counts.found / counts.people,
-        "precision": counts.found / max(1, counts.detections),
-        "right_way_up": counts.found_right_way_up / max(1, counts.found),
-        "by_box": counts.boxes_right_way_up / counts.people,
-        "posture_lying": float(np.mean(lies)),
-        "posture_upright": float(np.mean(stands)),
+        "found": 100 * counts.found / counts.people,
+        "precision": 100 * counts.found / max(1, counts.detections),
+        "right_way_up": 100 * counts.found_right_way_up / max(1, counts.found),
+        "by_box": 100 * counts.boxes_right_way_up / counts.people,
+        "posture_lying": 100 * float(np.mean(lies)),
+        "posture_upright": 100 * float(np.mean(stands)),
         "overlap_mean": float(np.mean(overlaps)),
         "overlap_median": float(np.median(overlaps)),
-        "upright_taken_for_lying": counts.upright_taken_for_lying
-        / max(1, counts.upright_detections),
+        "upright_taken_for_lying": 100 * counts.upright_taken_for_lying / upright,
     }
 
 

@@ -133,8 +133,8 @@ def _errors(error_px: NDArray[np.float64], error_m: NDArray[np.float64]) -> Figu
     }
 
 
-def _percent(right: NDArray[np.bool_]) -> float:
-    return 100 * float(right.mean())
+def _percent(right: NDArray[np.bool_] | np.bool_) -> float:
+    return 100 * float(np.mean(right))
 
 
 def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figures]:

@@ -83,7 +83,7 @@ def figures(
 def criteria(kind: str, rounds: dict[str, dict[str, Any]]) -> dict[str, bool]:
     """Return the criteria of the rounds after the first, and whether each is met."""
     two, *others = rounds.items()
-    out = {}
+    out: dict[str, bool] = {}
     for name, found in others:
         fewest, most = found["min_answers"], found["max_answers"]
         shares = [found[key] / two[1][key] for key in ("per_s", "busy")]

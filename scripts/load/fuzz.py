@@ -161,6 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "broken": len(tally.broken),
             "latency_ms": spread([answer.ms for answer in tally.answers]),
             "max_memory_mb": server.memory_mb("VmHWM"),
+            "max_memory_wanted_mb": MAX_MEMORY_MB,
             "exit_status": server.stop(),
         }
     faults = {status: n for status, n in tally.statuses().items() if int(status) >= 500}

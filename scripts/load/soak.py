@@ -149,12 +149,15 @@ def figures(tally: Tally, memory: Sequence[tuple[int, float]], requests: int) ->
         return [value for position, value in values if position >= requests - fifth]
 
     memory_mb = {"early": percentile(early(memory), 50), "late": percentile(late(memory), 50)}
+    tenths = [mb for position, mb in memory if position % (requests // 10) == 0]
     faults = [answer for answer in tally.answers if answer.status >= 500 and answer.status != 503]
     return {
         "warm_up": warm_up,
         "memory_mb": memory_mb,
         "memory_growth": memory_mb["late"] / memory_mb["early"] - 1,
-        "memory_mb_by_tenth": [mb for position, mb in memory if position % (requests // 10) == 0],
+        "memory_mb_by_tenth": tenths,
+        "memory_mb_min": min(tenths, default=0.0),
+        "memory_mb_max": max(tenths, default=0.0),
         "early_ms": spread(early(good)),
         "late_ms": spread(late(good)),
         "faults": len(faults),

@@ -22,6 +22,7 @@ FUZZ = {
     "broken": 0,
     "latency_ms": {"p50": 1.0, "p99": 2.0, "max": 3.0},
     "max_memory_mb": 500.0,
+    "max_memory_wanted_mb": 600.0,
     "exit_status": 0,
     "failed": [],
 }
