@@ -67,14 +67,14 @@ def write_section(out: Path, section: str, command: str, figures: Figures) -> No
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Render pages again."""
+    """Render pages again; plots stay as the measurement drew them."""
     parser = argparse.ArgumentParser(description="Render the pages of results from their JSON.")
     parser.add_argument("--out", type=Path, default=RESULTS)
     out = parser.parse_args(arguments).out
     for file in sorted(out.glob("*.json")):
         document = json.loads(file.read_text())
         if "figures" in document:
-            _render_into(out, file.stem, document)
+            file.with_suffix(".md").write_text(render(file.stem, document))
             print(file.with_suffix(".md"))
 
 
@@ -86,10 +86,7 @@ def _write_document(out: Path, page: str, document: Figures) -> None:
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(document, indent=1)
     (out / f"{page}.json").write_text(text + "\n")
-    _render_into(out, page, json.loads(text))
-
-
-def _render_into(out: Path, page: str, document: Figures) -> None:
+    document = json.loads(text)
     (out / f"{page}.md").write_text(render(page, document))
     for name, plot in PLOTS.get(page, {}).items():
         plot(document["figures"], out / name)
