@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from typing import Any
 
 from app.settings import Settings
-from index.artefact import load_index
+from index.store import PoseIndex
 from scripts.load.client import Call, Client
 from scripts.load.loops import PROBE_P99_MS, Request, Tally, closed_loop, metric, probe
-from scripts.load.measurement import conclude, measurement_parser
+from scripts.load.measurement import Criteria, Figures, run
 from scripts.load.scenes import small_calls
 from scripts.load.server import ServerProcess
 from scripts.results import percentile
@@ -31,7 +31,7 @@ WORKED_S = 'pose_stage_seconds_sum{stage="total"}'
 
 def play(
     url: str, calls: list[Call], seconds: float, clients: int, *, heavy: int = 0, boxes: int = 0
-) -> dict[str, Any]:
+) -> Figures:
     """Let clients send frames for some seconds beside the other caller, and probe meanwhile."""
 
     def client(calls: list[Call], source: str | None = None) -> tuple[Client, Any]:
@@ -52,7 +52,7 @@ def play(
 
 def figures(
     polite: list[Tally], others: list[Tally], seconds: float, busy: float, probes_ms: list[float]
-) -> dict[str, Any]:
+) -> Figures:
     """Return what became of the frames.
 
     ``busy`` is the share of the time in which the service's threads worked on frames. Where other
@@ -80,10 +80,10 @@ def figures(
     }
 
 
-def criteria(kind: str, rounds: dict[str, dict[str, Any]]) -> dict[str, bool]:
+def criteria(kind: str, rounds: dict[str, Figures]) -> Criteria:
     """Return the criteria of the rounds after the first, and whether each is met."""
     two, *others = rounds.items()
-    out: dict[str, bool] = {}
+    out: Criteria = {}
     for name, found in others:
         fewest, most = found["min_answers"], found["max_answers"]
         shares = [found[key] / two[1][key] for key in ("per_s", "busy")]
@@ -97,27 +97,23 @@ def criteria(kind: str, rounds: dict[str, dict[str, Any]]) -> dict[str, bool]:
     return out
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Let clients compete; 1 where a criterion fails."""
-    parser = measurement_parser(__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    options = parser.parse_args(arguments)
-    seconds, heavy = options.seconds, HEAVY * CLIENTS
-    rounds: dict[str, dict[str, dict[str, Any]]] = {}
-    met: dict[str, bool] = {}
-    with ServerProcess(options.index) as server:
-        server.wait_until_ready()
-        for kind, calls in small_calls(load_index(options.index)).items():
-            rounds[kind] = {
-                "two": play(server.url, calls, seconds / 3, 2),
-                "eight": play(server.url, calls, seconds, CLIENTS),
-                "eight_and_the_other": play(server.url, calls, seconds, CLIENTS, heavy=heavy),
-            }
-            met |= criteria(kind, rounds[kind])
-        flood = play(server.url, calls, seconds / 3, 2, boxes=2)
+def measure(server: ServerProcess, index: PoseIndex, seconds: float) -> tuple[Figures, Criteria]:
+    """Let clients compete for each kind of request."""
+    heavy = HEAVY * CLIENTS
+    rounds: dict[str, dict[str, Figures]] = {}
+    met: Criteria = {}
+    for kind, calls in small_calls(index).items():
+        rounds[kind] = {
+            "two": play(server.url, calls, seconds / 3, 2),
+            "eight": play(server.url, calls, seconds, CLIENTS),
+            "eight_and_the_other": play(server.url, calls, seconds, CLIENTS, heavy=heavy),
+        }
+        met |= criteria(kind, rounds[kind])
+    flood = play(server.url, calls, seconds / 3, 2, boxes=2)
     rounds[kind]["two_and_boxes_without_number"] = flood
     p99 = flood["healthz_p99_ms"]
     met[f"boxes without number: p99 of /healthz {p99:.0f} ms"] = p99 < PROBE_P99_MS
-    found = {"heavy_connections": heavy, "rounds": rounds}
-    command = f"python -m scripts clients --seconds {seconds:g}"
-    return conclude("clients", command, found, met, write=options.write)
+    return {"heavy_connections": heavy, "rounds": rounds}, met
+
+
+main = partial(run, measure, "clients", "seconds", 60.0)

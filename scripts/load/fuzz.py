@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from functools import partial
 
 import cv2
 import numpy as np
 
-from index.artefact import load_index
 from index.store import PoseIndex
 from scripts.load.client import Call, Client
 from scripts.load.loops import Request, Tally, closed_loop
-from scripts.load.measurement import conclude, measurement_parser, spread
+from scripts.load.measurement import Criteria, Figures, run, spread
 from scripts.load.scenes import encode, street
 from scripts.load.server import ServerProcess
 
@@ -139,38 +139,34 @@ class Uploads:
         return Call("POST", "/pose", forms[rng.integers(len(forms))])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fuzz a server; 1 where a criterion fails."""
-    parser = measurement_parser(__doc__)
-    parser.add_argument("--uploads", type=int, default=100_000)
-    options = parser.parse_args(arguments)
-    with ServerProcess(options.index) as server:
-        server.wait_until_ready()
-        uploads = Uploads(server, load_index(options.index), options.uploads)
-        tally = Tally.of(
-            closed_loop([(Client(server.url), uploads.requests(n)) for n in range(CLIENTS)])
-        )
-        if not server.alive():
-            raise ValueError("the server has died")
-        found = {
-            "clients": CLIENTS,
-            "seconds": tally.seconds,
-            "uploads": options.uploads,
-            "shaped_percent": 100 * SHAPED,
-            "answers": tally.statuses(),
-            "broken": len(tally.broken),
-            "latency_ms": spread([answer.ms for answer in tally.answers]),
-            "max_memory_mb": server.memory_mb("VmHWM"),
-            "max_memory_wanted_mb": MAX_MEMORY_MB,
-            "exit_status": server.stop(),
-        }
-    faults = {status: n for status, n in tally.statuses().items() if int(status) >= 500}
+def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figures, Criteria]:
+    """Fuzz a server."""
+    uploads = Uploads(server, index, count)
+    clients = [(Client(server.url), uploads.requests(number)) for number in range(CLIENTS)]
+    tally = Tally.of(closed_loop(clients))
+    if not server.alive():
+        raise ValueError("the server has died")
     slowest = max((answer.ms for answer in tally.answers), default=0.0)
-    criteria = {
+    faults = {status: n for status, n in tally.statuses().items() if int(status) >= 500}
+    memory_mb = server.memory_mb("VmHWM")
+    found = {
+        "clients": CLIENTS,
+        "seconds": tally.seconds,
+        "uploads": count,
+        "shaped_percent": 100 * SHAPED,
+        "answers": tally.statuses(),
+        "broken": len(tally.broken),
+        "latency_ms": spread([answer.ms for answer in tally.answers]),
+        "max_memory_mb": memory_mb,
+        "max_memory_wanted_mb": MAX_MEMORY_MB,
+        "exit_status": server.stop(),
+    }
+    return found, {
         f"5xx: {faults}": not faults,
         f"broken connections: {tally.broken}": not tally.broken,
         f"the slowest answer took {slowest:.0f} ms": slowest <= MAX_MS,
-        f"memory reached {found['max_memory_mb']:.0f} MB": found["max_memory_mb"] <= MAX_MEMORY_MB,
+        f"memory reached {memory_mb:.0f} MB": memory_mb <= MAX_MEMORY_MB,
     }
-    command = f"python -m scripts fuzz --uploads {options.uploads}"
-    return conclude("fuzz", command, found, criteria, write=options.write)
+
+
+main = partial(run, measure, "fuzz", "uploads", 100_000)

@@ -1,22 +1,48 @@
-"""Command line and conclusion of every measurement of a server's reliability."""
+"""The frame of every measurement of a server's reliability: command line, server, conclusion."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
-from index.store import DEFAULT_PATH
+from index.artefact import load_index
+from index.store import DEFAULT_PATH, PoseIndex
 from scripts.experiments import pages
+from scripts.load.server import ServerProcess
 from scripts.results import RESULTS, machine, percentile, revision
 
+Figures = dict[str, Any]
+Criteria = dict[str, bool]
+"""Sentences on what would be wrong, and whether all is well."""
 
-def measurement_parser(description: str | None) -> argparse.ArgumentParser:
-    """Make a command line with the options of every measurement."""
-    parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
-    parser.add_argument("--index", type=type(DEFAULT_PATH), default=DEFAULT_PATH)
+Measure = Callable[[ServerProcess, PoseIndex, Any], tuple[Figures, Criteria]]
+
+
+def run(
+    measure: Measure, section: str, option: str, default: float, arguments: Sequence[str] | None
+) -> int:
+    """Measure a server, print the section, write it where asked for; 1 if a criterion fails.
+
+    ``option`` names how long or how much is measured.
+    """
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--write", action="store_true", help="into docs/results/reliability")
-    return parser
+    parser.add_argument(f"--{option}", dest="amount", type=type(default), default=default)
+    options = parser.parse_args(arguments)
+    with ServerProcess(options.index) as server:
+        server.wait_until_ready()
+        figures, criteria = measure(server, load_index(options.index), options.amount)
+    failed = [what for what, met in criteria.items() if not met]
+    figures = {**figures, "failed": failed}
+    command = f"python -m scripts {section} --{option} {options.amount:.12g}"
+    origin = {"command": command, "revision": revision(), "machine": machine()}
+    print(pages.render_section(section, {**origin, **figures}))
+    if options.write:
+        pages.write_section(RESULTS, section, command, figures)
+    return 1 if failed else 0
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
@@ -26,17 +52,3 @@ def spread(values: Sequence[float]) -> dict[str, float]:
         "p99": percentile(values, 99),
         "max": max(values, default=0.0),
     }
-
-
-def conclude(
-    section: str, command: str, figures: Mapping[str, Any], criteria: Mapping[str, bool],
-    *, write: bool,
-) -> int:  # fmt: skip
-    """Print a section, write it where asked for, and return 1 if a criterion is not met."""
-    failed = [what for what, met in criteria.items() if not met]
-    figures = {**figures, "failed": failed}
-    origin = {"command": command, "revision": revision(), "machine": machine()}
-    print(pages.render_section(section, {**origin, **figures}))
-    if write:
-        pages.write_section(RESULTS, section, command, figures)
-    return 1 if failed else 0

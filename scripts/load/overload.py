@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from app.settings import Settings
-from index.artefact import load_index
+from index.store import PoseIndex
 from scripts.load.client import Call, Client
 from scripts.load.loops import (
     MAX_CONNECTIONS,
@@ -30,7 +29,7 @@ from scripts.load.loops import (
     open_loop,
     probe,
 )
-from scripts.load.measurement import conclude, measurement_parser, spread
+from scripts.load.measurement import Criteria, Figures, run, spread
 from scripts.load.scenes import small_calls
 from scripts.load.server import ServerProcess
 
@@ -39,7 +38,7 @@ REJECTED_P99_MS = 50.0
 GIVEN_UP = 'pose_rejected_total{reason="deadline"}'
 
 
-def overload(url: str, calls: list[Call], in_flight: int, seconds: float) -> dict[str, Any]:
+def overload(url: str, calls: list[Call], in_flight: int, seconds: float) -> Figures:
     """Measure capacity, then offer ten times as much."""
     requests = [Request(call) for call in calls]
 
@@ -62,7 +61,7 @@ def overload(url: str, calls: list[Call], in_flight: int, seconds: float) -> dic
 
 def figures(
     capacity: float, tally: Tally, probes_ms: list[float], given_up: int, seconds: float
-) -> dict[str, Any]:
+) -> Figures:
     """Return what became of the requests; ``given_up`` ones got a 503 at their deadline."""
     accepted, refused = tally.with_status(200), tally.with_status(503)
     # All but those that were accepted first are rejected at once.
@@ -87,7 +86,7 @@ def figures(
     }
 
 
-def criteria(name: str, found: dict[str, Any], deadline_s: float) -> dict[str, bool]:
+def criteria(name: str, found: Figures, deadline_s: float) -> Criteria:
     """Return the criteria, and whether each is met."""
     statuses, broken, given_up = found["statuses"], found["broken"], found["given_up"]
     healthz, rejections = found["healthz_ms"]["p99"], found["rejected_ms"]["p99"]
@@ -103,32 +102,26 @@ def criteria(name: str, found: dict[str, Any], deadline_s: float) -> dict[str, b
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Overload a server; 1 where a criterion fails."""
-    parser = measurement_parser(__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    options = parser.parse_args(arguments)
-    settings = Settings()
-    deadline_s, load_average = settings.request_timeout_s, os.getloadavg()[0]
-    with ServerProcess(options.index) as server:
-        server.wait_until_ready()
-        kinds = {
-            name: overload(server.url, calls, settings.concurrency + 2, options.seconds)
-            for name, calls in small_calls(load_index(options.index)).items()
-        }
-    met = [criteria(name, found, deadline_s).items() for name, found in kinds.items()]
-    return conclude(
-        "overload",
-        f"python -m scripts overload --seconds {options.seconds:g}",
-        {
-            "load_average": load_average,
-            "times": TIMES,
-            "seconds": options.seconds,
-            "max_connections": MAX_CONNECTIONS,
-            "probe_every_ms": 1000 * PROBE_EVERY_S,
-            "deadline_s": deadline_s,
-            "kinds": kinds,
-        },
-        dict(itertools.chain.from_iterable(met)),
-        write=options.write,
-    )
+def measure(server: ServerProcess, index: PoseIndex, seconds: float) -> tuple[Figures, Criteria]:
+    """Overload a server with both kinds of requests."""
+    settings, load_average = Settings(), os.getloadavg()[0]
+    kinds = {
+        name: overload(server.url, calls, settings.concurrency + 2, seconds)
+        for name, calls in small_calls(index).items()
+    }
+    met: Criteria = {}
+    for name, found in kinds.items():
+        met |= criteria(name, found, settings.request_timeout_s)
+    found = {
+        "load_average": load_average,
+        "times": TIMES,
+        "seconds": seconds,
+        "max_connections": MAX_CONNECTIONS,
+        "probe_every_ms": 1000 * PROBE_EVERY_S,
+        "deadline_s": settings.request_timeout_s,
+        "kinds": kinds,
+    }
+    return found, met
+
+
+main = partial(run, measure, "overload", "seconds", 20.0)

@@ -12,15 +12,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 
-from index.artefact import load_index
 from index.store import PoseIndex
 from scripts.load.client import Call, Client
 from scripts.load.loops import Request, Tally, closed_loop
-from scripts.load.measurement import conclude, measurement_parser, spread
+from scripts.load.measurement import Criteria, Figures, run, spread
 from scripts.load.scenes import encode, encoded_streets
 from scripts.load.server import ServerProcess
 from scripts.results import percentile
@@ -129,7 +128,7 @@ class Soak:
             self.memory.append((position, self._server.memory_mb()))
 
 
-def figures(tally: Tally, memory: Sequence[tuple[int, float]], requests: int) -> dict[str, Any]:
+def figures(tally: Tally, memory: Sequence[tuple[int, float]], requests: int) -> Figures:
     """Return figures of the fifth after warm-up and of the last fifth.
 
     Threads come and go with their buffers, so that one moment says little: memory is the median of
@@ -175,7 +174,7 @@ def answers(tally: Tally, names: Sequence[str]) -> dict[str, dict[str, int]]:
     }
 
 
-def criteria(found: dict[str, Any]) -> dict[str, bool]:
+def criteria(found: Figures) -> Criteria:
     """Return the criteria, and whether each is met."""
     memory, early, late = found["memory_mb"], found["early_ms"]["p99"], found["late_ms"]["p99"]
     return {
@@ -190,26 +189,23 @@ def criteria(found: dict[str, Any]) -> dict[str, bool]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Soak a server; 1 where a criterion fails."""
-    parser = measurement_parser(__doc__)
-    parser.add_argument("--requests", type=int, default=20_000)
-    options = parser.parse_args(arguments)
-    requests, mixture = options.requests, kinds(load_index(options.index))
+def measure(server: ServerProcess, index: PoseIndex, requests: int) -> tuple[Figures, Criteria]:
+    """Soak a server."""
     if requests < MEASUREMENTS:
-        parser.error(f"--requests: expected at least {MEASUREMENTS}, got {requests}")
-    with ServerProcess(options.index) as server:
-        server.wait_until_ready()
-        soak = Soak(server, mixture, requests)
-        tally = soak.run()
-        found = {
-            "requests": requests,
-            "clients": CLIENTS,
-            "seconds": tally.seconds,
-            "per_s": requests / tally.seconds,
-            **figures(tally, soak.memory, requests),
-            "answers": answers(tally, list(mixture)),
-            "exit_status": server.stop(),
-        }
-    command = f"python -m scripts soak --requests {requests}"
-    return conclude("soak", command, found, criteria(found), write=options.write)
+        raise ValueError(f"--requests: expected at least {MEASUREMENTS}, got {requests}")
+    mixture = kinds(index)
+    soak = Soak(server, mixture, requests)
+    tally = soak.run()
+    found = {
+        "requests": requests,
+        "clients": CLIENTS,
+        "seconds": tally.seconds,
+        "per_s": requests / tally.seconds,
+        **figures(tally, soak.memory, requests),
+        "answers": answers(tally, list(mixture)),
+        "exit_status": server.stop(),
+    }
+    return found, criteria(found)
+
+
+main = partial(run, measure, "soak", "requests", 20_000)
