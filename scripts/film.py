@@ -1,4 +1,4 @@
-"""Film motion clips with a fixed camera: the people that experiments on tracks follow."""
+"""Film motion clips with a fixed camera: the people of the experiments on tracks."""
 
 from __future__ import annotations
 

@@ -202,12 +202,12 @@ def watch(source: Source, camera: Camera, fps: float) -> None:
 
 
 def status(answer: dict[str, Any]) -> str:
-    """Say who is there and how long the service took."""
+    """Return who is there and how long the service took."""
     people = ", ".join(
         f"{person['track_id']} {(person['posture'] or {'label': 'unclear'})['label']}"
         for person in answer["persons"]
     )
-    return f"{people or 'nobody'}; {answer['timings_ms']['total']:.0f} ms"
+    return f"{people or 'no people'}; {answer['timings_ms']['total']:.0f} ms"
 
 
 def say(text: str) -> None:

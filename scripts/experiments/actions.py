@@ -1,4 +1,4 @@
-"""Actions, postures and falls of people whom neither index nor model knows."""
+"""The actions experiment: actions, postures and falls of subjects unknown to index and model."""
 
 from __future__ import annotations
 

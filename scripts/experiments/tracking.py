@@ -1,7 +1,7 @@
 """Tracks against single frames: clips that the index never saw, filmed by a fixed camera.
 
 The index without the held-out clips, with the network that ships, is asked for sequences of these
-clips on bodies that it does not know, silhouettes alone. Every frame by itself is compared with the
+clips on unknown bodies, silhouettes alone. Every frame by itself is compared with the
 smooth pose of the frames so far. Parameters were chosen, and the confidence fitted
 (``--fit-tracks``), on other clips and bodies, with an index without them and without the network.
 """

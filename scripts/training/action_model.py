@@ -24,8 +24,8 @@ ACTIONS = (
 """The recognised actions: those that at least two subjects do, each in the same sense.
 
 Left out are bend, duck and kick, which mean another motion for each subject (reaching down or
-sideways; creeping or a leap from a run; football or karate); sit-down and roll, of which the second
-subject shows less than two seconds; and actions of a single subject, which no other can test.
+sideways; creeping or a leap from a run; football or karate); sit-down and roll, since the second
+subject shows less than two seconds of each; and actions of a single subject, which no other can test.
 """
 
 SEVERAL_ACTIONS = ("127_25", "127_27", "127_33", "127_35")
@@ -53,7 +53,7 @@ ELEVATION_ERROR_DEG = (-4.0, 9.0)
 """Mean and deviation of the error of a camera's estimated elevation."""
 
 NOISE_M = (0.02, 0.07)
-"""Deviation of a joint's position, of which half stays and half changes within a second."""
+"""Deviation of a joint's position: half of it stays, half changes within a second."""
 
 NOISE_OF_AXIS = (0.6, 0.6, 1.3)
 """Relative deviation along x, y and depth, which is the least certain."""
