@@ -36,7 +36,7 @@ class Peer:
         self._pose: Any = pose.Pose(static_image_mode=True, model_complexity=1)
 
     def joints(self, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Limb joints ``(12, 2)`` in pixels and ``(12, 3)`` in metres; None if no person is found."""
+        """Limb joints ``(12, 2)`` in pixels and ``(12, 3)`` in metres; None if none is found."""
         result = self._pose.process(np.ascontiguousarray(frame[..., ::-1]))
         if result.pose_landmarks is None:
             return None
