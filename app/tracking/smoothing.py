@@ -77,7 +77,7 @@ read, and the most frames."""
 
 CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.46, 1.39, 0.39
 """Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and
-of the share of probability near it. Fitted by ``python -m scripts.evaluate tracking
+of the share of probability near it. Fitted by ``python -m scripts evaluate tracking
 --fit-tracks``."""
 
 _SHOULDERS, _HIPS = (
