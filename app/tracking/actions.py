@@ -131,7 +131,7 @@ class ActionModel:
 
     @classmethod
     def load(cls, file: Path = MODEL) -> ActionModel:
-        """Read what ``python -m scripts.train_actions`` wrote."""
+        """Read what ``python -m scripts train-actions`` wrote."""
         values = json.loads(file.read_text())
         return cls(
             tuple(values["actions"]),

@@ -157,7 +157,7 @@ class SmoothingParameters:
     # Log odds that a kept pose loses; measured on the clips that the confidence was fitted on.
     lost_per_s: float = 5.0
     # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it
-    # and of the share of probability near it; `python -m scripts.evaluate tracking --fit-tracks`.
+    # and of the share of probability near it; `python -m scripts evaluate tracking --fit-tracks`.
     confidence_offset: float = -0.46
     hypotheses_weight: float = 1.39
     agreement_weight: float = 0.39

@@ -23,8 +23,8 @@ from app.settings import Settings
 from app.vision.geometry import Box
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from scripts.experiments.rotation import rotate_points
 from tests.conftest import ROOT, WALKERS, Photo, photograph, png, running_server
+from tests.support.rotation import rotate_points
 from tests.support.service import Client
 
 STREET = WALKERS.read_bytes()

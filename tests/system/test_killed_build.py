@@ -22,7 +22,7 @@ SLOWEST_S = 300
 
 def start_build(out: Path) -> subprocess.Popen[bytes]:
     size = ["--entries", "240", "--bodies", "1", "--views", "6", "--descriptor", "paper"]
-    command = [sys.executable, "-m", "scripts.build_index", "--mocap", str(MOCAP), *size]
+    command = [sys.executable, "-m", "scripts", "build", "--mocap", str(MOCAP), *size]
     return subprocess.Popen(
         [*command, "--out", str(out)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT
     )

@@ -20,7 +20,7 @@ from app.vision.blazepose import (
 )
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
-from scripts.experiments.rotation import rotate_points
+from tests.support.rotation import rotate_points
 
 LIMBS = [
     row

@@ -17,7 +17,7 @@ from app.vision.truncation import (
     touches_border,
     with_truncation,
 )
-from scripts.experiments.rotation import rotate_box, rotate_points
+from tests.support.rotation import rotate_box, rotate_points
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:
