@@ -15,8 +15,8 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from app.messages import expected_and_got, shortened, suggestion
 from app.scheduling.process import available_cores
 from app.vision.detector import DetectorName
+from index import DEFAULT_PATH
 from index.milvus_address import SCHEME, MilvusAddress
-from index.store import DEFAULT_PATH
 
 PREFIX = "POSE_"
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")

@@ -24,8 +24,8 @@ FEATURES = (
 )
 """Features of a hypothesis, computed by :func:`index.features.match_features`:
 
-- logarithm of its descriptor distance, and its excess over the smallest of all hypotheses;
-- logarithm of its votes, the weighted share of candidates in its mode, and its deficit to the
+- logarithm of its descriptor distance, and the same relative to the smallest of all hypotheses;
+- logarithm of its votes, the weighted share of candidates in its mode, and the same relative to the
   largest of all hypotheses;
 - logarithm of the distance to the nearest candidate;
 - outline distance in pixels;
@@ -48,6 +48,7 @@ class Calibration:
         Weight of each feature.
     bias : float
     features : tuple of str
+        Names of the features, as a guard against a calibration over others.
     """
 
     weights: tuple[float, ...]

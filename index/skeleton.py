@@ -6,12 +6,15 @@ about the vertical so that the pelvis faces +z. Camera axes: x right, y down, z 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from descriptor.silhouette import WIDTH
+
+SIDES = ("left", "right")
 
 JOINT_NAMES = (
     "pelvis", "spine", "chest", "neck", "head",
@@ -37,6 +40,41 @@ BODY_UP = (0.0, 1.0, 0.0)
 
 JOINTS = len(JOINT_NAMES)
 POINTS = len(POINT_NAMES)
+
+
+def rows(*names: str, among: Sequence[str] = POINT_NAMES) -> list[int]:
+    """Rows of the named points.
+
+    Examples
+    --------
+    >>> rows("pelvis", "head")
+    [0, 4]
+    """
+    return [among.index(name) for name in names]
+
+
+def side_rows(*parts: str, among: Sequence[str] = POINT_NAMES) -> list[int]:
+    """Rows of paired points, part by part, left before right.
+
+    Examples
+    --------
+    >>> side_rows("shoulder", "hip")
+    [5, 8, 11, 15]
+    """
+    return rows(*(f"{side}_{part}" for part in parts for side in SIDES), among=among)
+
+
+def other_side(name: str) -> str:
+    """Name of the same point on the other side of the body."""
+    side, _, part = name.partition("_")
+    return f"{SIDES[side == 'left']}_{part}" if side in SIDES else name
+
+
+LIMB_ROWS = rows(*LIMBS)
+"""Rows of the limb joints among :data:`POINT_NAMES`."""
+
+LIMB_SHOULDERS, LIMB_HIPS = (side_rows(part, among=LIMBS) for part in ("shoulder", "hip"))
+"""Rows among :data:`LIMBS`."""
 
 
 @dataclass(frozen=True)
@@ -150,16 +188,7 @@ H36M17 = _keypoint_set(
     {"spine": "chest", "thorax": "neck"},
 )  # fmt: skip
 
-OTHER_SIDE = np.array(
-    [
-        POINT_NAMES.index(
-            name.replace("left_", "right_")
-            if name.startswith("left_")
-            else name.replace("right_", "left_")
-        )
-        for name in POINT_NAMES
-    ]
-)
+OTHER_SIDE = np.array(rows(*(other_side(name) for name in POINT_NAMES)))
 """Row of the same point on the other side of the body, for each of ``POINT_NAMES``."""
 
 
@@ -201,6 +230,14 @@ def mean_joint_distance(
 def wrap_degrees(angle_deg: ArrayLike) -> NDArray[np.float64]:
     """The same angles from -180 up to 180 degrees."""
     return np.asarray((np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0)
+
+
+def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+    """Rotate points ``(..., 3)`` in camera axes about the optical axis, clockwise as seen."""
+    angle = np.deg2rad(angle_deg)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    return np.asarray(points_3d @ rotation)
 
 
 def camera_rotation(
@@ -318,4 +355,4 @@ def _paths_from_pelvis() -> NDArray[np.float64]:
 
 _PARENTS, _CHILDREN = np.array(NATIVE.bones).T
 _PATHS = _paths_from_pelvis()
-_HEAD = NATIVE.names.index("head")
+(_HEAD,) = rows("head")

@@ -7,6 +7,7 @@ import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import save_index
 from index.build.builder import CMU_ATTRIBUTION, Plan, build
 from index.build.garments import GarmentError
@@ -14,7 +15,6 @@ from index.build.motion import MotionError
 from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
-from index.store import DEFAULT_PATH
 
 
 def main() -> int:

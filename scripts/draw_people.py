@@ -27,6 +27,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.skeleton import NATIVE
@@ -116,7 +117,7 @@ def _nearest(
     estimator: Estimator, person: Person, frame_shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
     """Silhouette of the first hypothesis's entry, rotated as it is, placed on the person's."""
-    hypothesis, silhouette = person.hypotheses[0].hypothesis, person.observed.silhouette
+    hypothesis, silhouette = person.hypotheses[0], person.observed.silhouette
     assert silhouette is not None
     normalised = NormalisedPerson.of(silhouette, None)
     entry, matrix = placed_entry(estimator.index, normalised, hypothesis)
@@ -193,7 +194,7 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     folder = options.shared / "real"
-    estimator = Estimator.load(Settings())
+    estimator = load_estimator(Settings())
     street, video = vtest_people(estimator, folder), video_people(estimator, folder)
     tall = [person for person in street if person.height_px >= SHOWN_FROM_PX]
     (options.docs / "results").mkdir(parents=True, exist_ok=True)

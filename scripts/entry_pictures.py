@@ -18,7 +18,7 @@ def placed_entry(
 
     The affine transform leads from its pixels to pixels of the frame, rotated as the hypothesis is.
     """
-    silhouette = index.silhouette(hypothesis.entry)
+    silhouette = index.silhouette(hypothesis.entry_id)
     if hypothesis.mirrored:
         silhouette = np.ascontiguousarray(silhouette[:, ::-1])
     query = RotatedQuery.of(person.silhouette, hypothesis.rotation_deg + person.roll_deg)

@@ -27,8 +27,9 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator, normalise_person
-from app.estimation.posture import GROUNDED, GROUPS, body_features
+from app.estimation.posture_probability import GROUPS, body_features
 from app.estimation.results import Person
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detector import NetworkDetector, detection_features
@@ -36,10 +37,9 @@ from app.vision.geometry import LANDMARK_NAMES, Box, Landmarks
 from app.vision.models import write_fitted
 from app.vision.odds import log_odds
 from index.confidence import RIGHT_BELOW_PX
-from index.posture import POSTURES, UPRIGHT, camera_up, classify
-from index.ranking import DISTANCE_WEIGHT
-from index.search import rotate_clockwise
-from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
+from index.parameters import RANKING
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify_postures
+from index.skeleton import LIMBS, POINT_NAMES, camera_rotation, rotate_clockwise
 from index.store import PoseIndex
 from scripts.experiments.asking import estimate
 from scripts.experiments.real_data import (
@@ -183,7 +183,7 @@ def posture_samples(
             for one in found:
                 grounded[kind].add(_body(one), kind == "fall", name)
                 if kind == "fall":
-                    people[kind].append((one, GROUNDED))
+                    people[kind].append((one, ON_THE_GROUND))
     frames = [(one.name, one.frame) for one in read_pennfudan(real / "pennfudan")]
     frames += [(str(number), frame) for number, frame in read_vtest(real / "vtest", 20)]
     for name, frame in tqdm(frames, desc="street"):
@@ -219,14 +219,14 @@ def simulated_samples(index: PoseIndex) -> Samples:
     rotations = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"])
     points = index.skeletons[entries["skeleton"]].astype(np.float64)
     points = points @ rotations.swapaxes(1, 2)
-    postures = classify(points, camera_up(entries["elevation_deg"]))
+    postures = classify_postures(points, camera_up(entries["elevation_deg"]))
     samples = Samples()
     for number, posture in enumerate(POSTURES):
         for row in np.flatnonzero(postures == number)[:SIMULATED_EACH]:
             metres = points[row][_POINT_OF_LANDMARK] + rng.normal(0, NOISE_M, (33, 3))
             metres = rotate_clockwise(metres, float(rng.normal(0, ROLL_DEG)))
             landmarks = Landmarks(PX_PER_M * metres[:, :2], np.full(33, 0.95), metres)
-            samples.add(body_features(landmarks), posture in GROUNDED, "simulated")
+            samples.add(body_features(landmarks), posture in ON_THE_GROUND, "simulated")
     return samples
 
 
@@ -344,8 +344,8 @@ def confidence_samples(
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
             errors = np.linalg.norm(placed.points_2d[_LIMB_ROWS] - joints, axis=1)[seen]
-            agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))
-            features.append((agreement, placed.hypothesis.adjusted_m))
+            agreement = -RANKING.distance_weight * float(np.log(max(placed.distance, 1e-9)))
+            features.append((agreement, placed.adjusted_m))
             right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
 
     document = json.loads((shared / "real" / "lsp" / "joints.json").read_text())
@@ -392,7 +392,7 @@ def main() -> None:
     options = parser.parse_args()
     if not (options.shared / "real").is_dir():
         parser.error(f"expected {options.shared}/real to hold the photographs, it is not there")
-    estimator = Estimator.load(Settings())
+    estimator = load_estimator(Settings())
     detection = detection_samples(estimator, options.shared)
     street = read_pennfudan(options.shared / "real" / "pennfudan")
     write_fitted(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 
 ROOT = Path(__file__).resolve().parent.parent
 RELIABILITY = ROOT / "docs" / "results" / "reliability.md"

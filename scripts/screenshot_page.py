@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.load.server import ServerProcess
 
 SCREENS = {"desktop": (1280, 900), "phone": (390, 844)}

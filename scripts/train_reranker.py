@@ -13,13 +13,13 @@ import argparse
 import sys
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.build.garments import GarmentError
 from index.build.joint_training import Course
 from index.build.motion import MotionError, read_manifest
 from index.build.reranker import train_reranker
 from index.reranker import save_reranker
-from index.store import DEFAULT_PATH
 from scripts.experiments.strict import hold_out
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.api import schemas
 from app.api.coco import compressed, polygon, run_lengths
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.vision.detector import DetectorName
 from app.vision.geometry import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
@@ -115,7 +115,7 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     """Describe an entry of an index."""
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse(
-        entry=entry.number,
+        entry=entry.entry_id,
         source=_source(entry),
         camera=_camera(entry),
         keypoints=_keypoints(chosen),
@@ -143,8 +143,8 @@ def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm)
         "facing": _facing(facing) if facing else None,
         "posture": _posture(person.posture) if person.posture else None,
         "hypotheses": [
-            _hypothesis(placed, rank, form)
-            for rank, placed in enumerate(person.hypotheses, start=1)
+            _hypothesis(hypothesis, rank, form)
+            for rank, hypothesis in enumerate(person.hypotheses, start=1)
         ],
     }
 
@@ -198,22 +198,21 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
 
 
-def _hypothesis(placed: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
-    hypothesis, label = placed.hypothesis, placed.label
+def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
     # Not validated: for its hundreds of points that would take a third of the time of writing an
     # answer, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
-        entry=hypothesis.entry,
-        distance=significant(placed.distance),
-        silhouette_distance=round(hypothesis.distance, DISTANCE_DIGITS),
+        entry=hypothesis.entry_id,
+        distance=significant(hypothesis.distance),
+        silhouette_distance=round(hypothesis.silhouette_distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
-        confidence=round(placed.confidence, 4),
+        confidence=round(hypothesis.confidence, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
-        **joint_fields(hypothesis.points_3d, placed.points_2d, form),
-        source=_source(label),
-        camera=_camera(label),
+        **joint_fields(hypothesis.points_3d, hypothesis.points_2d, form),
+        source=_source(hypothesis.label),
+        camera=_camera(hypothesis.label),
     )
 
 

@@ -19,7 +19,6 @@ from app.routes.auth import Caller, RequireKey
 from app.routes.forms import CheckQuery
 from app.routes.openapi import documented
 from app.routes.uploads import (
-    DEFAULT_HYPOTHESES,
     DOCUMENTED_TRACK_UPLOAD,
     EvidenceQuery,
     HypothesisCount,
@@ -33,6 +32,7 @@ from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
 from app.tracking.sessions import CameraKey, TooManyCamerasError
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, CheckQuery])

@@ -15,7 +15,6 @@ from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery
 from app.routes.openapi import documented
 from app.routes.uploads import (
-    DEFAULT_HYPOTHESES,
     DOCUMENTED_UPLOAD,
     EvidenceQuery,
     HypothesisCount,
@@ -27,6 +26,7 @@ from app.routes.uploads import (
 )
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(

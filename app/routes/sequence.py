@@ -27,7 +27,6 @@ from app.routes.auth import RequireKey
 from app.routes.forms import CheckQuery, check_fields
 from app.routes.openapi import documented
 from app.routes.uploads import (
-    DEFAULT_HYPOTHESES,
     EvidenceQuery,
     HypothesisCount,
     JointsQuery,
@@ -43,6 +42,7 @@ from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.tracking.summary import SequenceSummary
 from app.video.reader import VideoError, VideoFrame, VideoReader, new_file, open_video
+from index.parameters import DEFAULT_HYPOTHESES
 from index.search import UnavailableError
 from index.skeleton import KEYPOINT_SETS
 

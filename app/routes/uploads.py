@@ -65,8 +65,6 @@ _TIMESTAMP = TypeAdapter[float](Timestamp)
 
 _LONGEST_BOX = 256  # In characters, spaces and line breaks included.
 
-DEFAULT_HYPOTHESES = 7
-
 HypothesisCount = Annotated[
     int,
     Query(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7]),

@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
 import anyio
@@ -26,7 +27,9 @@ from app.serving.milvus import (
 )
 from app.serving.runtime import Runtime
 from app.serving.version import VERSION
+from app.settings import Settings
 from app.vision.tflite import NetworkError
+from index.artefact import load_index
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import PoseIndex
@@ -44,6 +47,29 @@ PROBED_EVERY_S = 1.0
 
 LONGEST_PAUSE_S = 5.0
 """Pauses between attempts to get ready double from :data:`PROBED_EVERY_S` up to this."""
+
+
+def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estimator:
+    """Load the networks, and the index from the folder in the settings unless it is given.
+
+    Raises
+    ------
+    ArtefactError
+        If the index cannot be used.
+    NetworkError
+        If a network of the package is missing or altered.
+    """
+    if index is None:
+        assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
+        index = load_index(settings.index)
+    return Estimator.load(
+        index,
+        detector=settings.detector,
+        concurrency=settings.concurrency,
+        min_person_px=settings.min_person_px,
+        max_pixels=settings.max_pixels,
+        max_persons=settings.max_persons,
+    )
 
 
 async def keep_index_loaded(runtime: Runtime) -> None:
@@ -75,7 +101,7 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
 
 def _load_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
     with native_lines_logged(log):
-        estimator = Estimator.load(runtime.settings, index)
+        estimator = load_estimator(runtime.settings, index)
         estimator.warm_up()
     freeze_loaded_objects()
     trim_heap()

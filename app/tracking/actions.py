@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import CLEAR_FROM, EstimatedPosture
+from app.estimation.parameters import POSTURE
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.action_features import RATE_HZ, Measured, action_features, ground_path
 from app.tracking.results import RecognisedAction
@@ -205,7 +206,7 @@ class ActionRecogniser:
         best = int(probabilities.argmax())
         self._told_at = timestamp
         self._told = None
-        if probabilities[best] >= CLEAR_FROM:
+        if probabilities[best] >= POSTURE.min_probability:
             self._told = RecognisedAction(self._model.actions[best], float(probabilities[best]))
         return self._told
 

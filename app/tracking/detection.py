@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import PeopleFinder, distinct_bodies, observed
+from app.estimation.finder import PeopleFinder, distinct_bodies, make_observation
 from app.estimation.results import ObservedPerson
 from app.scheduling.job import Job
 from app.tracking.track import LEAST_PRESENCE, Track
@@ -94,7 +94,7 @@ class TrackedPeopleDetector:
             score = owner.score if owner else wanted[row].score
             # A detector's box may hold more than the body that is read in it.
             place = silhouette.box if reading.presence >= LEAST_PRESENCE else box
-            person = observed(frame, place, "detector", score, silhouette, reading)
+            person = make_observation(frame, place, "detector", score, silhouette, reading)
             people.append((person, owner))
         return people
 

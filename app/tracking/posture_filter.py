@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import (
+from app.estimation.posture_probability import (
     EstimatedPosture,
-    grounded_probability,
+    on_ground_probability,
     posture_of,
     with_bent_legs,
-    with_grounded,
+    with_on_ground,
 )
 from app.vision.geometry import Box, Landmarks
 
@@ -72,8 +72,8 @@ class PostureFilter:
         shares = votes
         if landmarks is not None:
             # Of somebody whom the network does not make out, the box is all that is seen.
-            lies = presence * grounded_probability(landmarks) + (1 - presence) * wide(box)
-            shares = with_grounded(with_bent_legs(votes, landmarks, presence), lies)
+            lies = presence * on_ground_probability(landmarks) + (1 - presence) * wide(box)
+            shares = with_on_ground(with_bent_legs(votes, landmarks, presence), lies)
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:

@@ -22,7 +22,7 @@ from app.tracking.track import Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from app.vision.truncation import ends_at_border
-from index.matching import FIRST_HYPOTHESES
+from index.parameters import DEFAULT_HYPOTHESES
 
 LEAST_STEP_S = 1e-3
 """Frames less than this apart have no order that a camera could have seen."""
@@ -308,7 +308,7 @@ class CameraSession:
     ) -> tuple[TrackedPerson, ...]:
         searched = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
         scene = Scene(frame, tuple(seen[i][0] for i in searched))
-        persons = self._estimator.with_hypotheses(scene, max(n, FIRST_HYPOTHESES), job)
+        persons = self._estimator.with_hypotheses(scene, max(n, DEFAULT_HYPOTHESES), job)
         found = dict(zip(searched, persons, strict=True))
         tracked = []
         for i, (observed, track) in enumerate(seen):

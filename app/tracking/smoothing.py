@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing, azimuth_deg
-from app.estimation.posture import vote_posture
+from app.estimation.posture_probability import vote_posture
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.ground_motion import GroundMotion, GroundVelocity
 from app.tracking.heading import HeadingFilter, Turn, going
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
-from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
+from index.parameters import POSTURE_RULES
+from index.posture import UPRIGHT, Posture
 from index.skeleton import (
     JOINTS,
     NATIVE,
@@ -203,7 +204,7 @@ class PoseSmoother:
         if not person.hypotheses or person.facing is None:
             return None
         hypotheses = person.hypotheses[: self._states]
-        points_3d = np.array([placed.hypothesis.points_3d for placed in hypotheses])
+        points_3d = np.array([placed.points_3d for placed in hypotheses])
         points_2d = np.array([placed.points_2d for placed in hypotheses])
         confidences = np.array([placed.confidence for placed in hypotheses])
         elevations_deg = np.array([placed.label.elevation_deg for placed in hypotheses])
@@ -240,7 +241,7 @@ class PoseSmoother:
         probabilities /= probabilities.sum()
         near = _weights_near_best(points_3d, log_probabilities)
         smoothed_3d, odds = self._smoothed(timestamp)
-        upright = float(probabilities @ [one.hypothesis.posture in UPRIGHT for one in hypotheses])
+        upright = float(probabilities @ [one.posture in UPRIGHT for one in hypotheses])
         if person.facing.evidence == "image" and upright * (1 - sure) > 0.5:
             smoothed_3d = _kept_beside(smoothed_3d, turn)
         agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
@@ -249,11 +250,11 @@ class PoseSmoother:
             smoothed_3d,
             np.einsum("n,npd->pd", near, points_2d),
             _confidence(*features),
-            hypotheses[int(probabilities.argmax())].hypothesis.entry,
+            hypotheses[int(probabilities.argmax())].entry_id,
         )
         self._last = pose, _Place.of(person.observed)
         votes = vote_posture(
-            [_posture(placed.hypothesis.posture, velocity) for placed in hypotheses],
+            [_posture(placed.posture, velocity) for placed in hypotheses],
             probabilities.tolist(),
         )
         return Smoothed(
@@ -343,9 +344,9 @@ def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
     """The posture of a state; how fast somebody goes is seen rather than taken from its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture
-    if velocity.sure_speed >= RUNNING_FROM:
+    if velocity.sure_speed >= POSTURE_RULES.min_running_speed:
         return "running"
-    return "walking" if velocity.sure_speed >= WALKING_FROM else "standing"
+    return "walking" if velocity.sure_speed >= POSTURE_RULES.min_walking_speed else "standing"
 
 
 def _px_per_m(

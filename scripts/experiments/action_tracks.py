@@ -28,7 +28,7 @@ from index.build.body import Avatar
 from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
-from index.posture import classify
+from index.posture import classify_postures
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.experiments.action_model import (
@@ -287,7 +287,7 @@ def match_films(
             ]
             tracks.append(Track(
                 film.clip, film.subject, film.action, film.timestamps,
-                classify(film.world, BODY_UP, film.speeds),
+                classify_postures(film.world, BODY_UP, film.speeds),
                 tuple(
                     replace(person, observed=replace(person.observed, silhouette=None))
                     for person in people

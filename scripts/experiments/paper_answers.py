@@ -7,6 +7,8 @@ query.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +18,8 @@ from index.build.descriptor_learning import Recipe, learn_descriptor
 from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
-from index.matching import SPARE_MODES
 from index.modes import Modes, find_modes
+from index.parameters import MATCHING, MODES
 from index.skeleton import POINTS
 from scripts.experiments.contour import contour_faults
 
@@ -61,5 +63,6 @@ def first_poses(
 
 def ranked_modes(candidates: Candidates, count: int) -> Modes:
     """Distinct poses, best first, as :func:`index.matching.match` ranks them."""
-    found = find_modes(candidates, count + SPARE_MODES, bandwidth_m=BANDWIDTH_M)
+    parameters = replace(MODES, bandwidth_m=BANDWIDTH_M)
+    found = find_modes(candidates, count + MATCHING.spare_modes, parameters=parameters)
     return found.nearest(count)

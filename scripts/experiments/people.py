@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
-from app.estimation.posture import GROUNDED
 from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from app.vision.geometry import LANDMARK_NAMES, Box
+from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.asking import HYPOTHESES, estimate
 from scripts.experiments.real_data import read_frames, read_pennfudan
@@ -44,7 +45,7 @@ ACTIVITIES: dict[int, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     7: ("stands", ("standing",), ("stand",)),
     8: ("sits", ("sitting",), ("sit",)),
     10: ("jumps", ("standing", "crouching", "bending", "arms_raised"), ("jump",)),
-    11: ("lies", GROUNDED, ("lie",)),
+    11: ("lies", ON_THE_GROUND, ("lie",)),
 }
 """Of UP-Fall's activities what people do, in which postures, and with which actions."""
 
@@ -72,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
     real = options.shared / "real"
     if not real.is_dir():
         raise FileNotFoundError(f"expected {real} to hold photographs and videos, it is not there")
-    estimator = Estimator.load(Settings())
+    estimator = load_estimator(Settings())
     rows = [
         *sport(estimator, real / "lsp"),
         *fallen(estimator, real / "falls"),
@@ -99,7 +100,7 @@ def _encoded(frame: NDArray[np.uint8]) -> bytes:
 
 def grounded(person: Person) -> bool:
     """Whether somebody is said to lie or crawl."""
-    return person.posture is not None and person.posture.label in GROUNDED
+    return person.posture is not None and person.posture.label in ON_THE_GROUND
 
 
 def sport(estimator: Estimator, folder: Path) -> list[Row]:
@@ -241,7 +242,7 @@ def leaning(estimator: Estimator, folder: Path) -> list[Row]:
             if number % 4 == 0:
                 box = _padded(places[number])
                 (person,) = estimate(estimator, _encoded(frame), box)
-                errors = [_error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses]
+                errors = [_error_mm(one.points_3d, truth) for one in person.hypotheses]
                 single.append((errors[0], min(errors)))
                 told.append(grounded(person))
             tracked = session.process(Upload(_encoded(frame)), number / 60, HYPOTHESES, Job())
@@ -252,7 +253,7 @@ def leaning(estimator: Estimator, folder: Path) -> list[Row]:
                 identities.add(one.track_id)
                 followed.append(
                     (
-                        _error_mm(one.person.hypotheses[0].hypothesis.points_3d, truth),
+                        _error_mm(one.person.hypotheses[0].points_3d, truth),
                         _error_mm(one.pose.points_3d, truth),
                     )
                 )
@@ -406,7 +407,7 @@ def street(estimator: Estimator, folder: Path, frames: int = 300) -> list[Row]:
                 actions.append(one.action.label)
     long = [track for track in sides.values() if len(track) >= 10]
     flips = [a != b for track in long for a, b in itertools.pairwise(track)]
-    low = [label in (*GROUNDED, "sitting", "kneeling", "crouching") for label in postures]
+    low = [label in (*ON_THE_GROUND, "sitting", "kneeling", "crouching") for label in postures]
     return [
         (
             f"PETS 2009, {frames} frames",

@@ -17,10 +17,11 @@ import cv2
 import numpy as np
 
 from app.estimation.estimator import Estimator
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import MIN_SCORE, Detector, NetworkDetector
+from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
-from index.store import DEFAULT_PATH
 from scripts.experiments.real_data import (
     read_pennfudan,
     read_pose2sim,
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 def run(options: argparse.Namespace) -> None:
     """Run the experiment as the command line asks."""
     cv2.setNumThreads(1)
-    estimator = Estimator.load(Settings(index=options.index))
+    estimator = load_estimator(Settings(index=options.index))
     detector = estimator.detector
     assert isinstance(detector, NetworkDetector)
     folder = options.shared / "real"

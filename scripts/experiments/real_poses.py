@@ -12,7 +12,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator, fit_poses
-from app.estimation.finder import observed
+from app.estimation.finder import make_observation
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.scheduling.job import Job
@@ -125,7 +125,7 @@ def estimate(estimator: Estimator, asked: Asked, way: Way) -> Person | None:
     person = ObservedPerson(asked.box, "boxes", None, asked.silhouette)
     if way != SILHOUETTE:
         reading = estimator.finder.reader.read(asked.frame, asked.box)
-        person = observed(asked.frame, asked.box, "boxes", None, asked.silhouette, reading)
+        person = make_observation(asked.frame, asked.box, "boxes", None, asked.silhouette, reading)
     if way == LANDMARKS:
         normalised = _NotWhole.of(asked.silhouette, person.landmarks)
         if normalised.keypoints() is None:
@@ -150,7 +150,7 @@ def judge(asked: Asked, person: Person) -> Trial:
     reference = asked.reference
     scale = normalise(asked.silhouette.crop)[1].scale
     points_2d = np.array([one.points_2d[_ROWS] for one in person.hypotheses])
-    points_3d = np.array([one.hypothesis.points_3d[_ROWS] for one in person.hypotheses])
+    points_3d = np.array([one.points_3d[_ROWS] for one in person.hypotheses])
     points_3d = points_3d - points_3d[:, list(HIPS)].mean(axis=1, keepdims=True)
     apart = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])

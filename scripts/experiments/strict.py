@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import vote_posture
+from app.estimation.posture_probability import vote_posture
 from index.artefact import load_index, save_index
 from index.build.builder import (
     Asked,
@@ -32,7 +32,7 @@ from index.build.garments import HELD_OUT_AVATARS, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX
-from index.posture import LOW, POSTURES, classify
+from index.posture import LOW, POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
 from index.store import PoseIndex
 from scripts.experiments.report import confusion, plot_reliability, reliability, table, write
@@ -181,7 +181,9 @@ def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]
 def true_postures(queries: Simulation) -> NDArray[np.int64]:
     """Postures ``(Q,)`` of the skeletons themselves, as positions in ``POSTURES``."""
     rows = queries.entries["skeleton"]
-    return classify(queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows])
+    return classify_postures(
+        queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows]
+    )
 
 
 def voted_postures(trial: Trial) -> NDArray[np.int64]:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from index import DEFAULT_PATH
 from index.build.calibrate import (
-    HYPOTHESES,
     Queries,
     Trial,
     expected_calibration_error,
@@ -17,15 +17,15 @@ from index.build.calibrate import (
 )
 from index.build.motion import Segment
 from index.confidence import RIGHT_BELOW_PX
+from index.parameters import DEFAULT_HYPOTHESES
 from index.reranker import RankingModel, load_reranker
 from index.rotations import (
     RotatedQuery,
     find_rotated_candidates,
-    usual_rotations,
+    silhouette_rotations,
 )
-from index.search import rotate_clockwise
-from index.skeleton import JOINTS
-from index.store import DEFAULT_PATH, PoseIndex
+from index.skeleton import JOINTS, rotate_clockwise
+from index.store import PoseIndex
 
 
 def shipped_reranker(held: Sequence[Segment]) -> RankingModel | None:
@@ -77,13 +77,15 @@ def steps(index: PoseIndex, groups: Mapping[str, tuple[Queries, Trial]]) -> list
 
 def _nearest(index: PoseIndex, queries: Queries) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors ``(Q, N)`` in pixels and in metres of the nearest entries as they are."""
-    error_px, error_m = (np.full((len(queries), HYPOTHESES), np.inf) for _ in range(2))
+    error_px, error_m = (np.full((len(queries), DEFAULT_HYPOTHESES), np.inf) for _ in range(2))
     for row, (silhouette, roll_deg) in enumerate(
         zip(queries.silhouettes, queries.roll_deg.tolist(), strict=True)
     ):
-        rotations = usual_rotations(silhouette, roll_deg)
+        rotations = silhouette_rotations(silhouette, roll_deg)
         rotated = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        found = find_rotated_candidates(index, rotated, HYPOTHESES).take(slice(HYPOTHESES))
+        found = find_rotated_candidates(index, rotated, DEFAULT_HYPOTHESES).take(
+            slice(DEFAULT_HYPOTHESES)
+        )
         apart_2d = found.points_normalised[:, :JOINTS] - queries.joints_2d[row]
         points_3d = rotate_clockwise(found.points_3d[:, :JOINTS], -roll_deg)
         apart_3d = points_3d - queries.joints_3d[row]

@@ -155,7 +155,7 @@ def alone(filmed: Filmed, persons: Sequence[Person]) -> Followed:
     first = [person.hypotheses[0] for person in persons]
     return Followed(
         filmed,
-        np.array([placed.hypothesis.points_3d for placed in first]),
+        np.array([placed.points_3d for placed in first]),
         np.array([placed.points_2d for placed in first]),
         np.array([placed.confidence for placed in first]),
     )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.session import CameraSession
 from descriptor.descriptor import DiagonalDescriptor
@@ -56,7 +57,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 def run(options: argparse.Namespace) -> None:
     """Run the experiment and write ``weizmann.md`` and ``weizmann.json``."""
     films = read_films(options.weizmann)
-    estimator = Estimator.load(Settings(index=ROOT / "index" / "data"))
+    estimator = load_estimator(Settings(index=ROOT / "index" / "data"))
     recordings = [film.normalised() for film in films]
     own = estimator.index.descriptor
     recognise = partial(leave_one_person_out, recordings)

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.load.benchmark_cases import (
     WALKERS,
     Street,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,9 @@ from index.build.motion import Segment
 from index.build.poses import Poses, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import FEATURES, Calibration
+from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
+from tests.index.helpers import random_network
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -293,6 +296,19 @@ def ground_simulation(poses: Poses, laid: Poses, avatars: list[Avatar]) -> Simul
 def ground_index(ground_simulation: Simulation) -> PoseIndex:
     """An index of box bodies of which most lie: wide ones were rolled."""
     return index_of(ground_simulation, "ground")
+
+
+@pytest.fixture(scope="session")
+def reranker() -> RankingModel:
+    """A network that has learned nothing."""
+    calibration = Calibration((0.1,) * len(RERANKING_FEATURES), -0.2, RERANKING_FEATURES)
+    return RankingModel(random_network(1), calibration, {"passes": 0})
+
+
+@pytest.fixture(scope="session")
+def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
+    """The index of box bodies with such a network."""
+    return replace(toy_index, reranker=reranker)
 
 
 @pytest.fixture(scope="session")

@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from index.parameters import POSTURE_RULES
 from index.posture import (
     LOW,
-    MAX_ELEVATION_DEG,
     POSTURES,
-    RUNNING_FROM,
-    WALKING_FROM,
     Posture,
     camera_up,
-    classify,
+    classify_postures,
     lying_elevation_deg,
 )
 from index.skeleton import JOINT_NAMES, POINTS, camera_rotation, mirror_3d
@@ -112,7 +110,7 @@ EXPECTED = [posture for posture, _ in BODIES.values()]
 def postures(
     points: NDArray[np.floating], up: NDArray[np.floating] = UP, speed: float = 0.0
 ) -> list[Posture]:
-    return [POSTURES[row] for row in classify(points, up, speed)]
+    return [POSTURES[row] for row in classify_postures(points, up, speed)]
 
 
 def rotated(axis: int, degrees: float) -> NDArray[np.float64]:
@@ -147,10 +145,10 @@ def test_on_a_side(side: float) -> None:
     ("speed", "posture"),
     [
         (0.0, "standing"),
-        (WALKING_FROM - 0.01, "standing"),
-        (WALKING_FROM, "walking"),
-        (RUNNING_FROM - 0.01, "walking"),
-        (RUNNING_FROM, "running"),
+        (POSTURE_RULES.min_walking_speed - 0.01, "standing"),
+        (POSTURE_RULES.min_walking_speed, "walking"),
+        (POSTURE_RULES.min_running_speed - 0.01, "walking"),
+        (POSTURE_RULES.min_running_speed, "running"),
     ],
 )
 def test_speed_tells_who_walks_and_runs(speed: float, posture: str) -> None:
@@ -165,7 +163,7 @@ def test_speed_changes_only_standing() -> None:
 def test_each_has_its_own_speed_and_its_own_up() -> None:
     ups = np.stack([UP, rotated(0, 90.0) @ UP, UP])
     bodies = np.stack([body()] * 3)
-    assert [POSTURES[row] for row in classify(bodies, ups, [0.0, 0.0, 1.0])] == [
+    assert [POSTURES[row] for row in classify_postures(bodies, ups, [0.0, 0.0, 1.0])] == [
         "standing", "lying", "walking",
     ]  # fmt: skip
 
@@ -199,7 +197,7 @@ def test_camera_up_is_up_as_the_camera_sees_it(elevation: float, azimuth: float)
 
 @given(
     azimuth=st.floats(0, 360),
-    elevation=st.floats(0, MAX_ELEVATION_DEG),
+    elevation=st.floats(0, POSTURE_RULES.max_elevation_deg),
     side=st.floats(0, 360),
     tail_first=st.booleans(),
 )
@@ -219,4 +217,4 @@ def test_the_elevation_that_levels_a_trunk_is_one_that_cameras_have(
     azimuth: float, elevation: float
 ) -> None:
     found = lying_elevation_deg(SKELETONS @ camera_rotation(azimuth, elevation).T)
-    assert ((found >= 0) & (found <= MAX_ELEVATION_DEG)).all()
+    assert ((found >= 0) & (found <= POSTURE_RULES.max_elevation_deg)).all()

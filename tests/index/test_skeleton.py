@@ -20,8 +20,16 @@ from index.skeleton import (
     exchange_sides,
     mirror_3d,
     mirror_normalised,
+    other_side,
+    pixels_per_metre,
     project,
+    rotate_clockwise,
+    rows,
+    side_rows,
+    with_bone_lengths_of,
+    wrap_degrees,
 )
+from tests.index.helpers import bone_lengths
 
 LEFT, UP, FRONT = np.eye(3)
 angles = st.floats(-720, 720)
@@ -87,12 +95,6 @@ def test_projection_is_a_line_of_sight(depth: float, scale: float) -> None:
     )
 
 
-def other(name: str) -> str:
-    if name.startswith("left_"):
-        return "right_" + name[5:]
-    return "left_" + name[6:] if name.startswith("right_") else name
-
-
 @pytest.mark.parametrize("keypoints", KEYPOINT_SETS.values(), ids=lambda k: k.name)
 class TestKeypointSets:
     def test_indices_name_the_points(self, keypoints: KeypointSet) -> None:
@@ -110,7 +112,7 @@ class TestKeypointSets:
         def named(pairs: tuple[tuple[int, int], ...]) -> set[frozenset[str]]:
             return {frozenset((keypoints.names[a], keypoints.names[b])) for a, b in pairs}
 
-        bones = {frozenset(map(other, bone)) for bone in named(keypoints.bones)}
+        bones = {frozenset(map(other_side, bone)) for bone in named(keypoints.bones)}
         assert bones == named(keypoints.bones)
 
 
@@ -128,10 +130,9 @@ class TestMirror:
     def test_left_becomes_right_and_the_middle_stays(self) -> None:
         points = some_points(3)[0]
         image = mirror_3d(points)
-        left, right = POINT_NAMES.index("left_wrist"), POINT_NAMES.index("right_wrist")
+        left, right, nose = rows("left_wrist", "right_wrist", "nose")
         assert_array_equal(image[right], points[left] * (-1, 1, 1))
         assert_array_equal(image[left], points[right] * (-1, 1, 1))
-        nose = POINT_NAMES.index("nose")
         assert_array_equal(image[nose], points[nose] * (-1, 1, 1))
 
     @given(azimuth=angles, elevation=angles, roll=angles)
@@ -167,8 +168,63 @@ def test_native_bones_form_a_tree_from_the_pelvis() -> None:
 def test_exchanging_sides_moves_names_not_points() -> None:
     points = np.random.default_rng(0).normal(size=(3, POINTS, 2))
     exchanged = exchange_sides(points)
-    left, right = (POINT_NAMES.index(f"{side}_knee") for side in ("left", "right"))
-    head = POINT_NAMES.index("head")
+    left, right, head = rows("left_knee", "right_knee", "head")
     assert_array_equal(exchanged[:, left], points[:, right])
     assert_array_equal(exchanged[:, head], points[:, head])
     assert_array_equal(exchange_sides(exchanged), points)
+
+
+def test_rows_by_name() -> None:
+    assert rows("pelvis", "nose") == [0, JOINTS]
+    left, right = side_rows("knee")
+    assert (POINT_NAMES[left], POINT_NAMES[right]) == ("left_knee", "right_knee")
+    assert other_side("left_knee") == "right_knee" and other_side("pelvis") == "pelvis"
+
+
+@given(angle=angles)
+def test_wrapped_angles_are_the_same_angles(angle: float) -> None:
+    wrapped = float(wrap_degrees(angle))
+    assert -180 <= wrapped < 180
+    assert np.cos(np.deg2rad(wrapped - angle)) == pytest.approx(1)
+
+
+class TestRotateClockwise:
+    def test_up_becomes_right_and_depth_stays(self) -> None:
+        up = np.array([[0.0, -1.0, 0.3]])
+        assert_allclose(rotate_clockwise(up, 90.0), [[1.0, 0.0, 0.3]], atol=1e-12)
+
+    @given(angle=angles)
+    def test_is_a_roll_of_the_camera(self, angle: float) -> None:
+        points = some_points(3)[0]
+        upright, rolled = (points @ camera_rotation(40, 25, roll).T for roll in (0.0, angle))
+        assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-9)
+
+
+class TestWithBoneLengthsOf:
+    @given(seed=st.integers(0, 999), shrink=st.floats(0.1, 3))
+    def test_keeps_lengths_of_one_and_directions_of_the_other(
+        self, seed: int, shrink: float
+    ) -> None:
+        skeleton, points = np.random.default_rng(seed).normal(0, 0.3, (2, POINTS, 3))
+        result = with_bone_lengths_of(skeleton, shrink * points + 5.0)
+        assert_allclose(bone_lengths(result), bone_lengths(skeleton), rtol=1e-6)
+        parents, children = np.array(NATIVE.bones).T
+        wanted, got = (
+            (one[children] - one[parents]) / bone_lengths(one)[:, None] for one in (points, result)
+        )
+        assert_allclose(got, wanted, atol=1e-6)
+        assert_allclose(result[0], 0)
+
+    def test_the_face_moves_with_the_head(self) -> None:
+        points, (head,) = some_points(3)[0], rows("head")
+        result = with_bone_lengths_of(some_points(3)[1], points)
+        assert_allclose(result[JOINTS:] - result[head], points[JOINTS:] - points[head])
+
+    def test_bones_without_direction_stay_finite(self) -> None:
+        assert np.isfinite(with_bone_lengths_of(some_points(3)[0], np.zeros((POINTS, 3)))).all()
+
+
+@given(scale=st.floats(10, 200), x=st.floats(-50, 50))
+def test_pixels_per_metre_of_a_placed_skeleton(scale: float, x: float) -> None:
+    points = some_points(3)
+    assert_allclose(pixels_per_metre(points, points[..., :2] * scale + x), scale)

@@ -15,7 +15,7 @@ import pytest
 
 from app.serving.version import VERSION
 from app.vision.models import MODELS
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
 
 pytestmark = pytest.mark.slow

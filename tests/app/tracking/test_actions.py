@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture, vote_posture
+from app.estimation.posture_probability import EstimatedPosture, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.tracking.action_features import RATE_HZ, Measured, action_features
 from app.tracking.actions import (
@@ -24,7 +24,6 @@ from app.tracking.ground_motion import STILL
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import SURE_PX, Smoothed
 from app.vision.geometry import Box
-from index.matching import Hypothesis
 from index.posture import POSTURES, Posture, camera_up
 from index.skeleton import camera_rotation, mirror_3d
 from index.store import Label
@@ -48,9 +47,10 @@ def path_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def person(action: str, confidence: float = 0.8) -> Person:
     points = swinging(0.1)[0]
-    hypothesis = Hypothesis(0, False, 0.1, 1.0, confidence, points, points[:, :2])
     label = Label(0, action, "clip", "subject", 0, False, 0.0, 10.0, 0.0, 5.0)
-    placed = ProjectedHypothesis(hypothesis, 0.1, confidence, label, points[:, :2])
+    placed = ProjectedHypothesis(
+        0, False, 0.1, 1.0, confidence, points, points[:, :2], label=label, points_2d=points[:, :2]
+    )
     observed = ObservedPerson(Box(0, 0, 50, 100), "mask", None, None)
     return Person(observed, Facing(1.0, "none"), EstimatedPosture("standing", 1.0), (placed,))
 

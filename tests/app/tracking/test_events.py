@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from app.estimation.posture import vote_posture
+from app.estimation.posture_probability import vote_posture
 from app.tracking.events import STAYS_DOWN_S, EventDetector, Trust
 from app.tracking.results import Event
 from index.posture import Posture

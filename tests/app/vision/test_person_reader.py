@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from app.estimation.finder import SAME_BODY, distinct_bodies
+from app.estimation.finder import distinct_bodies
+from app.estimation.parameters import DUPLICATE_BODY_DISTANCE
 from app.vision.blazepose import Reading
 from app.vision.geometry import (
     COCO_NAMES,
@@ -147,8 +148,8 @@ def test_a_body_is_another_from_a_distance(
     size = readings[1].next_window.side / 2.5
     x, y = share * size * np.cos(angle), share * size * np.sin(angle)
     kept = distinct_bodies([readings[1], moved(readings[1], x, y)])
-    if abs(share - SAME_BODY) > 1e-6:
-        assert kept == ([0, 1] if share > SAME_BODY else [0])
+    if abs(share - DUPLICATE_BODY_DISTANCE) > 1e-6:
+        assert kept == ([0, 1] if share > DUPLICATE_BODY_DISTANCE else [0])
 
 
 def test_who_is_cut_off_is_read_as_a_part_of_a_whole_body(
