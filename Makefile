@@ -17,7 +17,7 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 # pip is held to the versions that were tested; `make constraints` writes them.
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test test-all test-newest check index reranker evaluate bench openapi constraints clean
+.PHONY: run test test-all test-newest check format index reranker evaluate bench openapi constraints clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -41,6 +41,10 @@ check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
 	$(DEV)/bin/ruff format --check .
 	$(DEV)/bin/mypy
+
+format: $(DEV)/.stamp
+	$(DEV)/bin/ruff check --fix .
+	$(DEV)/bin/ruff format .
 
 # One thread for the linear algebra: with more, sums are added in another order, and the same
 # inputs no longer give the same bytes. The rasteriser still takes all cores.

@@ -51,98 +51,110 @@ class Settings(BaseSettings):
     )
     artefacts: Path = Field(
         default=DEFAULT_PATH,
-        description="For an index in Milvus: folder of its artefact, or of several.",
+        description="With an index in Milvus: folder of its artefact, or of several artefacts.",
     )
     search_timeout_s: float = Field(
-        default=2.0, gt=0, allow_inf_nan=False, description="For a search in Milvus."
+        default=2.0, gt=0, allow_inf_nan=False, description="Seconds for a search in Milvus."
     )
     detector: DetectorName = Field(
         default="network",
-        description="What finds people: `network` (MoveNet, with HOG beside it) or `hog` alone.",
+        description="How people are found: by `network` (MoveNet, supported by HOG) or by "
+        "`hog` alone.",
     )
     min_person_px: int | None = Field(
         default=None,
         ge=16,
-        description="Height of the smallest person looked for, in pixels; smaller is slower. By "
+        description="Height in pixels of the smallest person to look for; smaller is slower. By "
         "default a twelfth of the frame's height.",
     )
 
-    max_upload_bytes: int = Field(default=16 * 1024**2, ge=1024, description="Of a whole request.")
+    max_upload_bytes: int = Field(
+        default=16 * 1024**2, ge=1024, description="Largest request, in bytes."
+    )
     max_pixels: int = Field(
         default=12_500_000,
         ge=1,
-        description="Width times height of one image; read in its header, before decoding.",
+        description="Width times height of the largest image; checked in its header, before "
+        "decoding.",
     )
-    max_persons: int = Field(default=50, ge=1, le=100, description="In one frame.")
+    max_persons: int = Field(default=50, ge=1, le=100, description="Most people in a frame.")
     max_requests: int = Field(
-        default=32, ge=1, description="Uploads open at once, those still being received included."
+        default=32,
+        ge=1,
+        description="Most uploads open at once, including those still being received.",
     )
     concurrency: int = Field(
         default_factory=available_cores,
         ge=1,
-        description="Frames worked on at once; one that shows several people uses free threads.",
+        description="Frames processed at once; a frame with several people also uses idle threads.",
     )
     max_wait_s: float = Field(
         default=2.0,
         gt=0,
         allow_inf_nan=False,
-        description="For a thread, once uploaded; a frame that would wait longer is refused.",
+        description="Longest wait of an uploaded frame for a thread; one that would wait longer "
+        "is refused.",
     )
     request_timeout_s: float = Field(
         default=10.0,
         gt=0,
         allow_inf_nan=False,
-        description="From the end of the upload to the answer.",
+        description="Longest time from the end of the upload to the reply.",
     )
     upload_timeout_s: float = Field(
         default=30.0,
         gt=0,
         allow_inf_nan=False,
-        description="A slower client is sent away with 408.",
+        description="Longest upload; a slower client gets a 408.",
     )
 
     max_cameras: int = Field(
         default=64,
         ge=0,
         validate_default=True,
-        description="Camera sessions; beyond, the least recently used is dropped. 0 for none.",
+        description="Most camera sessions; the least recently used one is dropped. 0 turns "
+        "sessions off.",
     )
     camera_idle_s: float = Field(
         default=300.0,
         gt=0,
         allow_inf_nan=False,
-        description="A camera session is dropped when no frame has come for this long.",
+        description="Seconds without a frame after which a camera session is dropped.",
     )
     camera_memory_mb: int = Field(
         default=256,
         ge=1,
-        description="Of all camera sessions; beyond, the least recently used is dropped.",
+        description="Memory of all camera sessions; the least recently used one is dropped.",
     )
 
     max_sequences: int = Field(
-        default=2, ge=1, description="Videos received or worked on at once; one more gets 503."
+        default=2,
+        ge=1,
+        description="Most videos received or processed at once; one more gets a 503.",
     )
     max_video_bytes: int = Field(
-        default=64 * 1024**2, ge=1024, description="Of a request with a video, on disk meanwhile."
+        default=64 * 1024**2,
+        ge=1024,
+        description="Largest request with a video, in bytes; it is kept in memory.",
     )
     video_upload_timeout_s: float = Field(
         default=120.0,
         gt=0,
         allow_inf_nan=False,
-        description="As `POSE_UPLOAD_TIMEOUT_S`, for a video.",
+        description="Longest upload of a video.",
     )
     max_sequence_frames: int = Field(
-        default=5000, ge=1, description="Frames of a video that are worked on."
+        default=5000, ge=1, description="Most frames of a video that are processed."
     )
     sequence_timeout_s: float = Field(
         default=900.0,
         gt=0,
         allow_inf_nan=False,
-        description="From the end of the upload of a video to the last line of the answer.",
+        description="Longest time from the end of a video's upload to the last line of the reply.",
     )
 
     api_keys: Annotated[tuple[SecretStr, ...], NoDecode] = Field(
-        default=(), description="Comma-separated; without any, no key is required."
+        default=(), description="Comma-separated keys; without any, no key is required."
     )
     cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
         default=(), description="Comma-separated origins whose pages may call the service."

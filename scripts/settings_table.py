@@ -16,9 +16,9 @@ OPERATIONS = ROOT / "docs" / "operations.md"
 TITLE = "Settings"
 
 INTRODUCTION = """
-Everything is set by environment variables; an empty one counts as not set. A value that makes no
-sense, an unknown name that begins with `POSE_`, or a port that is in use ends the start with status
-1 and one sentence that names the variable.
+Environment variables configure everything; an empty one counts as not set. An invalid value, an
+unknown name that begins with `POSE_`, or a port that is in use stops the start with status 1 and
+one sentence that names the variable.
 """
 
 
@@ -28,7 +28,7 @@ def table() -> str:
         f"| `{variable(name, field)}` | {_default(field)} | {field.description or _plain(name)} |"
         for name, field in Settings.model_fields.items()
     ]
-    return "\n".join(["| variable | default | |", "|---|---|---|", *rows])
+    return "\n".join(["| variable | default | meaning |", "|---|---|---|", *rows])
 
 
 def section() -> str:

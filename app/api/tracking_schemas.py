@@ -203,9 +203,9 @@ class _TrackedFrame(PoseResponse):
         description="Seconds: the frame's own, or those since the session began.", examples=[12.4]
     )
     reset: str | None = Field(
-        description="Why tracks and background were forgotten before this frame, as a sentence. "
-        "Null where they were not.",
-        examples=["expected frames of 768x576 pixels like the last one, got 640x480"],
+        description="Why all tracks were dropped before this frame, as a sentence. Null where they "
+        "were not.",
+        examples=["frames were 768x576 pixels before, this one is 640x480"],
     )
     persons: list[TrackedPerson] = Field(  # type: ignore[assignment]
         description="Ordered left to right; empty if there are none."

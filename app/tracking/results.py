@@ -127,7 +127,7 @@ class TrackedFrame:
     session : str
         ``new`` if this frame began the session.
     reset : str or None
-        Why tracks and background were forgotten before this frame, as a sentence.
+        Why all tracks were dropped before this frame, as a sentence.
     persons : tuple of TrackedPerson
         Ordered left to right.
     events : tuple of Event

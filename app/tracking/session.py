@@ -169,7 +169,7 @@ class CameraSession:
         return timestamp
 
     def _begin_anew_where_needed(self, shape: tuple[int, ...], timestamp: float) -> None:
-        """Forget tracks and background where the frame cannot continue those before."""
+        """Drop all tracks where the frame cannot continue those before."""
         before, self._size = self._size, shape[:2]
         gap = timestamp - self._timestamp
         if before is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -84,8 +83,6 @@ class Track:
         self.next_window: PersonWindow | None = observed.next_window
         """Where the person is looked for next."""
         self.appearance = sighting.appearance
-        self.posed_at = -math.inf
-        """When poses were last searched for."""
         self._smoother = PoseSmoother()
         self._recogniser = ActionRecogniser()
         self._detector = EventDetector()
@@ -128,7 +125,6 @@ class Track:
 
     def update(self, person: Person, timestamp: float, zones: Sequence[Zone] = ()) -> TrackedPerson:
         """Take in the poses of this frame; the posture says what part of the body is in a zone."""
-        self.posed_at = timestamp
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
             return self.extrapolate(person.observed, timestamp)

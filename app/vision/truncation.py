@@ -9,7 +9,7 @@ import numpy as np
 
 from app.vision.geometry import COCO_NAMES, Box, ObservedKeypoints, Silhouette
 
-# All of this was chosen on even-numbered photographs: docs/results/truncation.md.
+# All of this was chosen on even-numbered photographs: see docs/history.md.
 # Who is cut by the frame's edge ends at it, or so near to it as silhouettes are precise: in pixels,
 # and as a share of the person's longer side.
 _NEAR_PX = 1.0

@@ -256,7 +256,7 @@ def _confidence(found: dict[str, Any]) -> list[str]:
         "All seven hypotheses; confidences of street people as the other half of the photographs "
         f"gives them. Right: the limb joints lie within {LIMBS_RIGHT_BELOW_PX:g} px of the "
         "reference on average, where as many simulated hypotheses lie as within 5 px over all 19 "
-        "joints, as a confidence means it ([measured](strict.md#limb-joints-alone)), in the "
+        "joints, as a confidence means it ([measured](simulation.md#limb-joints-alone)), in the "
         "normalised frame. The reference's joints are defined a little differently (knees and "
         "elbows 2 to 4 px lower), which counts as error.",
         table(

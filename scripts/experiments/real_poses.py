@@ -44,7 +44,7 @@ NEAR = 0.1
 
 LIMBS_RIGHT_BELOW_PX = 5.9
 """What a mean error of 5 px over all 19 joints, as a confidence means it, comes to over the 12
-limb joints: ``docs/results/strict.md`` measures it."""
+limb joints: ``docs/results/simulation.md`` measures it."""
 
 _ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 

@@ -1,4 +1,4 @@
-"""The strict experiment: bodies, clips and views that the index never saw.
+"""The simulation experiment: bodies, clips and views that the index never saw.
 
 The index is built as the shipped one is, but without the held-out clips
 (:func:`index.build.builder.split_by_clip`, and :data:`ALSO_HELD_OUT`); descriptor and confidence
@@ -61,14 +61,6 @@ COLUMNS = (
 
 LOW_GROUP = "low: " + ", ".join(LOW)
 
-HARD_QUERIES = (
-    "## Ten hard queries\n\nEvenly chosen at revision 24b3b49 (later ones do not draw them) among "
-    "those whose first hypothesis was wrong: the query with its true skeleton, then its seven "
-    "hypotheses over the silhouettes of their entries, with confidence and joint error; framed in "
-    "green where right. Orange is the person's left, blue the right.\n\n"
-    "![hard queries](strict-hard.png)"
-)
-
 COMMAND = "python -m scripts.evaluate simulation"
 
 
@@ -77,7 +69,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the experiment and write ``strict.md``, ``strict.json`` and the reliability diagram."""
+    """Run the experiment and write ``simulation.md``, its JSON and the reliability diagram."""
     motion, garments = options.shared / "mocap", options.shared / "garments"
     _, held = hold_out(read_manifest(motion))
     index = replace(
@@ -100,8 +92,8 @@ def run(options: argparse.Namespace) -> None:
     })  # fmt: skip
     limb_px = {name: limb_threshold_px(trial) for name, trial in trials.items()}
     figures: dict[str, object] = {name: summary(trial) for name, trial in trials.items()}
-    write(options.out, "strict", COMMAND, [
-        "Strict: unseen bodies, clips and views",
+    write(options.out, "simulation", COMMAND, [
+        "Unseen bodies, clips and views",
         f"Index: {len(index):,} entries: {index.parameters['poses']:,} poses, each on "
         f"{index.parameters['bodies_per_pose']} of the {len(index.subjects)} avatars, "
         f"{index.parameters['views_per_body']} views of each; each stands for its mirror image "
@@ -140,15 +132,14 @@ def run(options: argparse.Namespace) -> None:
         f"as many of the hypotheses above come within {limb_px['upright']:.1f} px there "
         f"as within {RIGHT_BELOW_PX:g} px over all joints; of the degraded, within "
         f"{limb_px['degraded']:.1f} px.",
-        "## Calibration\n\n![reliability diagram](strict-reliability.png)",
-        HARD_QUERIES,
+        "## Calibration\n\n![reliability diagram](simulation-reliability.png)",
     ], {
         **figures,
         "postures": posture_figures(postures, everybody),
         "limb_threshold_px": limb_px,
     })  # fmt: skip
     bins = reliability(clean.confidence.ravel(), clean.right.ravel(), 10)
-    plot_reliability({"upright": bins}, options.out / "strict-reliability.png")
+    plot_reliability({"upright": bins}, options.out / "simulation-reliability.png")
 
 
 def strict_index(shared: Path, folder: Path | None) -> PoseIndex:

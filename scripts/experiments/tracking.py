@@ -183,7 +183,7 @@ def followed(filmed: Filmed, updates: Sequence[Smoothed]) -> Followed:
 
 
 def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out: Path) -> None:
-    """Compare single frames with tracks, and write ``tracking.md``, ``.json`` and ``.png``."""
+    """Compare single frames with tracks, and write ``tracking.md`` and ``.json``."""
     pairs = list(zip(sequences, persons, strict=True))
     single = [alone(*pair) for pair in pairs]
     tracks = [followed(filmed, smoothed(filmed, people)) for filmed, people in pairs]
@@ -233,8 +233,6 @@ def report(sequences: Sequence[Filmed], persons: Sequence[Sequence[Person]], out
         "from back: a track settles on the side that most frames prefer, which is the wrong one "
         "for some (running on the spot, arms in circles). Poses that the index lacks (breakdance, "
         "lying on the side) stay wrong however smooth they are.",
-        "![Sequences, alone and smooth](tracking.png)",
-        "Drawn at revision 508dd52; later ones do not draw it.",
     ], {**figures, "variants": variants})  # fmt: skip
 
 

@@ -83,7 +83,8 @@ def kinds(index: PoseIndex) -> list[Kind]:
         Kind(
             "camera, late frame",
             0.01,
-            post("/cameras/soak-1/frames", [{"frame": frames[1], "timestamp": b"-1"}]),
+            # Its first frame begins the session; all others are of the same moment, thus late.
+            post("/cameras/soak-late/frames", [{"frame": frames[1], "timestamp": b"1"}]),
         ),
         Kind("camera forgotten", 0.005, [Call("DELETE", "/cameras/soak-2")]),
         Kind("cameras listed", 0.005, [Call("GET", "/cameras")]),

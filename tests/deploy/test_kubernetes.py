@@ -16,6 +16,7 @@ import yaml
 from app.__main__ import GRACE_S
 from app.main import create_app
 from app.settings import VARIABLES, Settings
+from scripts.figures import measured
 from tests.conftest import ROOT
 
 DEPLOY = ROOT / "deploy"
@@ -196,14 +197,12 @@ class TestService:
         assert VALUES["POSE_CONCURRENCY"] == container(REPLICAS)["resources"]["limits"]["cpu"]
 
     def test_what_the_service_may_hold_fits_the_memory(self) -> None:
-        operations = (ROOT / "docs" / "operations.md").read_text()
-        peak = re.search(r"a peak of (\d+) MB", operations)
-        assert peak is not None
+        peak = measured("reliability.fuzz.peak_memory_mb")
         defaults = {name: field.default for name, field in Settings.model_fields.items()}
         uploads = defaults["max_requests"] * defaults["max_upload_bytes"] // 1024**2
         cameras = int(VALUES["POSE_CAMERA_MEMORY_MB"] or 0)
         limit = mebibytes(container(REPLICAS)["resources"]["limits"]["memory"])
-        assert int(peak.group(1)) + uploads + cameras <= limit
+        assert peak + uploads + cameras <= limit
 
     @pytest.mark.parametrize("deployment", PODS, ids=title)
     def test_nobody_is_killed_while_finishing(self, deployment: Document) -> None:
