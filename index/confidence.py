@@ -46,7 +46,6 @@ class Calibration:
     ----------
     weights : tuple of float
         Weight of each feature.
-    bias : float
     features : tuple of str
         Names of the features, as a guard against a calibration over others.
     """

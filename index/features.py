@@ -26,7 +26,6 @@ def match_features(
 
     Parameters
     ----------
-    candidates : Candidates
     modes : Modes
         M modes of the candidates, ordered by rank.
     outline_errors : (M,) array

@@ -79,7 +79,6 @@ class Keypoints:
         Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
     limb_scores : (12,) float64 array, optional
         Confidence of each limb joint, from 0 to 1.
-    parameters : KeypointParameters
     """
 
     rows: tuple[int, ...]
@@ -196,7 +195,6 @@ def fit_to_keypoints(
 
     Parameters
     ----------
-    keypoints : Keypoints
     points_3d : (M, 24, 3) float64 array
         Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``. The likeliest comes
         first.

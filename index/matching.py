@@ -132,12 +132,10 @@ def match(
 
     Parameters
     ----------
-    index : PoseIndex
     silhouette : (128, 48) uint8 array
         Normalised; 1 on the person, 0 elsewhere.
     n : int
         Number of hypotheses; fewer are returned if few distinct poses fit.
-    keypoints : Keypoints, optional
     roll_deg : float
         Roll of the camera in the silhouette and the keypoints; not 0 if they were rotated because
         the silhouette is wider than high. Skeletons are returned in the axes of the camera without
@@ -145,7 +143,6 @@ def match(
     whole : bool
         Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
         candidates.
-    parameters : MatchParameters
 
     Returns
     -------

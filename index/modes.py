@@ -88,8 +88,6 @@ def find_modes(
 
     Parameters
     ----------
-    candidates : Candidates
-    count : int
     agreement : Agreement, optional
         How the candidates agree with keypoints: weights the candidates and pulls modes towards the
         keypoints.
@@ -97,7 +95,6 @@ def find_modes(
         Factors of the candidates' weights.
     fit : callable, optional
         Moves interpolated modes towards other evidence; modes that then coincide count as one.
-    parameters : ModeParameters
 
     Returns
     -------

@@ -75,7 +75,6 @@ def classify_postures(
         Unit vectors away from the ground, in the same axes.
     speed : float or (N,) array
         Horizontal, metres per second: separates walking and running from standing.
-    rules : PostureRules
 
     Returns
     -------

@@ -30,7 +30,6 @@ class NetworkRanking:
 
     Parameters
     ----------
-    model : RankingModel
     joints : Distributions
         Where the joints may be.
     """
@@ -97,10 +96,8 @@ class NetworkRanking:
         ----------
         features : (M, 11) float64 array
             From :func:`index.features.match_features`.
-        modes : Modes
         distances : (M,) float64 array
             From :meth:`distances`.
-        parameters : RankingParameters
         """
         positions = joint_positions(modes.points_3d, modes.points_normalised)
         likelihood = self.joints.log_likelihood(positions)
@@ -136,7 +133,6 @@ def fused_distances(
         Of the hypotheses with the landmarks.
     tilt_deg : (N,) float64 array
         In-plane tilt of the person according to each hypothesis.
-    parameters : RankingParameters
     """
     likelihood = (
         agreement.log_likelihood

@@ -51,7 +51,6 @@ class RankingModel:
 
     Parameters
     ----------
-    network : JointNetwork
     calibration : Calibration
         Over :data:`RERANKING_FEATURES`.
     training : dict

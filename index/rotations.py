@@ -64,7 +64,6 @@ def find_rotated_candidates(
 
     Parameters
     ----------
-    index : PoseIndex
     queries : sequence of RotatedQuery
         Rotations of the same silhouette.
     k : int
@@ -119,7 +118,6 @@ def silhouette_rotations(
     silhouette : (128, 48) uint8 array
     roll_deg : float
         Roll of its camera; not 0 if the silhouette was rotated to stand upright.
-    parameters : RotationParameters
     """
     if roll_deg:
         both_ends: tuple[float, ...] = (0.0, -180.0)
@@ -146,7 +144,6 @@ def landmark_rotations(
         From :func:`silhouette_rotations`.
     roll_deg : (K,) float64 array
         Rotations of the entries near the landmarks; see :class:`index.search.NearestEntries`.
-    parameters : RotationParameters
 
     Returns
     -------
@@ -175,8 +172,6 @@ def seen_from(index: PoseIndex, nearest: NearestEntries, roll_deg: float) -> Nea
 
     Parameters
     ----------
-    index : PoseIndex
-    nearest : NearestEntries
     roll_deg : float
         Roll of the query's camera.
     """
@@ -193,7 +188,6 @@ def rotate_silhouette(
     ----------
     mask : (H, W) uint8 or bool array
         0 is background.
-    angle_deg : float
 
     Returns
     -------

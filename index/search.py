@@ -43,7 +43,6 @@ class UnavailableError(Exception):
     ----------
     message : str
         One sentence for the operator.
-    reason : FailureReason
     """
 
     def __init__(self, message: str, reason: FailureReason) -> None:
@@ -212,7 +211,6 @@ class LandmarkSearch:
             Camera axes, of any origin and unit; rows are ``LIMBS``.
         rolls_deg : tuple of float
             Clockwise rotations in the picture that the person may have.
-        k : int
         """
         queries = []
         for roll_deg in rolls_deg:

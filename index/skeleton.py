@@ -1,7 +1,7 @@
-"""The skeleton: its points, the keypoint sets offered to callers, and the camera.
+"""The skeleton: its points, the keypoint sets of the API, the camera, and geometry of skeletons.
 
-Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, rotated
-about the vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
+Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, rotated about the
+vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ LIMBS = (
     "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
     "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
 )  # fmt: skip
-"""The 12 limb joints that annotations of photographs have as well."""
+"""The 12 limb joints, which annotations of photographs have as well."""
 
 FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 
 POINT_NAMES = JOINT_NAMES + FACE_NAMES
-"""The points that an index stores of a skeleton: 19 joints, then 5 points of the face."""
+"""The points of a skeleton in an index: 19 joints, then 5 points of the face."""
 
 BODY_UP = (0.0, 1.0, 0.0)
 """Away from the ground, in body axes."""
@@ -83,7 +83,6 @@ class KeypointSet:
 
     Parameters
     ----------
-    name : str
     names : tuple of str
         Names of the keypoints.
     indices : tuple of int
@@ -104,7 +103,7 @@ def _keypoint_set(
     bones: tuple[tuple[str, str], ...],
     points: dict[str, str] | None = None,
 ) -> KeypointSet:
-    """A set whose keypoints are points of the same name, or those that ``points`` gives."""
+    """A set whose keypoints are the points of the same name, or of the name in ``points``."""
     renamed = points or {}
     return KeypointSet(
         name,
@@ -213,7 +212,7 @@ def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17, H36M17)}
 KEYPOINT_SETS["cmu19"] = NATIVE
-"""By name; ``cmu19`` is another one for ``native``, after the motion capture of its joints."""
+"""Sets by name; ``cmu19`` is an alias of ``native``, after the motion capture of its joints."""
 
 
 def mean_joint_distance(
@@ -221,14 +220,14 @@ def mean_joint_distance(
 ) -> NDArray[np.float64]:
     """Mean distances ``(...)`` between the joints of skeletons ``(..., P, D)``, broadcast.
 
-    Points beyond the 19 joints are left out.
+    Only the first 19 points, the joints, count.
     """
     joints = np.s_[..., :JOINTS, :]
     return np.asarray(np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1))
 
 
 def wrap_degrees(angle_deg: ArrayLike) -> NDArray[np.float64]:
-    """The same angles from -180 up to 180 degrees."""
+    """The same angles in the interval [-180, 180) degrees."""
     return np.asarray((np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0)
 
 
@@ -294,7 +293,7 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
     points = np.asarray(points, np.float64)
     depth = np.asarray(distance, np.float64)[..., None]
     nearer = depth / (depth + points[..., 2])
-    # Along axes of length two NumPy is several times slower.
+    # NumPy is several times slower along axes of length two.
     plane = np.empty((*nearer.shape, 2))
     for axis in range(2):
         np.multiply(points[..., axis], nearer, out=plane[..., axis])
@@ -304,9 +303,9 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
 def with_bone_lengths_of(
     skeleton: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Reset the bone lengths of skeletons to those of others, keeping the directions.
+    """Give skeletons the bone lengths of others, keeping the directions of their bones.
 
-    Averaging skeletons shortens their bones.
+    For example, after averaging, which shortens bones.
 
     Parameters
     ----------
@@ -339,13 +338,13 @@ def pixels_per_metre(
 
 
 def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lengths ``(..., 18)`` of the bones, and the bones ``(..., 18, 3)`` from parent to child."""
+    """Lengths ``(..., 18)`` of the bones, and vectors ``(..., 18, 3)`` from parent to child."""
     bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
     return np.sqrt((bones**2).sum(axis=-1)), bones
 
 
 def _paths_from_pelvis() -> NDArray[np.float64]:
-    """Bones on the path from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
+    """Which bones lead from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
     paths = np.zeros((JOINTS, len(NATIVE.bones)))
     for bone, (parent, child) in enumerate(NATIVE.bones):
         paths[child] = paths[parent]

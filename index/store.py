@@ -104,7 +104,6 @@ class PoseIndex:
 
     Parameters
     ----------
-    name : str
     descriptor : Descriptor
         The descriptor of the vectors, and of queries.
     vectors : (E, D) float array
@@ -115,7 +114,6 @@ class PoseIndex:
         Body axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     skeleton_labels : (S,) array of SKELETON_DTYPE
         Origin of each skeleton; clip, subject and action are positions in the tuples below.
-    clips, subjects, actions : tuple of str
     silhouette_store : Silhouettes
         Compressed silhouettes of the entries.
     parameters : dict

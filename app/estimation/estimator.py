@@ -108,9 +108,6 @@ class Estimator:
 
     Parameters
     ----------
-    index : PoseIndex
-    detector : Detector
-    reader : PersonReader
     min_person_px : float or None
         Height of the smallest person to find with a background, pixels.
     max_pixels : int
@@ -150,7 +147,6 @@ class Estimator:
 
         Parameters
         ----------
-        index : PoseIndex
         detector : str
             ``network``, or ``hog`` alone.
         concurrency : int
@@ -194,8 +190,6 @@ class Estimator:
 
         Parameters
         ----------
-        upload : Upload
-        n : int
         job : Job
             Checked between steps.
         evidence : str

@@ -22,7 +22,6 @@ class Facing:
 
     Parameters
     ----------
-    front_probability : float
     evidence : str
         ``image``: the photograph; ``motion``: the direction of walking; ``none``: only the
         hypotheses themselves.

@@ -28,8 +28,6 @@ class PeopleFinder:
 
     Parameters
     ----------
-    detector : Detector
-    reader : PersonReader
     min_person_px : float or None
         Height of the smallest person to find with a background, pixels.
     max_persons : int
@@ -46,11 +44,9 @@ class PeopleFinder:
 
         Parameters
         ----------
-        upload : DecodedUpload
         landmarks : bool
             Whether to return landmarks. They may be read without being returned, because they also
             separate people from the background.
-        job : Job
         """
         if upload.mask is not None:
             return self._people_in_mask(upload.mask, upload.frame, landmarks, job)
@@ -84,7 +80,7 @@ class PeopleFinder:
     def _detect(
         self, upload: DecodedUpload, background: BackgroundSegmenter | None, job: Job
     ) -> tuple[Source, Sequence[Detection]]:
-        """Where people are, and who says so."""
+        """Where people are, and the source of that knowledge."""
         if upload.boxes is not None:
             return "boxes", [Detection(box, 1.0) for box in upload.boxes]
         with job.stage("detect"):

@@ -29,7 +29,6 @@ def order_by_silhouette(
     ----------
     hypotheses : sequence of Hypothesis
         At least one, in the order of the match.
-    n : int
     voters : int, optional
         Number of hypotheses that decide the facing; by default all that are kept.
 
@@ -57,7 +56,6 @@ def order_by_landmarks(
     ----------
     hypotheses : sequence of Hypothesis
         At least one; with more than ``n`` there is a choice.
-    n : int
     voters : int, optional
         Number of hypotheses that decide the facing; by default all.
 
@@ -107,7 +105,6 @@ def nearest_of_both_facings(
     Parameters
     ----------
     azimuths_deg, distances : (N,) float64 array
-    n : int
 
     Returns
     -------

@@ -14,63 +14,51 @@ from index.parameters import DEFAULT_HYPOTHESES
 class MaskParameters:
     """When a mask with one label shows several people; see :mod:`app.estimation.upload`."""
 
+    # Parts from this share of the largest part's area are compared
     min_figure_share: float = 0.25
-    """Parts from this share of the largest part's area are compared."""
-
+    # Height of the smallest part that may be a person
     min_figure_px: int = 48
-    """Height of the smallest part that may be a person."""
-
+    # Two parts are different people if the gap between them is wider than this share of the
+    # narrower one
     min_gap_share: float = 0.5
-    """Two parts are different people if the gap between them is wider than this share of the
-    narrower one."""
 
 
 @dataclass(frozen=True)
 class NormalisationParameters:
     """Which landmarks are used for matching; see :mod:`app.estimation.normalise`."""
 
+    # Visibility above which a landmark is used
     min_score: float = 0.05
-    """Visibility above which a landmark is used."""
-
+    # With fewer landmarks a person is matched by the silhouette alone
     min_keypoints: int = 4
-    """With fewer landmarks a person is matched by the silhouette alone."""
-
+    # Visibility of the more visible ankle of a person seen whole
     min_feet_visibility: float = 0.35
-    """Visibility of the more visible ankle of a person seen whole."""
-
+    # Visibility of the most visible point of the head of a person seen whole
     min_head_visibility: float = 0.2
-    """Visibility of the most visible point of the head of a person seen whole."""
 
 
 @dataclass(frozen=True)
 class PostureParameters:
     """How votes and landmarks decide; see :mod:`app.estimation.posture_probability`."""
 
+    # Hypotheses that vote, however many were requested
     voters: int = DEFAULT_HYPOTHESES
-    """Hypotheses that vote, however many were requested."""
-
+    # Probability from which a posture is reported; below, it is ``unclear``
     min_probability: float = 0.5
-    """Probability from which a posture is reported; below, it is ``unclear``."""
-
+    # A group of postures with a smaller share of the votes is filled up with stand-ins
     min_group_share: float = 0.02
-    """A group of postures with a smaller share of the votes is filled up with stand-ins."""
-
+    # Bend of the straighter knee at which legs are as likely standing as not. A thigh that points
+    # at the camera looks like a standing one; of a walking person, one knee is straight.
     bent_from_deg: float = 45.0
-    """Bend of the straighter knee at which legs are as likely standing as not. A thigh that points
-    at the camera looks like a standing one; of a walking person, one knee is straight."""
-
+    # Change of that bend which changes the log odds by one
     bent_slope_deg: float = 5.0
-    """Change of that bend which changes the log odds by one."""
-
+    # Visibility of hips, knees and ankles below which the bend is not judged
     min_leg_visibility: float = 0.5
-    """Visibility of hips, knees and ankles below which the bend is not judged."""
-
+    # Cosine of the angles of trunk and shanks with the vertical from which two bent knees are more
+    # likely sitting than crouching or kneeling
     min_seat_cosine: float = 0.85
-    """Cosine of the angles of trunk and shanks with the vertical from which two bent knees are more
-    likely sitting than crouching or kneeling."""
-
+    # How often they are sitting then: in 78 % of simulated bodies
     seated_share: float = 0.8
-    """How often they are sitting then: in 78 % of simulated bodies."""
 
 
 MASKS = MaskParameters()

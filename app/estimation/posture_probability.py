@@ -97,7 +97,6 @@ def estimate_posture(
     ----------
     votes : (10,) float64 array
         From :func:`vote_posture`.
-    landmarks : Landmarks or None
     presence : float
         Probability that there is a person at all.
     """

@@ -30,7 +30,6 @@ class ObservedPerson:
     ----------
     box : Box
         Pixels of the frame.
-    source : str
     detection_score : float or None
         None if the caller marked the people.
     silhouette : Silhouette or None
@@ -65,7 +64,6 @@ class Scene:
     ----------
     frame : (H, W, 3) uint8 array
         BGR; black if the caller sent a mask alone.
-    people : tuple of ObservedPerson
     """
 
     frame: NDArray[np.uint8]
@@ -78,7 +76,6 @@ class ProjectedHypothesis(Hypothesis):
 
     Parameters
     ----------
-    label : Label
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
     """
