@@ -60,9 +60,9 @@ class Calibration:
             raise ValueError(f"expected {count} finite weights and a finite bias, got {self}")
 
     @classmethod
-    def none(cls) -> Calibration:
+    def none(cls, features: tuple[str, ...] = FEATURES) -> Calibration:
         """A calibration that gives every hypothesis a probability of 0.5."""
-        return cls((0.0,) * len(FEATURES), 0.0)
+        return cls((0.0,) * len(features), 0.0, features)
 
     def probability(self, features: NDArray[np.floating]) -> NDArray[np.float64]:
         """Probabilities ``(B,)`` of hypotheses with features ``(B, F)``."""

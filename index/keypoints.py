@@ -24,7 +24,6 @@ from index.skeleton import (
     POINTS,
     exchange_sides,
     pixels_per_metre,
-    rotate_clockwise,
     side_rows,
     with_bone_lengths_of,
 )
@@ -108,16 +107,6 @@ class Keypoints:
                     f"expected limbs of shape ({len(LIMBS)}, 3) and scores of shape "
                     f"({len(LIMBS)},), got {shapes[0]} and {shapes[1]}"
                 )
-
-    def rotated(self, angle_deg: float) -> Keypoints:
-        """Rotate them clockwise about the origin."""
-        angle = np.deg2rad(angle_deg)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return replace(
-            self,
-            positions=self.positions @ np.array([[cosine, sine], [-sine, cosine]]),
-            limbs_3d=None if self.limbs_3d is None else rotate_clockwise(self.limbs_3d, angle_deg),
-        )
 
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]

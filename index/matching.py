@@ -211,16 +211,23 @@ class _Query:
         if ranking is not None:
             features = ranking.features(features, modes, distances)
         confidences = index.calibration(reranked=ranking is not None).probability(features)
-        tilt_deg = self._tilt_deg(centres)
+        rotation_deg = centres.rotation_deg - self.roll_deg
+        entry_roll_deg = index.roll_deg(centres.entry_ids, centres.mirrored)
+        tilt_deg = wrap_degrees(rotation_deg + entry_roll_deg)
         if self.keypoints is not None:
             # Compared before the fit: a pose that has to change far to fit is less likely.
             agreement = self.keypoints.compare(modes.points_normalised, modes.points_3d)
             distances = fused_distances(modes.distances, agreement, tilt_deg)
             order = np.argsort(distances, kind="stable")
-            modes, centres = _fitted(modes.take(order), self.keypoints), centres.take(order)
-            distances, tilt_deg, errors_px, confidences, features = (
-                values[order] for values in (distances, tilt_deg, errors_px, confidences, features)
+            modes, centres, features = modes.take(order), centres.take(order), features[order]
+            distances, rotation_deg, tilt_deg, errors_px, confidences = (
+                values[order]
+                for values in (distances, rotation_deg, tilt_deg, errors_px, confidences)
             )
+            points_3d, points_normalised = fit_to_keypoints(
+                self.keypoints, modes.points_3d, modes.points_normalised
+            )
+            modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
         adjusted_m = mean_joint_distance(modes.points_3d, centres.points_3d)
         points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
         postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
@@ -234,7 +241,7 @@ class _Query:
                 points_3d=points_3d[row],
                 points_normalised=modes.points_normalised[row],
                 posture=postures[row],
-                rotation_deg=float(centres.rotation_deg[row] - self.roll_deg),
+                rotation_deg=float(rotation_deg[row]),
                 tilt_deg=float(tilt_deg[row]),
                 distance=float(distances[row]),
                 adjusted_m=float(adjusted_m[row]),
@@ -329,11 +336,6 @@ class _Query:
         kept.sort()  # Back in ascending distance.
         return candidates.take(kept), agreement.take(kept)
 
-    def _tilt_deg(self, centres: Candidates) -> NDArray[np.float64]:
-        """In-plane tilt ``(M,)`` of the person according to each mode."""
-        entry_roll_deg = self.index.roll_deg(centres.entry_ids, centres.mirrored)
-        return wrap_degrees(centres.rotation_deg - self.roll_deg + entry_roll_deg)
-
     def _postures(
         self,
         entry_ids: NDArray[np.int64],
@@ -356,14 +358,6 @@ def likely_rolls(limbs_3d: NDArray[np.float64], max_upright_trunk_deg: float) ->
     right, down, _ = (shoulders - hips).tolist()
     roll_deg = float(np.rad2deg(np.arctan2(right, -down)))
     return (0.0,) if abs(roll_deg) < max_upright_trunk_deg else (0.0, roll_deg)
-
-
-def _fitted(modes: Modes, keypoints: Keypoints) -> Modes:
-    """Fit modes, the likeliest first, to keypoints."""
-    points_3d, points_normalised = fit_to_keypoints(
-        keypoints, modes.points_3d, modes.points_normalised
-    )
-    return replace(modes, points_3d=points_3d, points_normalised=points_normalised)
 
 
 def _placed_by_keypoints(

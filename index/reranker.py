@@ -76,8 +76,7 @@ class RankingModel:
     @classmethod
     def of(cls, network: JointNetwork) -> RankingModel:
         """A network without a fitted confidence: every hypothesis gets 0.5."""
-        count = len(RERANKING_FEATURES)
-        return cls(network, Calibration((0.0,) * count, 0.0, RERANKING_FEATURES))
+        return cls(network, Calibration.none(RERANKING_FEATURES))
 
 
 def reranker_files(reranker: RankingModel) -> dict[str, bytes]:

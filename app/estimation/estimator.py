@@ -48,7 +48,22 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
 def load_networks(
     detector: DetectorName, concurrency: int, min_person_px: float | None
 ) -> tuple[Detector, PersonReader]:
-    """Load the detector and the reader of people; parameters as in :meth:`Estimator.load`."""
+    """Load the networks that find people and read them.
+
+    Parameters
+    ----------
+    detector : str
+        ``network``, or ``hog`` alone.
+    concurrency : int
+        Frames processed at once, which share the cores.
+    min_person_px : float or None
+        Height of the smallest person to find, pixels; by default a share of the frame's height.
+
+    Raises
+    ------
+    NetworkError
+        If a network of the package is missing or altered.
+    """
     threads, copies = network_threads(available_cores(), concurrency)
     share = {"threads": threads, "copies": copies}
     movenet = MoveNet(network_path("movenet"), **share)
@@ -131,43 +146,6 @@ class Estimator:
         self.detector = detector
         self._decoder = UploadDecoder(max_pixels, max_persons)
         self.finder = PeopleFinder(detector, reader, min_person_px, max_persons)
-
-    @classmethod
-    def load(
-        cls,
-        index: PoseIndex,
-        *,
-        detector: DetectorName,
-        concurrency: int,
-        min_person_px: float | None,
-        max_pixels: int,
-        max_persons: int,
-    ) -> Estimator:
-        """Load the networks.
-
-        Parameters
-        ----------
-        detector : str
-            ``network``, or ``hog`` alone.
-        concurrency : int
-            Frames processed at once, which share the cores.
-        min_person_px : float or None
-            Height of the smallest person to find, pixels; by default a share of the frame's height.
-        max_pixels, max_persons : int
-            As in :class:`Estimator`.
-
-        Raises
-        ------
-        NetworkError
-            If a network of the package is missing or altered.
-        """
-        return cls(
-            index,
-            *load_networks(detector, concurrency, min_person_px),
-            min_person_px=min_person_px,
-            max_pixels=max_pixels,
-            max_persons=max_persons,
-        )
 
     def with_index(self, index: PoseIndex) -> Estimator:
         """Return an estimator with the same networks and another index."""

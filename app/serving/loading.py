@@ -12,7 +12,7 @@ from typing import TypeVar
 import anyio
 import numpy as np
 
-from app.estimation.estimator import Estimator
+from app.estimation.estimator import Estimator, load_networks
 from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
@@ -62,10 +62,9 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
     if index is None:
         assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
         index = load_index(settings.index)
-    return Estimator.load(
+    return Estimator(
         index,
-        detector=settings.detector,
-        concurrency=settings.concurrency,
+        *load_networks(settings.detector, settings.concurrency, settings.min_person_px),
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
         max_persons=settings.max_persons,

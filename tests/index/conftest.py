@@ -20,7 +20,7 @@ from index.build.body import INFLUENCES, Avatar
 from index.build.motion import Segment
 from index.build.poses import Poses, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
-from index.confidence import FEATURES, Calibration
+from index.confidence import Calibration
 from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
 from tests.index.helpers import random_network
@@ -268,7 +268,7 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
         subjects=simulation.subjects,
         actions=simulation.actions,
         silhouette_store=simulation.silhouette_store,
-        parameters={"confidence": Calibration((0.0,) * len(FEATURES), 0.0).parameters()},
+        parameters={"confidence": Calibration.none().parameters()},
     )
 
 

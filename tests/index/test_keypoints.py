@@ -20,7 +20,6 @@ from index.skeleton import (
     LIMBS,
     POINTS,
     exchange_sides,
-    rotate_clockwise,
     rows,
 )
 from index.store import PoseIndex
@@ -160,21 +159,6 @@ def test_exchanging_sides_negates_the_side_odds(seed: int, other: int) -> None:
     )
     assert agreement.side_log_odds[0] == pytest.approx(-agreement.side_log_odds[1])
     assert agreement.log_likelihood[0] == pytest.approx(agreement.log_likelihood[1])
-
-
-@given(seed=seeds, angle=st.floats(-180, 180))
-def test_rotated_keypoints_agree_with_rotated_skeletons(seed: int, angle: float) -> None:
-    points, points_3d = skeleton(seed + 1), pose(seed + 1)
-    keypoints = seen_in_depth(seed, pose(seed))
-    turn = np.deg2rad(angle)
-    matrix = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    here = keypoints.compare(points[None], points_3d[None])
-    there = keypoints.rotated(angle).compare(
-        (points @ matrix)[None], rotate_clockwise(points_3d, angle)[None]
-    )
-    assert_allclose(there.log_likelihood, here.log_likelihood, atol=1e-6)
-    assert_allclose(there.side_log_odds, here.side_log_odds, atol=1e-6)
-    assert_allclose(keypoints.rotated(angle).rotated(-angle).positions, keypoints.positions)
 
 
 @pytest.mark.parametrize(
