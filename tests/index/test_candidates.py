@@ -19,7 +19,7 @@ ATOL = 1e-4
 
 @pytest.mark.parametrize("number", QUERIES)
 class TestCandidates:
-    def test_a_mirrored_entry_is_found_as_its_mirror_image(
+    def test_mirrored_entry_is_found_as_its_mirror_image(
         self, toy_index: PoseIndex, number: int
     ) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number)[:, ::-1], 5)
@@ -29,7 +29,7 @@ class TestCandidates:
         assert_allclose(found.points_3d[0], mirror_3d(entry.points_3d))
         assert_allclose(found.points_normalised[0], mirror_normalised(entry.points_normalised))
 
-    def test_mirrored_silhouettes_have_the_mirror_images_as_candidates(
+    def test_mirrored_silhouette_has_mirrored_candidates(
         self, toy_index: PoseIndex, number: int
     ) -> None:
         silhouette = toy_index.silhouette(number)
@@ -46,7 +46,7 @@ class TestCandidates:
         ):
             assert distance[entry, not mirrored] == pytest.approx(apart, abs=ATOL)
 
-    def test_equal_brute_force(self, toy_index: PoseIndex, number: int) -> None:
+    def test_equals_brute_force(self, toy_index: PoseIndex, number: int) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number), 30)
         assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
         both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
@@ -55,14 +55,14 @@ class TestCandidates:
         assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)
 
 
-def test_no_more_than_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
+def test_finds_at_most_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
     found = find_candidates(toy_index, toy_index.silhouette(0), 10**6)
     assert len(found) == 2 * len(toy_index)
     assert_array_equal(np.bincount(found.entry_ids), 2)
     assert found.points_3d.shape == (len(found), POINTS, 3)
 
 
-def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -> None:
+def test_given_entries_have_the_same_distances(toy_index: PoseIndex) -> None:
     silhouette = toy_index.silhouette(77)
     found = find_candidates(toy_index, silhouette, 25)
     shuffled = np.random.default_rng(0).permutation(25)
@@ -78,7 +78,7 @@ def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -
     assert_allclose(again.points_3d[key[0]], found.points_3d[key[1]])
 
 
-def test_what_came_in_two_ways_comes_once(toy_index: PoseIndex) -> None:
+def test_repetitions_are_dropped(toy_index: PoseIndex) -> None:
     found = find_candidates(toy_index, toy_index.silhouette(77), 30)
     rotated = replace(found.take(slice(0, 5)), rotation_deg=np.full(5, 15.0))
     every = Candidates.merged([found, found.take(slice(10, 20)), rotated])

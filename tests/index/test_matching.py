@@ -39,24 +39,22 @@ def best_hypotheses(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> 
 
 
 @pytest.fixture(scope="module")
-def strangers(poses: Poses, avatars: list[Avatar]) -> Simulation:
-    """The poses of the index seen by cameras it does not know."""
+def new_views(poses: Poses, avatars: list[Avatar]) -> Simulation:
+    """The poses of the index in views that it does not have."""
     return simulate(poses, avatars, bodies=1, views=1, seed=99)
 
 
 def test_known_poses_in_new_views_are_recognised(
-    toy_index: PoseIndex, strangers: Simulation
+    toy_index: PoseIndex, new_views: Simulation
 ) -> None:
-    """Poses it knows, views it does not: mostly within 5 px, as the paper counts."""
-    _, truth = view_joints(strangers)
-    errors = [
-        min(
-            joint_error(h.points_normalised, joints)
-            for h in best_hypotheses(toy_index, silhouette, 7)
-        )
-        for silhouette, joints in zip(strangers.silhouettes(slice(None)), truth, strict=True)
-    ]
-    assert np.mean(np.array(errors) < RIGHT_BELOW_PX) > 0.6
+    """Mostly within 5 px, as the paper counts."""
+    _, truth = view_joints(new_views)
+    right = []
+    for silhouette, joints in zip(new_views.silhouettes(slice(None)), truth, strict=True):
+        found = best_hypotheses(toy_index, silhouette, 7)
+        error_px = min(joint_error(one.points_normalised, joints) for one in found)
+        right.append(error_px < RIGHT_BELOW_PX)
+    assert np.mean(right) > 0.6
 
 
 @pytest.mark.parametrize("number", QUERIES)
@@ -65,7 +63,7 @@ def test_own_silhouette_comes_first(toy_index: PoseIndex, number: int) -> None:
     assert best.entry_id == number
     assert best.silhouette_distance == pytest.approx(0, abs=1e-3)
     assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
-    # Its pose, but for averaging with near neighbours of the same mode.
+    # The pose of the entry, averaged with near neighbours of the same mode.
     assert joint_error(best.points_3d, toy_index.entry(number).points_3d) < 0.11
 
 
@@ -73,7 +71,7 @@ def test_own_silhouette_comes_first(toy_index: PoseIndex, number: int) -> None:
 def test_mirrored_silhouette_gives_mirrored_hypotheses(toy_index: PoseIndex, number: int) -> None:
     silhouette = toy_index.silhouette(number)
     there, here = (best_hypotheses(toy_index, s, 3) for s in (silhouette[:, ::-1], silhouette))
-    # Where two candidates tie, rounding may choose another centre: the best one must agree.
+    # If two candidates tie, rounding may choose another centre; the best one must agree.
     assert there[0].entry_id == here[0].entry_id
     assert there[0].mirrored != here[0].mirrored
     assert there[0].confidence == pytest.approx(here[0].confidence, abs=1e-3)
@@ -83,14 +81,12 @@ def test_mirrored_silhouette_gives_mirrored_hypotheses(toy_index: PoseIndex, num
     )
 
 
-def assert_later_poses_are_others(found: list[Hypothesis]) -> None:
-    """Those of a batch than those of the batches before, where batches certainly end."""
-    poses = np.array([h.points_3d for h in found])
-    for row in range(2 * DEFAULT_HYPOTHESES, len(found)):
-        assert (
-            mean_joint_distance(poses[row][None], poses[:DEFAULT_HYPOTHESES]).min()
-            >= MATCHING.min_new_pose_m
-        )
+def assert_later_poses_are_new(found: list[Hypothesis]) -> None:
+    """Hypotheses certainly of a later batch differ from all of the first batch."""
+    poses = np.array([one.points_3d for one in found])
+    for later in poses[2 * DEFAULT_HYPOTHESES :]:
+        apart = mean_joint_distance(later[None], poses[:DEFAULT_HYPOTHESES])
+        assert apart.min() >= MATCHING.min_new_pose_m
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 20])
@@ -103,20 +99,19 @@ def test_hypotheses_are_ascending_distinct_and_finite(
     assert len(found) == n
     distances = [h.distance for h in found]
     assert distances == sorted(distances)
-    # Those of a later batch are told to be no nearer than those before.
+    # A later batch is never reported to be nearer than an earlier one.
     assert all(h.distance >= h.silhouette_distance for h in found)
     first = found[:DEFAULT_HYPOTHESES]
     assert all(h.distance == h.silhouette_distance for h in first)
     assert len({(h.entry_id, h.mirrored) for h in first}) == len(first)
-    assert_later_poses_are_others(found)
+    assert_later_poses_are_new(found)
     joints = np.stack([h.points_3d[:JOINTS] for h in first])
     apart = np.sqrt(((joints[:, None] - joints[None]) ** 2).sum(axis=-1).mean(axis=-1))
     # Interpolation may bring distinct poses a little nearer.
     assert (apart[~np.eye(len(first), dtype=bool)] > 0.05).all()
     for hypothesis in found:
-        assert hypothesis.points_3d.shape == (POINTS, 3)
-        assert np.isfinite(hypothesis.points_3d).all()
-        assert np.isfinite(hypothesis.points_normalised).all()
+        for points in (hypothesis.points_3d, hypothesis.points_normalised):
+            assert np.isfinite(points).all()
         assert 0 <= hypothesis.confidence <= 1
         assert hypothesis.silhouette_distance >= 0
         assert hypothesis.reprojection_error_px >= 0
@@ -127,7 +122,7 @@ def test_hypotheses_are_ascending_distinct_and_finite(
 def test_more_hypotheses_requested_than_exist(toy_index: PoseIndex) -> None:
     found = best_hypotheses(toy_index, toy_index.silhouette(0), 10_000)
     assert 20 < len(found) <= len(toy_index)
-    assert_later_poses_are_others(found)
+    assert_later_poses_are_new(found)
 
 
 @pytest.mark.parametrize("drawn", ["full", "dot"])
@@ -140,7 +135,7 @@ def test_degenerate_silhouettes(toy_index: PoseIndex, drawn: str) -> None:
 
 
 def rolled_entries(index: PoseIndex) -> list[int]:
-    """Some of the entries that were rolled to stand."""
+    """Some of the entries that were rolled upright."""
     return np.flatnonzero(np.abs(index.entries["roll_deg"]) > 30)[::17].tolist()
 
 
@@ -153,7 +148,7 @@ def best_of(index: PoseIndex, silhouette: NDArray[np.uint8], roll_deg: float) ->
 
 
 class TestRolledQueries:
-    """Silhouettes that were rotated to stand."""
+    """Silhouettes that were rotated upright."""
 
     def test_own_silhouette_comes_first(self, ground_index: PoseIndex) -> None:
         for number in rolled_entries(ground_index):
@@ -164,7 +159,7 @@ class TestRolledQueries:
             assert found.reprojection_error_px == pytest.approx(0, abs=1e-6)
             assert found.rotation_deg == pytest.approx(-roll_deg)
             assert found.tilt_deg == pytest.approx(0, abs=1e-4)
-            # In the picture as it was asked, in space as the camera stood.
+            # In the picture as given, in space as seen without the roll.
             assert joint_error(found.points_normalised, entry.points_normalised) < 3
             assert joint_error(found.points_3d, rotate_clockwise(entry.points_3d, -roll_deg)) < 0.1
 
@@ -184,13 +179,13 @@ class TestRolledQueries:
 class TestPostures:
     def test_lying_and_standing_entries_are_classified(self, ground_index: PoseIndex) -> None:
         actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
-        told: dict[str, list[Posture]] = {"lying": [], "standing": []}
+        postures: dict[str, list[Posture]] = {"lying": [], "standing": []}
         for number in range(0, len(ground_index), 13):
             roll_deg = roll_of(ground_index, number)
             roll_deg = roll_deg if abs(roll_deg) > 30 else 0.0
             found = best_of(ground_index, ground_index.silhouette(number), roll_deg)
-            told["lying" if actions[number] > 1 else "standing"].append(found.posture)
-        for posture, answers in told.items():
+            postures["lying" if actions[number] > 1 else "standing"].append(found.posture)
+        for posture, answers in postures.items():
             assert np.mean([answer == posture for answer in answers]) > 0.95
 
     @pytest.mark.parametrize("quarter", [-90.0, 90.0])
@@ -205,7 +200,7 @@ class TestPostures:
         # A few in mid-stride rest on a leg, their trunk off the ground: on all fours.
         assert np.mean([answer == "lying" for answer in answers]) > 0.8
         assert not {"standing", "walking"} & set(answers)
-        # Cameras roll a little themselves.
+        # The cameras of entries roll a little.
         assert_allclose(tilts, quarter, atol=10)
 
 
@@ -214,13 +209,13 @@ def keypoints_of_entry(index: PoseIndex, number: int, **changes: float) -> Keypo
     return keypoints_of(entry.points_normalised, entry.points_3d, **changes)
 
 
-Stranger = tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]
+View = tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]
 
 
-def some_strangers(strangers: Simulation) -> list[Stranger]:
+def sampled(new_views: Simulation) -> list[View]:
     """Every twelfth silhouette with its joints in space and in the picture."""
-    in_space, in_picture = view_joints(strangers)
-    return list(zip(strangers.silhouettes(slice(None)), in_space, in_picture, strict=True))[::12]
+    in_space, in_picture = view_joints(new_views)
+    return list(zip(new_views.silhouettes(slice(None)), in_space, in_picture, strict=True))[::12]
 
 
 def likeliest(found: Match) -> Hypothesis:
@@ -229,31 +224,30 @@ def likeliest(found: Match) -> Hypothesis:
     return best
 
 
-def test_keypoints_reduce_the_error(toy_index: PoseIndex, strangers: Simulation) -> None:
-    seen, unseen = [], []
-    for silhouette, in_space, joints in some_strangers(strangers):
-        unseen.append(
-            joint_error(match(toy_index, silhouette, 7).hypotheses[0].points_normalised, joints)
-        )
-        found = match(toy_index, silhouette, 7, keypoints_of(joints, in_space))
-        seen.append(joint_error(likeliest(found).points_normalised, joints))
-    assert np.mean(seen) < 0.6 * np.mean(unseen)
+def test_keypoints_reduce_the_error(toy_index: PoseIndex, new_views: Simulation) -> None:
+    with_them: list[float] = []
+    without: list[float] = []
+    for silhouette, in_space, joints in sampled(new_views):
+        for keypoints, errors in ((None, without), (keypoints_of(joints, in_space), with_them)):
+            best = likeliest(match(toy_index, silhouette, 7, keypoints))
+            errors.append(joint_error(best.points_normalised, joints))
+    assert np.mean(with_them) < 0.6 * np.mean(without)
 
 
 def test_keypoints_decide_between_left_and_right(
-    toy_index: PoseIndex, strangers: Simulation
+    toy_index: PoseIndex, new_views: Simulation
 ) -> None:
-    as_asked = []
-    for silhouette, in_space, joints in some_strangers(strangers):
+    correct = []
+    for silhouette, in_space, joints in sampled(new_views):
         padded = np.concatenate([joints, np.zeros((POINTS - JOINTS, 2))])
         deep = np.concatenate([in_space, np.zeros((POINTS - JOINTS, 3))])
         for wanted, depth in ((padded, deep), (exchange_sides(padded), exchange_sides(deep))):
             best = likeliest(match(toy_index, silhouette, 7, keypoints_of(wanted, depth)))
-            apart = joint_error(best.points_normalised, wanted[:JOINTS])
-            as_asked.append(
-                apart <= joint_error(best.points_normalised, exchange_sides(wanted)[:JOINTS])
+            right, wrong = (
+                joint_error(best.points_normalised, p) for p in (wanted, exchange_sides(wanted))
             )
-    assert np.mean(as_asked) > 0.9
+            correct.append(right <= wrong)
+    assert np.mean(correct) > 0.9
 
 
 @pytest.mark.parametrize("number", [40, 300])
@@ -265,25 +259,21 @@ def test_tilt_of_a_leaning_person(toy_index: PoseIndex, number: int, lean: float
     keypoints = keypoints_of(leaning, rotate_clockwise(entry.points_3d, lean))
     best = likeliest(match(toy_index, silhouette, 7, keypoints))
     assert abs(best.tilt_deg - lean) < 20
-    assert joint_error(best.points_normalised, leaning[:JOINTS]) < 4
-    # Set upright, its outline is nearly that of the entry.
+    assert joint_error(best.points_normalised, leaning) < 4
+    # Rotated upright, its outline is nearly that of the entry.
     assert best.reprojection_error_px < 4
 
 
-def test_uninformative_silhouette_is_matched_by_keypoints(
-    toy_index: PoseIndex,
-) -> None:
-    """A full rectangle: who is within it, only the keypoints say."""
+def test_uninformative_silhouette_is_matched_by_keypoints(toy_index: PoseIndex) -> None:
+    """A full rectangle, within which only the keypoints show a pose."""
     body = np.ones((128, 48), np.uint8)
     for number in (40, 301, 500):
         joints = toy_index.entry(number).points_normalised[:JOINTS]
         seen = likeliest(match(toy_index, body, 7, keypoints_of_entry(toy_index, number)))
         assert joint_error(seen.points_normalised, joints) < 5
-        by_silhouette = (
-            joint_error(h.points_normalised, joints)
-            for h in match(toy_index, body, 7).hypotheses[:7]
-        )
-        assert joint_error(seen.points_normalised, joints) < min(by_silhouette)
+        by_silhouette = best_hypotheses(toy_index, body, 7)
+        errors = [joint_error(one.points_normalised, joints) for one in by_silhouette]
+        assert joint_error(seen.points_normalised, joints) < min(errors)
 
 
 @pytest.mark.parametrize("number", [7, 202, 480])
@@ -308,7 +298,7 @@ def test_mirrored_keypoints_give_mirrored_hypotheses(toy_index: PoseIndex, numbe
 
 
 def same(one: Hypothesis, other: Hypothesis) -> bool:
-    """All of them, to the last bit."""
+    """Whether two hypotheses are equal to the last bit."""
     return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))
 
 
@@ -326,7 +316,7 @@ def test_first_hypotheses_do_not_depend_on_the_number(
         )
         for n in (fewer, more)
     )  # fmt: skip
-    # Where landmarks alone are exact, few of the poses of a small index agree with them.
+    # Few poses of a small index agree with exact landmarks.
     assert len(few.hypotheses) >= min(fewer, 7)
     assert len(many.hypotheses) >= len(few.hypotheses[:fewer])
     for one, other in zip(few.hypotheses[:fewer], many.hypotheses, strict=False):
@@ -337,7 +327,7 @@ def test_first_hypotheses_do_not_depend_on_the_number(
 
 @pytest.mark.parametrize("number", [40, 301, 500])
 def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, number: int) -> None:
-    """The silhouette ends at the hips and fills the frame; the landmarks say where that is."""
+    """The silhouette is cut at the hips and fills the frame; landmarks show the scale."""
     entry = toy_index.entry(number)
     whole = toy_index.silhouette(number)
     hips = entry.points_normalised[side_rows("hip")]
@@ -347,9 +337,9 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
     keypoints = keypoints_of(seen, entry.points_3d)
     best = likeliest(match(toy_index, cut, 7, keypoints, whole=False))
-    assert joint_error(best.points_normalised, seen[:JOINTS]) < 8
+    assert joint_error(best.points_normalised, seen) < 8
     assert joint_error(best.points_3d, entry.points_3d) < 0.15
-    # Nothing depends on what the silhouette shows, but for the order.
+    # The silhouette affects only the order.
     other = match(toy_index, np.ones_like(cut), 7, keypoints, whole=False)
     assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1
 
@@ -359,7 +349,7 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
 def test_rotated_person_has_the_rotated_pose(
     toy_index: PoseIndex, number: int, angle: float
 ) -> None:
-    """Asked as they lie in the picture, and rotated to stand."""
+    """Whether the silhouette is rotated upright before matching or not."""
     entry = toy_index.entry(number)
     lying, to_entry = rotate_silhouette(toy_index.silhouette(number), angle)
     points = (entry.points_normalised - to_entry[:, 2]) @ np.linalg.inv(to_entry[:, :2]).T
@@ -371,15 +361,15 @@ def test_rotated_person_has_the_rotated_pose(
             roll_deg=-angle,
         )
     )  # fmt: skip
-    assert joint_error(as_it_is.points_normalised, points[:JOINTS]) < 4
-    assert joint_error(stood_up.points_normalised, entry.points_normalised[:JOINTS]) < 4
+    assert joint_error(as_it_is.points_normalised, points) < 4
+    assert joint_error(stood_up.points_normalised, entry.points_normalised) < 4
     for found in (as_it_is, stood_up):
         assert joint_error(found.points_3d, expected) < 0.2
         assert abs(wrap_degrees(found.tilt_deg - angle - entry.roll_deg)) < 15
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_keypoints_find_entries_that_were_rolled_to_stand(
+def test_keypoints_find_entries_that_were_rolled_upright(
     ground_index: PoseIndex, mirrored: bool
 ) -> None:
     actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]

@@ -101,7 +101,7 @@ def test_denser_mode_comes_first() -> None:
 
 @pytest.mark.parametrize("where", [0.35, 0.45, 0.5, 0.6])
 def test_query_between_known_poses_is_interpolated(where: float) -> None:
-    """Pose and descriptor both move along a line, of which eleven points are known."""
+    """Pose and descriptor both move along a line with eleven known points."""
     start = some_pose()
     step = np.zeros((POINTS, 3))
     wrist, elbow = rows("left_wrist", "left_elbow")

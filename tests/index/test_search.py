@@ -117,14 +117,14 @@ def normalised(limbs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def limb_distances(
-    limbs: NDArray[np.float64], asked: NDArray[np.float64], rolls_deg: tuple[float, ...]
+    limbs: NDArray[np.float64], limbs_3d: NDArray[np.float64], rolls_deg: tuple[float, ...]
 ) -> NDArray[np.float64]:
     """Root mean square joint distances ``(R, 2, E)``, straight and mirrored, one by one."""
     found = np.empty((len(rolls_deg), 2, len(limbs)))
     stored = normalised(limbs)
     for row, roll in enumerate(rolls_deg):
-        turned = rotate_clockwise(asked, -roll)
-        for column, variant in enumerate((turned, mirrored_limbs(turned))):
+        unrolled = rotate_clockwise(limbs_3d, -roll)
+        for column, variant in enumerate((unrolled, mirrored_limbs(unrolled))):
             offsets = stored - normalised(variant[None])
             found[row, column] = np.sqrt((offsets**2).sum(axis=-1).mean(axis=-1))
     return found
@@ -137,10 +137,10 @@ def test_landmark_search_equals_comparing_with_each_entry(
 ) -> None:
     limbs = upright_limbs(toy_index)
     rng = np.random.default_rng(number)
-    asked = 1.3 * rotate_clockwise(limbs[number] + rng.normal(0, 0.05, (12, 3)), 20) + (1, 2, 3)
+    limbs_3d = 1.3 * rotate_clockwise(limbs[number] + rng.normal(0, 0.05, (12, 3)), 20) + (1, 2, 3)
     k = 40
-    found = toy_index.landmark_search.nearest(asked, rolls_deg, k)
-    expected = limb_distances(limbs, asked, rolls_deg)
+    found = toy_index.landmark_search.nearest(limbs_3d, rolls_deg, k)
+    expected = limb_distances(limbs, limbs_3d, rolls_deg)
     # Each coordinate is rounded to a step, in both.
     assert_allclose(found.distances, np.sort(expected.ravel())[:k], atol=2 * STEP)
     row = np.array([rolls_deg.index(roll) for roll in found.roll_deg.tolist()])
@@ -155,8 +155,8 @@ def test_entries_rolled_to_stand_are_found_as_they_lie(
 ) -> None:
     limbs = upright_limbs(ground_index)
     for number in np.flatnonzero(np.abs(ground_index.entries["roll_deg"]) > 30)[::40].tolist():
-        asked = mirrored_limbs(limbs[number]) if mirrored else limbs[number]
-        found = ground_index.landmark_search.nearest(asked, (0.0,), 3)
+        limbs_3d = mirrored_limbs(limbs[number]) if mirrored else limbs[number]
+        found = ground_index.landmark_search.nearest(limbs_3d, (0.0,), 3)
         assert found.distances[0] < 2 * STEP
         same = (found.entry_ids == number) & (found.mirrored == mirrored)
         assert found.distances[same] == pytest.approx(found.distances[0], abs=2 * STEP)
@@ -166,9 +166,9 @@ def test_entries_rolled_to_stand_are_found_as_they_lie(
 def test_mirrored_person_has_mirrored_answers(seed: int, roll: float) -> None:
     limbs = some_limbs(seed, 30)
     search = LandmarkSearch(pose_vectors(limbs))
-    asked = some_limbs(seed + 1)[0]
-    here = search.nearest(asked, (0.0, roll), 60)
-    there = search.nearest(mirrored_limbs(asked), (0.0, -roll), 60)
+    limbs_3d = some_limbs(seed + 1)[0]
+    here = search.nearest(limbs_3d, (0.0, roll), 60)
+    there = search.nearest(mirrored_limbs(limbs_3d), (0.0, -roll), 60)
     # Half steps round to even numbers, whatever their sign; floats of turned points may not.
     assert_allclose(there.distances, here.distances, atol=STEP)
 
@@ -197,14 +197,14 @@ def test_limbs_are_mirrored_as_skeletons_are(toy_index: PoseIndex) -> None:
 
 
 def test_finds_at_most_all_entries(toy_index: PoseIndex) -> None:
-    asked = upright_limbs(toy_index)[7]
+    limbs_3d = upright_limbs(toy_index)[7]
     search = toy_index.landmark_search
-    found = search.nearest(asked, (0.0, 40.0), 10**6)
+    found = search.nearest(limbs_3d, (0.0, 40.0), 10**6)
     assert len(search) == len(toy_index) == len(found.entry_ids)
     triples = zip(found.entry_ids.tolist(), found.mirrored.tolist(), found.roll_deg.tolist(),
                   strict=True)  # fmt: skip
     assert len(set(triples)) == len(found.entry_ids)
-    fewer = search.nearest(asked, (0.0, 40.0), 20)
+    fewer = search.nearest(limbs_3d, (0.0, 40.0), 20)
     assert_array_equal(fewer.entry_ids, found.entry_ids[:20])
     assert_array_equal(fewer.distances, found.distances[:20])
 

@@ -1,4 +1,4 @@
-"""What an estimator asks of the photograph, and when."""
+"""The estimator, with real networks on a real photograph."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def test_rotated_person_has_the_same_poses(
     assert same.posture in LOW
 
 
-# In a box, somebody upside down is not read: MoveNet, which tells where the head is, sees nobody.
+# A person upside down in a box is not read: MoveNet, which finds the head, does not recognise them.
 @pytest.mark.parametrize("quarter_turns", [1, 3])
 def test_boxes_and_masks_of_lying_people_are_read(
     estimator: Estimator, street: NDArray[np.uint8], walker: Person, quarter_turns: int
@@ -223,7 +223,7 @@ def test_detector_of_the_settings_is_used(
     assert {person.observed.source for person in found} == {"detector"}
 
 
-def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo: Photo) -> None:
+def test_cancelled_job_stops(estimator: Estimator, photo: Photo) -> None:
     for steps in range(4):
         with pytest.raises(DeadlineError):
             estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, ShortJob(steps))
