@@ -24,7 +24,7 @@ from index.verified_files import ArtefactError, npy_bytes
 
 FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
 
-FORMAT_VERSION = 2
+RERANKER_FORMAT_VERSION = 2
 
 RERANKING_FEATURES = (
     *FEATURES,
@@ -89,7 +89,7 @@ def reranker_files(reranker: RankingModel) -> dict[str, bytes]:
             archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
     weights = buffer.getvalue()
     manifest = {
-        "format_version": FORMAT_VERSION,
+        "format_version": RERANKER_FORMAT_VERSION,
         "sha256": hashlib.sha256(weights).hexdigest(),
         "order_weight": reranker.order_weight,
         "support_weight": reranker.support_weight,
@@ -122,9 +122,9 @@ def load_reranker(folder: Path) -> RankingModel | None:
     try:
         manifest = json.loads(file.read_bytes())
         version = manifest["format_version"]
-        if version != FORMAT_VERSION:
+        if version != RERANKER_FORMAT_VERSION:
             raise ArtefactError(
-                f"{file} has format {version}, this service reads format {FORMAT_VERSION}"
+                f"{file} has format {version}, this service reads format {RERANKER_FORMAT_VERSION}"
             )
         content = weights.read_bytes()
         if hashlib.sha256(content).hexdigest() != manifest["sha256"]:

@@ -29,7 +29,7 @@ _BYTES = faiss.ScalarQuantizer.QT_8bit_direct_signed
 
 _MAX_STEPS = 127
 
-_BLOCK = 65_536
+_VECTORS_PER_BLOCK = 65_536
 """Vectors converted at a time: converting all of a large index would take gigabytes."""
 
 FailureReason = Literal["deadline", "unreachable", "refused"]
@@ -128,8 +128,8 @@ def scale_factor(vectors: NDArray[np.floating]) -> np.float32:
 
 
 def _blocks(vectors: NDArray[np.floating]) -> Iterator[NDArray[np.float32]]:
-    for start in range(0, len(vectors), _BLOCK):
-        yield np.ascontiguousarray(vectors[start : start + _BLOCK], np.float32)
+    for start in range(0, len(vectors), _VECTORS_PER_BLOCK):
+        yield np.ascontiguousarray(vectors[start : start + _VECTORS_PER_BLOCK], np.float32)
 
 
 STEPS_PER_BODY = 150.0

@@ -45,7 +45,7 @@ ENTRY_DTYPE = np.dtype(
     ]
 )
 
-_BLOCK = 8192
+_SKELETONS_PER_BLOCK = 8192
 """Skeletons turned at a time: all points of a large index would take gigabytes."""
 
 
@@ -258,8 +258,8 @@ class PoseIndex:
     def _pose_vectors(self) -> NDArray[np.float32]:
         """Vectors ``(E, 48)`` of all entries for the landmark search, without the cameras' roll."""
         vectors = np.empty((len(self), LANDMARK_DIMENSION), np.float32)
-        for start in range(0, len(self), _BLOCK):
-            entries = self.entries[start : start + _BLOCK]
+        for start in range(0, len(self), _SKELETONS_PER_BLOCK):
+            entries = self.entries[start : start + _SKELETONS_PER_BLOCK]
             rotations = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"])
             body = self.skeletons[entries["skeleton"]][:, LIMB_ROWS].astype(np.float32)
             seen = body @ np.ascontiguousarray(rotations.swapaxes(1, 2).astype(np.float32))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from index import DEFAULT_PATH
-from index.artefact import save_index
+from index.artefact import check_replaceable, save_index
 from index.build.builder import CMU_ATTRIBUTION, Plan, build
 from index.build.garments import GarmentError
 from index.build.motion import MotionError
@@ -23,7 +24,7 @@ def main() -> int:
     add = parser.add_argument
     add("--mocap", type=Path, default=Path("../shared/mocap"), help="has manifest.csv and bvh/")
     add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
-    add("--out", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
+    add("--out", type=Path, default=DEFAULT_PATH, help="folder of the index; replaced if it is one")
     add("--name", help="of the index; by default that of its folder")
     add(
         "--attribution",
@@ -47,7 +48,10 @@ def main() -> int:
     arguments = parser.parse_args()
     name = arguments.name or arguments.out.resolve().name
     attribution = CMU_ATTRIBUTION if arguments.attribution == "cmu" else arguments.attribution
+    inputs = {"--mocap": arguments.mocap, "--garments": arguments.garments}
     try:
+        check_apart(arguments.out, {**inputs, "--shards": arguments.shards})
+        check_replaceable(arguments.out)
         plan = Plan(
             entries=arguments.entries,
             bodies=arguments.bodies,
@@ -55,7 +59,9 @@ def main() -> int:
             seed=arguments.seed,
             descriptor=arguments.descriptor,
         )
-        shards = nullcontext(arguments.shards) if arguments.shards else staging(arguments.out)
+        shards = (
+            nullcontext(arguments.shards) if arguments.shards else staging(arguments.out.resolve())
+        )
         with _workers(arguments.scheduler) as workers:
             index = build(
                 arguments.mocap, arguments.garments, plan, name=name, attribution=attribution,
@@ -67,6 +73,20 @@ def main() -> int:
         return 1
     print(f"{len(index)} entries in {arguments.out}, {version}")
     return 0
+
+
+def check_apart(out: Path, others: Mapping[str, Path | None]) -> None:
+    """Raise a ``ValueError`` if ``out`` is, holds or lies in another folder, by its option."""
+    resolved = out.resolve()
+    for option, folder in others.items():
+        if folder is None:
+            continue
+        other = folder.resolve()
+        if resolved.is_relative_to(other) or other.is_relative_to(resolved):
+            raise ValueError(
+                f"--out: expected a folder apart from {option}, since it is replaced as a whole, "
+                f"got {out} and {folder}"
+            )
 
 
 def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:

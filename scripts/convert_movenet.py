@@ -21,6 +21,8 @@ import numpy as np
 import tensorflow as tf
 from google.protobuf import json_format
 
+from scripts.outputs import check_outputs
+
 WEIGHTS = Path(__file__).resolve().parent.parent / "app" / "vision" / "models"
 
 HEADS = (
@@ -114,6 +116,10 @@ def main() -> None:
     parser.add_argument("model", type=Path, help="movenet-multipose.json, its weights beside it")
     parser.add_argument("--out", type=Path, default=WEIGHTS / "movenet_multipose.tflite")
     options = parser.parse_args()
+    try:
+        check_outputs((options.out,), (options.model,))
+    except ValueError as error:
+        parser.error(str(error))
     graph = without_fused_operations(read_graph(options.model))
     content = convert(graph, HEADS)
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -31,6 +31,7 @@ from app.vision.windows import cut_window, window_about, window_corners, window_
 from index.skeleton import NATIVE
 from index.store import PoseIndex
 from scripts.entry_pictures import placed_entry
+from scripts.outputs import check_outputs
 
 CELL_PX = 360
 """Height of the pictures of a person."""
@@ -152,8 +153,14 @@ def main() -> int:
     for number, person in enumerate(estimate.persons, start=1):
         pictures[f"person-{number}.png"] = draw_person(estimate.frame, estimator.index, person)
         print(describe(number, person))
-    for name, picture in pictures.items():
-        cv2.imwrite(str(options.out / name), picture)
+    files = {options.out / name: picture for name, picture in pictures.items()}
+    try:
+        check_outputs(files, (options.photograph,))
+    except ValueError as error:
+        print(f"debug_frame: {error}", file=sys.stderr)
+        return 1
+    for file, picture in files.items():
+        cv2.imwrite(str(file), picture)
     print(", ".join(f"{stage} {spent:.0f} ms" for stage, spent in estimate.timings_ms.items()))
     print(f"Written to {options.out}: {', '.join(pictures)}")
     return 0

@@ -27,6 +27,7 @@ from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from index import DEFAULT_PATH
 from index.skeleton import NATIVE
+from scripts.outputs import check_outputs
 
 HYPOTHESES = 7
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
@@ -169,6 +170,10 @@ def main() -> None:
     options = parser.parse_args()
     if options.stride < 1 or (options.max_frames is not None and options.max_frames < 1):
         parser.error("--stride and --max-frames: expected at least 1")
+    try:
+        check_outputs((options.out, options.sheet), (options.video,))
+    except ValueError as error:
+        parser.error(str(error))
     capture = cv2.VideoCapture(str(options.video))
     frames = -(-max(1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) // options.stride)
     estimator = load_estimator(Settings(index=options.index))

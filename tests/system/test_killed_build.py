@@ -53,7 +53,7 @@ def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
             return []
 
     def staged() -> list[Path]:
-        return beside("*.xz") + beside("*.npy")
+        return beside("new/*.xz") + beside("new/*.npy")
 
     started = time.monotonic()
     # While it computes; with a shard drawn; with the first file written; with several.
