@@ -38,8 +38,8 @@ class Agreement:
     Parameters
     ----------
     log_likelihood : (K,) float64 array
-        Of the keypoints, given each skeleton or its twin with left and right exchanged, whichever
-        is likelier; at most 0.
+        Log likelihood of the keypoints, given each skeleton or its twin with left and right
+        exchanged, whichever is likelier; at most 0.
     side_log_odds : (K,) float64 array
         Log odds of the skeleton against that twin. They are separate because keypoints are more
         reliable about where a joint is than about whether it is the left or the right one.

@@ -1,7 +1,7 @@
-"""What orders the hypotheses of a match, besides the distance of the descriptors.
+"""The order of the hypotheses of a match, beyond the distance of the descriptors.
 
-With landmarks, their agreement; without, a network that sees joints in the silhouette. The network
-itself is in :mod:`index.network`, its file in :mod:`index.reranker`; which hypotheses a client gets
+With landmarks their agreement decides; without, a network that sees joints in the silhouette. The
+network itself is in :mod:`index.network`, its file in :mod:`index.reranker`; which hypotheses a client gets
 is decided by :mod:`app.estimation.ordering`.
 """
 

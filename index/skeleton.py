@@ -305,7 +305,7 @@ def with_bone_lengths_of(
 ) -> NDArray[np.float64]:
     """Give skeletons the bone lengths of others, keeping the directions of their bones.
 
-    For example, after averaging, which shortens bones.
+    It undoes the shortening of bones by averaging.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ class Estimator:
     min_person_px : float or None
         Height of the smallest person to find with a background, pixels.
     max_pixels : int
-        Of each image.
+        Largest image accepted, width times height.
     max_persons : int
         Further detections are dropped, those of the lowest scores first; an upload that marks more
         people is refused.

@@ -80,7 +80,7 @@ class PeopleFinder:
     def _detect(
         self, upload: DecodedUpload, background: BackgroundSegmenter | None, job: Job
     ) -> tuple[Source, Sequence[Detection]]:
-        """Where people are, and the source of that knowledge."""
+        """Boxes of people, and how they were found."""
         if upload.boxes is not None:
             return "boxes", [Detection(box, 1.0) for box in upload.boxes]
         with job.stage("detect"):

@@ -15,8 +15,7 @@ from index.keypoints import Keypoints
 from index.rotations import rotate_silhouette
 from index.skeleton import LIMBS, SIDES, rotate_clockwise, rows, side_rows
 
-# Points of the index and their landmarks: limbs, nose and toes. Eyes and ears of the index are in
-# other places.
+# Points of the index and their landmarks; eyes and ears of the index are in other places.
 _LANDMARK_OF = {name: name for name in (*LIMBS, "nose")} | {
     f"{side}_toe": f"{side}_foot_index" for side in SIDES
 }

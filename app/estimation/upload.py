@@ -129,7 +129,7 @@ class UploadDecoder:
     Parameters
     ----------
     max_pixels : int
-        Of each image.
+        Largest image accepted, width times height.
     max_persons : int
         People that boxes or a mask may mark.
     """
