@@ -1,8 +1,8 @@
 """The order of the hypotheses of a match, beyond the distance of the descriptors.
 
 With landmarks their agreement decides; without, a network that sees joints in the silhouette. The
-network itself is in :mod:`index.network`, its file in :mod:`index.reranker`; which hypotheses a client gets
-is decided by :mod:`app.estimation.ordering`.
+network itself is in :mod:`index.network`, its file in :mod:`index.reranker`; the choice of the
+hypotheses that a client gets is in :mod:`app.estimation.ordering`.
 """
 
 from __future__ import annotations
