@@ -26,11 +26,11 @@ POSTURES: tuple[Posture, ...] = get_args(Posture)
 UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
 """Postures of a straight body on its legs: neither low nor bending."""
 
+ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
+"""Postures in which the trunk rests on the ground or on a bed, or is carried on all fours."""
+
 LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
 """Postures in which the legs are not standing."""
-
-ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
-"""Postures of a trunk that neither legs nor a seat carry."""
 
 # Shares of the body's mass, lumped at joints.
 _MASSES = {

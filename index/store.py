@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
+from index import DEFAULT_PATH as DEFAULT_PATH
 from index.confidence import Calibration
 from index.reranker import RankingModel
 from index.search import (

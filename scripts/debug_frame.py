@@ -26,8 +26,9 @@ from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.geometry import Detection
-from app.vision.windows import cut_window, window_about, window_corners, window_to_frame
+from app.vision.crops import sample_window
+from app.vision.geometry import PersonWindow
+from app.vision.people import Detection
 from index.skeleton import NATIVE
 from index.store import PoseIndex
 from scripts.entry_pictures import placed_entry
@@ -50,7 +51,7 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
         cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2 * line)
         write_text(picture, f"{one.score:.2f}", (corners[0], corners[1] - 3), 10 * line, colour)
         for window in one.windows:
-            corners = np.round(window_corners(window)).astype(np.int32)
+            corners = np.round(window.corners()).astype(np.int32)
             cv2.polylines(picture, [corners], True, colour, line)
             cv2.line(picture, corners[0].tolist(), corners[1].tolist(), colour, 3 * line)
     return picture
@@ -59,10 +60,10 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
 def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
     """The steps of one person, and below them the hypotheses."""
     observed = person.observed
-    window = observed.next_window or window_about(observed.whole_box)
-    to_cell = np.asarray(cv2.invertAffineTransform(window_to_frame(window, CELL_PX)), np.float64)
-    photograph = cut_window(frame, window, CELL_PX)
-    cells = [_titled(cut_window(frame, window, LANDMARK_PX), "window")]
+    window = observed.next_window or PersonWindow.about_box(observed.whole_box)
+    to_cell = np.asarray(cv2.invertAffineTransform(window.to_frame(CELL_PX)), np.float64)
+    photograph = sample_window(frame, window, CELL_PX)
+    cells = [_titled(sample_window(frame, window, LANDMARK_PX), "window")]
     cells.append(_titled(_landmarks(photograph, to_cell, observed), "landmarks"))
     if observed.silhouette is not None:
         mask = observed.silhouette.mask(frame.shape)

@@ -31,11 +31,11 @@ from app.estimation.posture_probability import GROUPS, body_features
 from app.estimation.results import Person
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.boxes import Boxes, iou_matrix
 from app.vision.detector import NetworkDetector, detection_features
-from app.vision.geometry import LANDMARK_NAMES, Box, Landmarks
+from app.vision.geometry import Box, Boxes, iou_matrix
 from app.vision.models import write_fitted
 from app.vision.odds import log_odds
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.confidence import RIGHT_BELOW_PX
 from index.parameters import RANKING
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify_postures

@@ -23,8 +23,9 @@ from app.estimation.results import (
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.vision.blazepose import LandmarkNetwork, PoseDetection
-from app.vision.detector import Detector, DetectorName, HogDetector, NetworkDetector
+from app.vision import DetectorName
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
+from app.vision.detector import Detector, HogDetector, NetworkDetector
 from app.vision.geometry import Box
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
@@ -66,12 +67,12 @@ def load_networks(
     """
     threads, copies = network_threads(available_cores(), concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet = MoveNet(network_path("movenet"), **share)
+    movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
     landmarks = LandmarkNetwork(network_path("pose_landmarks"), **share)
     reader = PersonReader(landmarks, KeypointReader(movenet))
     if detector == "hog":
         return HogDetector(min_person_px=min_person_px), reader
-    pose_detection = PoseDetection(network_path("pose_detection"), **share)
+    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     return NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px), reader
 
 

@@ -13,10 +13,11 @@ from app.estimation.results import ObservedPerson, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
-from app.vision.blazepose import Reading
+from app.vision.blazepose import PoseReading
 from app.vision.detector import Detector, smallest_person_px
-from app.vision.geometry import Box, Detection, Silhouette
+from app.vision.geometry import Box
 from app.vision.images import LabelImage
+from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import end_beyond_border
@@ -65,7 +66,9 @@ class PeopleFinder:
             for found in self.detector.detect(frame)[: self.max_persons]
         )
 
-    def read(self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job) -> list[Reading]:
+    def read(
+        self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job
+    ) -> list[PoseReading]:
         """Read the landmarks and the body mask of each person of a frame."""
         return job.map(
             lambda one: self.reader.read(frame, one.box, one.keypoints, one.windows), found
@@ -98,7 +101,7 @@ class PeopleFinder:
         job: Job,
     ) -> list[ObservedPerson]:
         """Read detections, drop those of a body read before, and cut out the silhouettes."""
-        readings: list[Reading] = []
+        readings: list[PoseReading] = []
         if landmarks or background is None:
             with job.stage("keypoints"):
                 readings = self.read(frame, found, job)
@@ -112,7 +115,7 @@ class PeopleFinder:
                 if background is None
                 else background.segment(frame, boxes)
             )
-        shown: Sequence[Reading | None] = readings or [None] * len(found)
+        shown: Sequence[PoseReading | None] = readings or [None] * len(found)
         return [
             make_observation(
                 frame,
@@ -146,7 +149,7 @@ def make_observation(
     source: Source,
     score: float | None,
     silhouette: Silhouette | None,
-    reading: Reading | None,
+    reading: PoseReading | None,
 ) -> ObservedPerson:
     """Combine what is known of a person; landmarks may reveal truncation of the silhouette."""
     if reading is None:
@@ -159,7 +162,7 @@ def make_observation(
     )
 
 
-def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
+def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:
     """Rows of readings that do not show the same body as an earlier one."""
     kept: list[int] = []
     for row, reading in enumerate(readings):
@@ -168,7 +171,7 @@ def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
     return kept
 
 
-def _apart(first: Reading, second: Reading) -> float:
+def _apart(first: PoseReading, second: PoseReading) -> float:
     """Mean distance between the landmarks of two readings, in sizes of the smaller body."""
     offsets = first.landmarks.positions - second.landmarks.positions
     weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3

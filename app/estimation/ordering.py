@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.estimation.facing import Facing, azimuth_deg, faces_camera, front_share
 from app.estimation.parameters import HYPOTHESES_PER_OPPOSITE_FACING
-from app.vision.models import fitted
+from app.vision.models import fitted_constants
 from app.vision.odds import sigmoid
 from index.matching import Hypothesis
 from index.parameters import RANKING
@@ -85,7 +85,7 @@ def fused_confidences(
     adjusted_m : (N,) float64 array
         Mean joint distances by which the fit moved the hypotheses from their entries.
     """
-    constants = fitted("confidence")
+    constants = fitted_constants("confidence")
     agreement = -RANKING.distance_weight * np.log(np.maximum(distances, 1e-9))
     odds = (
         constants["slope"] * agreement + constants["adjusted_m"] * adjusted_m + constants["offset"]

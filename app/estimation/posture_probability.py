@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.parameters import POSTURE
-from app.vision.geometry import LANDMARK_NAMES, Landmarks
-from app.vision.models import fitted
+from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
 from index.skeleton import rows, side_rows
 
@@ -127,7 +127,7 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
 
 def group_probability(share: float) -> float:
     """Calibrated probability that a group of postures with this share is right."""
-    constants = fitted("posture")
+    constants = fitted_constants("posture")
     return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
 
 
@@ -189,7 +189,7 @@ def _within(
 
 def on_ground_probability(landmarks: Landmarks) -> float:
     """Probability that a person is lying or on all fours, by the landmarks alone."""
-    constants = fitted("grounded")
+    constants = fitted_constants("grounded")
     features = (body_features(landmarks) - constants["means"]) / constants["scales"]
     odds = float(features @ np.array(constants["weights"]) + constants["offset"])
     return probability_of(odds)

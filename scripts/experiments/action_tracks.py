@@ -20,9 +20,9 @@ from tqdm import tqdm
 
 from app.estimation.estimator import fit_poses, normalise_person
 from app.estimation.results import ObservedPerson, Person
-from app.tracking.action_features import Measured
+from app.tracking.actions import PoseSample
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 from index.artefact import load_index
 from index.build.body import Avatar
 from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
@@ -308,7 +308,7 @@ def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:
     shown = [track for track in tracks if track.action in ACTIONS and len(track.smoothed) > FPS]
     parts = [
         windows_of([
-            Measured.of(timestamp, smoothed)
+            PoseSample.of(timestamp, smoothed)
             for timestamp, smoothed in zip(
                 track.timestamps.tolist(), track.smoothed, strict=True
             )

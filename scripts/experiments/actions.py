@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.actions import LEAST_SHARE, ActionModel
-from app.tracking.events import EventDetector, Trust
+from app.tracking.actions import ActionModel
+from app.tracking.events import EventDetector, Reliability
+from app.tracking.parameters import DEFAULTS
 from app.tracking.posture_filter import PostureFilter
 from app.tracking.smoothing import PoseSmoother
 from index.artefact import load_index
@@ -188,7 +189,8 @@ def sequence_answers(
         of_frames = [model.votes(person.hypotheses) for person in track.people]
         votes[simulated + number] = np.mean(of_frames, axis=0)
     motion = windows.motion[unseen.rows]
-    odds = unseen.odds / temperature + VOTE_WEIGHT * np.log(np.maximum(votes, LEAST_SHARE))[motion]
+    log_votes = np.log(np.maximum(votes, DEFAULTS.actions.min_vote))
+    odds = unseen.odds / temperature + VOTE_WEIGHT * log_votes[motion]
     odds = np.exp(odds - odds.max(axis=1, keepdims=True))
     probabilities = odds / odds.sum(axis=1, keepdims=True)
     plain = {
@@ -274,7 +276,7 @@ def fell(track: Track, step: int) -> int:
             continue
         box = person.observed.box
         _, shares = postures.update(timestamp, smoothed.votes, None, 1.0, box)
-        trust = Trust(*2 * [smoothed.pose.confidence])
-        events = detector.update(1, timestamp, shares, trust, box.height)
+        reliability = Reliability(*2 * [smoothed.pose.confidence])
+        events = detector.update(1, timestamp, shares, reliability, box.height)
         told += sum(event.event == "fell" for event in events)
     return told

@@ -26,7 +26,8 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
-from app.vision.geometry import LANDMARK_NAMES, Box
+from app.vision.geometry import Box
+from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.experiments.asking import HYPOTHESES, estimate

@@ -19,7 +19,8 @@ import numpy as np
 from app.estimation.estimator import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import MIN_SCORE, Detector, NetworkDetector
+from app.vision.detector import Detector, NetworkDetector
+from app.vision.parameters import DEFAULTS
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
 from scripts.experiments.real_data import (
@@ -52,7 +53,7 @@ from scripts.results import machine
 COMMAND = "python -m scripts.evaluate real"
 CAMERAS = ("cam01", "cam03")
 VTEST_FRAMES = 20
-SCORES = (MIN_SCORE, 0.5)
+SCORES = (DEFAULTS.detector.min_score, 0.5)
 """Detection scores from which a box is reported (the service's default) or sure."""
 
 Figures = dict[str, float]

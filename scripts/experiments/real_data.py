@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.boxes import Boxes
-from app.vision.geometry import Box
+from app.vision.geometry import Box, Boxes
 from app.vision.images import decode_image, decode_mask
 from index.skeleton import LIMBS
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.vision.boxes import Boxes
 from app.vision.detector import HogDetector, NetworkDetector, detection_features
+from app.vision.geometry import Boxes
 from app.vision.odds import sigmoid
 from scripts.experiments.real_data import Photograph, as_array
 from scripts.experiments.real_detection_scores import (

@@ -16,8 +16,9 @@ from app.estimation.finder import make_observation
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.scheduling.job import Job
-from app.vision.geometry import LANDMARK_NAMES, Box, Silhouette
-from app.vision.models import fitted as constants_of
+from app.vision.geometry import Box
+from app.vision.models import fitted_constants as constants_of
+from app.vision.people import LANDMARK_NAMES, Silhouette
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees
 from scripts.experiments.real_data import (

@@ -11,7 +11,8 @@ from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
 from app.scheduling.job import Job
-from app.vision.geometry import Box, Detection, Silhouette
+from app.vision.geometry import Box
+from app.vision.people import Detection, Silhouette
 from app.vision.silhouettes import silhouettes_of
 from scripts.experiments.real_data import Photograph
 

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.boxes import iou_matrix
 from app.vision.detector import Detector
-from app.vision.geometry import Box
+from app.vision.geometry import Box, iou_matrix
 from scripts.experiments.real_data import as_array
 from scripts.experiments.real_detection_scores import rightness
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import Silhouette, silhouette_from_mask
+from app.vision.people import Silhouette, silhouette_from_mask
 from index.build.body import (
     Avatar,
     pose_transforms,

@@ -23,8 +23,9 @@ from app.estimation.estimator import fit_poses, normalise_person
 from app.estimation.facing import azimuth_deg
 from app.estimation.results import ObservedPerson, Person
 from app.scheduling.process import available_cores
-from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.tracking.parameters import DEFAULTS
+from app.tracking.smoothing import PoseSmoother, Smoothed
+from app.vision.people import Silhouette
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
 from index.build.calibrate import expected_calibration_error
@@ -52,8 +53,8 @@ EXCHANGED = 0.8
 
 VARIANTS: dict[str, dict[str, float]] = {
     "as it is": {},
-    "seven hypotheses a frame for twelve": {"states": 7},
-    "without the way people are turned over time": {"turn_weight": 0.0},
+    "seven hypotheses a frame for twelve": {"max_states": 7},
+    "without the way people are turned over time": {"heading_weight": 0.0},
     "without the cost of moving": {"cost_per_m": 0.0},
     "without the line through the last frames": {"line_s": 0.0},
 }
@@ -144,7 +145,7 @@ def ask(index: PoseIndex, filmed: Filmed) -> list[Person]:
 
     def estimate(silhouette: Silhouette) -> Person:
         observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, observed, normalise_person(observed), STATES)
+        return fit_poses(index, observed, normalise_person(observed), DEFAULTS.smoothing.max_states)
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(estimate, filmed.silhouettes))
@@ -163,7 +164,8 @@ def alone(filmed: Filmed, persons: Sequence[Person]) -> Followed:
 
 def smoothed(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> list[Smoothed]:
     """The smooth poses of a sequence, each from the frames up to its own."""
-    smoother = PoseSmoother(**parameters)
+    smoothing = replace(DEFAULTS.smoothing, **parameters)
+    smoother = PoseSmoother(replace(DEFAULTS, smoothing=smoothing))
     updates = [
         smoother.update(person, timestamp)
         for person, timestamp in zip(persons, filmed.timestamps.tolist(), strict=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from index.keypoints import Keypoints
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
-from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS, NATIVE
+from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
 
 
 def random_network(seed: int) -> JointNetwork:
@@ -36,14 +36,6 @@ def keypoints_of(
     limbs = np.asarray(points_3d, np.float64)[LIMB_ROWS]
     return Keypoints(
         tuple(LIMB_ROWS), positions, scores, limbs - limbs[LIMB_HIPS].mean(axis=0), scores
-    )
-
-
-def bone_lengths(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths ``(..., 18)`` of the bones of skeletons ``(..., P, 3)``."""
-    parents, children = np.array(NATIVE.bones).T
-    return np.asarray(
-        np.linalg.norm(points_3d[..., children, :] - points_3d[..., parents, :], axis=-1)
     )
 
 

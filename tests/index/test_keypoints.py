@@ -19,11 +19,12 @@ from index.skeleton import (
     LIMB_ROWS,
     LIMBS,
     POINTS,
+    bone_lengths,
     exchange_sides,
     rows,
 )
 from index.store import PoseIndex
-from tests.index.helpers import bone_lengths, keypoints_of
+from tests.index.helpers import keypoints_of
 
 ROWS = (*LIMB_ROWS, *rows("nose"))
 NO_DEPTH = np.zeros((1, POINTS, 3))

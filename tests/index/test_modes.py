@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from index.candidates import Candidates, find_candidates
 from index.modes import Modes, find_modes
 from index.parameters import MODES
-from index.skeleton import JOINTS, POINTS, rows
+from index.skeleton import JOINTS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
-from tests.index.helpers import bone_lengths
 
 Points = NDArray[np.float64]
 

@@ -15,9 +15,8 @@ from index.matching import match
 from index.modes import find_modes
 from index.ranking import NetworkRanking, fused_distances
 from index.reranker import RankingModel
-from index.skeleton import JOINTS, pixels_per_metre, rows
+from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
 from index.store import PoseIndex
-from tests.index.helpers import bone_lengths
 
 (HEAD,) = rows("head")
 

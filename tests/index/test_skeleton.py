@@ -16,6 +16,7 @@ from index.skeleton import (
     POINT_NAMES,
     POINTS,
     KeypointSet,
+    bone_lengths,
     camera_rotation,
     exchange_sides,
     mirror_3d,
@@ -26,10 +27,9 @@ from index.skeleton import (
     rotate_clockwise,
     rows,
     side_rows,
-    with_bone_lengths_of,
+    with_bone_lengths,
     wrap_degrees,
 )
-from tests.index.helpers import bone_lengths
 
 LEFT, UP, FRONT = np.eye(3)
 angles = st.floats(-720, 720)
@@ -200,31 +200,36 @@ class TestRotateClockwise:
         assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-9)
 
 
-class TestWithBoneLengthsOf:
-    @given(seed=st.integers(0, 999), shrink=st.floats(0.1, 3))
-    def test_keeps_lengths_of_one_and_directions_of_the_other(
-        self, seed: int, shrink: float
-    ) -> None:
-        skeleton, points = np.random.default_rng(seed).normal(0, 0.3, (2, POINTS, 3))
-        result = with_bone_lengths_of(skeleton, shrink * points + 5.0)
-        assert_allclose(bone_lengths(result), bone_lengths(skeleton), rtol=1e-6)
-        parents, children = np.array(NATIVE.bones).T
-        wanted, got = (
-            (one[children] - one[parents]) / bone_lengths(one)[:, None] for one in (points, result)
-        )
-        assert_allclose(got, wanted, atol=1e-6)
-        assert_allclose(result[0], 0)
-
-    def test_the_face_moves_with_the_head(self) -> None:
+class TestWithBoneLengths:
+    def test_face_moves_with_the_head(self) -> None:
         points, (head,) = some_points(3)[0], rows("head")
-        result = with_bone_lengths_of(some_points(3)[1], points)
+        result = with_bone_lengths(points, bone_lengths(some_points(3)[1]))
         assert_allclose(result[JOINTS:] - result[head], points[JOINTS:] - points[head])
 
     def test_bones_without_direction_stay_finite(self) -> None:
-        assert np.isfinite(with_bone_lengths_of(some_points(3)[0], np.zeros((POINTS, 3)))).all()
+        lengths = bone_lengths(some_points(3)[0])
+        assert np.isfinite(with_bone_lengths(np.zeros((POINTS, 3)), lengths)).all()
 
 
-@given(scale=st.floats(10, 200), x=st.floats(-50, 50))
-def test_pixels_per_metre_of_a_placed_skeleton(scale: float, x: float) -> None:
-    points = some_points(3)
-    assert_allclose(pixels_per_metre(points, points[..., :2] * scale + x), scale)
+@given(seed=st.integers(0, 999))
+def test_bone_lengths_are_set_as_if_bone_by_bone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, lengths = rng.normal(size=(POINTS, 3)), rng.uniform(0.1, 1, len(NATIVE.bones))
+    points -= points[0]
+    expected, (head,) = points.copy(), rows("head")
+    for (parent, child), length in zip(NATIVE.bones, lengths, strict=True):
+        bone = points[child] - points[parent]
+        expected[child] = expected[parent] + bone * length / np.linalg.norm(bone)
+    expected[JOINTS:] += expected[head] - points[head]
+    found = with_bone_lengths(points, lengths)
+    assert_allclose(found, expected, atol=1e-12)
+    assert_allclose(bone_lengths(found), lengths, atol=1e-12)
+
+
+@pytest.mark.parametrize("points", [JOINTS, POINTS])
+def test_scale_of_a_projection_from_joints_or_all_points(points: int) -> None:
+    points_3d = np.random.default_rng(0).normal(size=(3, POINTS, 3))
+    scales = np.array([20.0, 80.0, 300.0])
+    points_2d = scales[:, None, None] * points_3d[..., :2] + (5.0, 9.0)
+    points_2d[:, points:] = 1e6
+    assert_allclose(pixels_per_metre(points_3d, points_2d, points), scales)

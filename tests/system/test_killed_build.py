@@ -1,4 +1,4 @@
-"""kill -9 while an index is built: the old one stays, whole, and the next build tidies up."""
+"""A build ended by ``kill -9`` leaves the old index intact, and the next build cleans up."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def kill_once(build: subprocess.Popen[bytes], due: Callable[[], bool]) -> None:
     assert build.wait() == -signal.SIGKILL
 
 
-def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
+def test_a_killed_build_leaves_the_old_index_intact(tmp_path: Path) -> None:
     pytest.importorskip("anny", reason="needs the build extra")
     if not MOCAP.exists():
         pytest.skip(f"needs the motion data in {MOCAP}")

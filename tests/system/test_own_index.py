@@ -61,7 +61,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_says_whose_it_is_and_what_its_confidence_rests_on(built: Path) -> None:
+def test_it_names_its_source_and_its_calibration(built: Path) -> None:
     index = load_index(built)
     assert index.name == "our-index"
     assert index.parameters["attribution"].startswith("Motion by us. Bodies by MakeHuman")
@@ -73,7 +73,7 @@ def test_says_whose_it_is_and_what_its_confidence_rests_on(built: Path) -> None:
 
 
 @pytest.mark.slow
-def test_is_served(built: Path) -> None:
+def test_it_is_served(built: Path) -> None:
     silhouette = cv2.copyMakeBorder(load_index(built).silhouette(7), 9, 9, 9, 9, 0)
     mask = cv2.imencode(".png", np.asarray(255 * silhouette, np.uint8))[1].tobytes()
     settings = Settings(index=built)

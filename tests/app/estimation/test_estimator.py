@@ -14,7 +14,8 @@ from app.estimation.upload import Upload
 from app.scheduling.job import DeadlineError, Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.geometry import Box, Landmarks, silhouette_from_mask
+from app.vision.geometry import Box
+from app.vision.people import Landmarks, silhouette_from_mask
 from app.vision.person_reader import PersonReader
 from index.posture import LOW
 from index.skeleton import rotate_clockwise

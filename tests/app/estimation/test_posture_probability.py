@@ -19,7 +19,7 @@ from app.estimation.posture_probability import (
     with_bent_legs,
     with_on_ground,
 )
-from app.vision.geometry import LANDMARK_NAMES, Landmarks
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT
 from index.skeleton import rotate_clockwise, rows
 

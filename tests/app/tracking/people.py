@@ -48,11 +48,12 @@ def person_of(
     *,
     elevation_deg: float = 10.0,
     postures: Sequence[Posture] | None = None,
+    action: str = "walk",
 ) -> Person:
     """A person whose hypotheses are these poses, with the box about a point of the frame."""
     hypotheses = []
     for entry, (pose, confidence) in enumerate(zip(poses, confidences, strict=True)):
-        label = Label(entry, "walk", "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
+        label = Label(entry, action, "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
         hypothesis = ProjectedHypothesis(
             entry_id=entry, mirrored=False, silhouette_distance=1.0, reprojection_error_px=1.0,
             confidence=confidence, points_3d=pose, points_normalised=np.zeros((POINTS, 2)),

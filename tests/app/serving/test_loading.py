@@ -1,4 +1,4 @@
-"""The application while its index is loaded, and when that fails."""
+"""The application while its index is loading, and when loading fails."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from fastapi.testclient import TestClient
 
 from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving import loading
 from app.settings import Settings
 from app.vision import models
 from tests.support.service import check_problem, eventually
 
 
-def test_while_the_index_is_loaded_clients_are_told_to_come_back(settings: Settings) -> None:
+def test_while_the_index_is_loading_clients_get_a_503(settings: Settings) -> None:
     app = create_app(settings)  # Without its lifespan nothing is loaded.
     response = TestClient(app).get("/readyz")
     check_problem(response, 503)
@@ -24,23 +25,23 @@ def test_while_the_index_is_loaded_clients_are_told_to_come_back(settings: Setti
     assert "retry-after" not in TestClient(app).get("/readyz").headers
 
 
-def test_whatever_goes_wrong_while_loading_is_told_to_probes(
+def test_probes_report_any_error_in_loading(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(*_: object) -> Estimator:
-        raise ZeroDivisionError("an inside matter")
+        raise ZeroDivisionError("internals")
 
-    monkeypatch.setattr(Estimator, "load", fail)
+    monkeypatch.setattr(loading, "load_estimator", fail)
     with TestClient(create_app(settings)) as client:
         eventually(lambda: "not ready" in caplog.text)
         assert client.get("/healthz").status_code == 200
         response = client.get("/readyz")
         assert response.status_code == 503
-        assert "inside" not in response.text
+        assert "internals" not in response.text
         assert "ZeroDivisionError" in caplog.text
 
 
-def test_a_network_that_is_not_the_one_that_ships_is_told_not_served(
+def test_an_altered_network_is_reported_and_not_served(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """``python -m app`` ends at once (see test_models.py); started otherwise, probes report it."""

@@ -1,4 +1,4 @@
-"""Tracked frames, sessions and videos as JSON."""
+"""Answers as JSON."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.api.replies import ReplyForm
+from app.api.replies import (
+    ReplyForm,
+    joint_fields,
+    sequence_end_reply,
+    sequence_frame_reply,
+    track_reply,
+)
 from app.api.schemas import JointForm
-from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, track_reply
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
 from app.estimation.estimator import Estimator
 from app.estimation.facing import Facing
@@ -17,7 +22,8 @@ from app.estimation.results import Estimate
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.summary import SequenceSummary
+from app.tracking.summary import VideoSummary
+from app.tracking.video_run import VideoEnd
 from index.skeleton import KEYPOINT_SETS, NATIVE
 from tests.conftest import Photo
 
@@ -31,7 +37,7 @@ def estimate(estimator: Estimator, photo: Photo) -> Estimate:
 
 @pytest.fixture(scope="module")
 def frame(estimate: Estimate) -> TrackedFrame:
-    """A frame with somebody who walks, seen for a while."""
+    """A frame with a person who has walked for a while."""
     (person,) = estimate.persons
     best = person.hypotheses[0]
     pose = SmoothedPose(best.points_3d, best.points_2d, 0.91234567, best.entry_id)
@@ -48,9 +54,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
     )
 
 
-def test_what_time_tells_stands_beside_what_the_frame_tells(
-    frame: TrackedFrame, estimator: Estimator
-) -> None:
+def test_a_tracked_reply_adds_results_over_time(frame: TrackedFrame, estimator: Estimator) -> None:
     reply = track_reply(frame, "yard", estimator.index, ReplyForm(NATIVE))
     answer = TrackResponse.model_validate_json(reply.model_dump_json())
     assert (answer.camera_id, answer.frame_index, answer.timestamp) == ("yard", 40, 12.3457)
@@ -72,7 +76,7 @@ def test_what_time_tells_stands_beside_what_the_frame_tells(
 
 @pytest.mark.parametrize("form", ["full", "compact", "none"])
 @pytest.mark.parametrize("keypoints", ["native", "coco17"])
-def test_joints_of_a_smoothed_pose_come_in_the_form_of_hypotheses(
+def test_smoothed_joints_have_the_format_of_hypotheses(
     frame: TrackedFrame, estimator: Estimator, form: JointForm, keypoints: str
 ) -> None:
     wanted = ReplyForm(KEYPOINT_SETS[keypoints], joints=form)  # type: ignore[index]
@@ -91,11 +95,13 @@ def test_joints_of_a_smoothed_pose_come_in_the_form_of_hypotheses(
             "none": [],
         }[form]
     )
-    # The pose of this fixture is that of the best hypothesis.
+    # The smoothed pose of this fixture is the best hypothesis.
     assert all(person["pose"][name] == best[name] for name in given)
 
 
-def test_who_has_no_pose_yet_has_null(frame: TrackedFrame, estimator: Estimator) -> None:
+def test_a_person_without_a_smoothed_pose_has_null(
+    frame: TrackedFrame, estimator: Estimator
+) -> None:
     unknown = replace(frame.persons[0], pose=None, action=None)
     reply = track_reply(
         replace(frame, persons=(unknown,)), "yard", estimator.index, ReplyForm(NATIVE)
@@ -104,15 +110,15 @@ def test_who_has_no_pose_yet_has_null(frame: TrackedFrame, estimator: Estimator)
     assert (person.pose, person.action) == (None, None)
 
 
-def test_lines_of_a_video(frame: TrackedFrame, estimator: Estimator) -> None:
+def test_a_video_has_frame_lines_and_an_end_line(frame: TrackedFrame, estimator: Estimator) -> None:
     line = sequence_frame_reply(frame, 80, estimator.index, ReplyForm(NATIVE)).model_dump_json()
     assert line.startswith('{"type":"frame","video_frame":80,')
     assert SequenceFrame.model_validate_json(line).frame_index == 40
-    summary = SequenceSummary()
+    summary = VideoSummary()
     for timestamp in np.arange(3) / 10:
         summary.add(replace(frame, timestamp=float(timestamp)))
     end = SequenceEnd.model_validate_json(
-        sequence_end_reply(summary, "complete", "the video ended").model_dump_json()
+        sequence_end_reply(summary, VideoEnd("complete", "the video ended")).model_dump_json()
     )
     assert (end.reason, end.detail, end.frames, len(end.events)) == (
         "complete",
@@ -123,3 +129,11 @@ def test_lines_of_a_video(frame: TrackedFrame, estimator: Estimator) -> None:
     (track,) = end.tracks
     assert (track.first_timestamp, track.last_timestamp, track.frames) == (0.0, 0.2, 3)
     assert [posture.seconds for posture in track.postures] == [0.2]
+
+
+def test_a_joint_that_an_entry_lacks_is_null_in_every_form() -> None:
+    pose = np.arange(72.0).reshape(24, 3)
+    pose[1, 2] = np.nan
+    assert joint_fields(pose, pose[:, :2], ReplyForm(NATIVE))["joints_3d"][1] is None
+    flat = joint_fields(pose, pose[:, :2], ReplyForm(NATIVE, joints="compact"))["joints_3d_flat"]
+    assert flat[:9] == [0, 1, 2, None, None, None, 6, 7, 8]

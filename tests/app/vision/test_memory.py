@@ -1,4 +1,4 @@
-"""Whatever the sides of a frame, it takes no more memory than a square one of as many pixels."""
+"""A frame of any proportions takes no more memory than a square one of as many pixels."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ import pytest
 
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detector import HogDetector, NetworkDetector
-from app.vision.geometry import Box
+from app.vision.geometry import Box, PersonWindow
 from app.vision.movenet import KeypointReader
 from app.vision.silhouettes import silhouettes_of
-from app.vision.windows import window_about
 
 PIXELS = 1_000_000
-# What a pass of a network is shown, and what is drawn of it.
+# Inputs and outputs of the networks.
 CONSTANT = 16 * 2**20
 
 
 def peak_bytes(work: Callable[[], object]) -> int:
-    """Most memory that arrays took at once; that inside the networks is the same for all."""
+    """Peak memory of arrays; that inside the networks is the same for all."""
     tracemalloc.start()
     try:
         work()
@@ -31,7 +30,7 @@ def peak_bytes(work: Callable[[], object]) -> int:
 
 
 @pytest.mark.parametrize("what", ["network", "hog", "keypoints", "silhouette"])
-def test_thin_frames(
+def test_thin_frames_take_no_more_memory(
     detector: NetworkDetector, reader: KeypointReader, landmark_network: LandmarkNetwork, what: str
 ) -> None:
     def work(width: int) -> object:
@@ -41,7 +40,7 @@ def test_thin_frames(
         if what == "keypoints":
             return reader.read(frame, box)
         if what == "silhouette":
-            reading = landmark_network.read(frame, window_about(box))
+            reading = landmark_network.read(frame, PersonWindow.about_box(box))
             return silhouettes_of([reading], [box], frame.shape, exact=True)
         return (detector if what == "network" else HogDetector()).detect(frame)
 
