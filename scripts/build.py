@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import check_replaceable, save_index
 from index.build.builder import CMU_ATTRIBUTION, Plan, build
 from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
-from index.store import DEFAULT_PATH
 from scripts.results import SHARED
 
 

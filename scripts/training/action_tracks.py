@@ -25,7 +25,7 @@ from index.build.body import Avatar
 from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
-from index.posture import classify
+from index.posture import classify_postures
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.film import (
@@ -275,7 +275,7 @@ def match_films(
             for person, timestamp in zip(people, filmed.timestamps.tolist(), strict=True)
         ]
         seen = [replace(one, observed=replace(one.observed, silhouette=None)) for one in people]
-        posture = classify(filmed.world, BODY_UP, filmed.speeds)
+        posture = classify_postures(filmed.world, BODY_UP, filmed.speeds)
         tracks.append(Track(
             filmed.clip, filmed.subject, filmed.action, filmed.timestamps, posture, tuple(seen),
             tuple(one for one in smoothed if one is not None),
