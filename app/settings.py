@@ -13,19 +13,19 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.messages import expected_and_got, shortened, suggestion
-from app.vision.detection.detector import DetectorName
-from app.work.cores import available_cores
+from app.scheduling.process import available_cores
+from app.vision import DetectorName
+from index import DEFAULT_PATH
 from index.milvus_address import SCHEME, MilvusAddress
-from index.store import DEFAULT_PATH
 
 PREFIX = "POSE_"
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
-# Kubernetes describes a service called "pose" to all containers beside it by such variables.
-_OF_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
+# Kubernetes sets such variables in all containers of a namespace with a service called "pose".
+_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
 
 class SettingsError(ValueError):
-    """A variable is invalid; the message is one sentence that begins with its name."""
+    """An environment variable is invalid; the message is one sentence that begins with its name."""
 
 
 class Settings(BaseSettings):
@@ -36,13 +36,16 @@ class Settings(BaseSettings):
     host: str = Field(
         default="127.0.0.1",
         validation_alias="HOST",
-        description="Address to listen on; `0.0.0.0` for all of the machine.",
+        description="Address to listen on; `0.0.0.0` for all addresses of the machine.",
     )
     port: int = Field(
         default=8000, ge=1, le=65535, validation_alias="PORT", description="Port to listen on."
     )
     workers: int = Field(
-        default=1, ge=1, validation_alias="WORKERS", description="Processes that serve; see below."
+        default=1,
+        ge=1,
+        validation_alias="WORKERS",
+        description="Number of server processes; see below.",
     )
 
     index: Annotated[Path | MilvusAddress, NoDecode] = Field(
@@ -51,101 +54,113 @@ class Settings(BaseSettings):
     )
     artefacts: Path = Field(
         default=DEFAULT_PATH,
-        description="For an index in Milvus: folder of its artefact, or of several.",
+        description="With an index in Milvus: folder of its artefact, or of several artefacts.",
     )
     search_timeout_s: float = Field(
-        default=2.0, gt=0, allow_inf_nan=False, description="For a search in Milvus."
+        default=2.0, gt=0, allow_inf_nan=False, description="Seconds for a search in Milvus."
     )
     detector: DetectorName = Field(
         default="network",
-        description="What finds people: `network` (MoveNet, with HOG beside it) or `hog` alone.",
+        description="How people are found: by `network` (MoveNet, supported by HOG) or by "
+        "`hog` alone.",
     )
     min_person_px: int | None = Field(
         default=None,
         ge=16,
-        description="Height of the smallest person looked for, in pixels; smaller is slower. By "
+        description="Height in pixels of the smallest person to look for; smaller is slower. By "
         "default a twelfth of the frame's height.",
     )
 
-    max_upload_bytes: int = Field(default=16 * 1024**2, ge=1024, description="Of a whole request.")
+    max_upload_bytes: int = Field(
+        default=16 * 1024**2, ge=1024, description="Largest request, in bytes."
+    )
     max_pixels: int = Field(
         default=12_500_000,
         ge=1,
-        description="Width times height of one image; read in its header, before decoding.",
+        description="Width times height of the largest image; checked in its header, before "
+        "decoding.",
     )
-    max_persons: int = Field(default=50, ge=1, le=100, description="In one frame.")
+    max_persons: int = Field(default=50, ge=1, le=100, description="Most people in a frame.")
     max_requests: int = Field(
-        default=32, ge=1, description="Uploads open at once, those still being received included."
+        default=32,
+        ge=1,
+        description="Most uploads open at once, including those still being received.",
     )
     concurrency: int = Field(
         default_factory=available_cores,
         ge=1,
-        description="Frames worked on at once; one that shows several people uses free threads.",
+        description="Frames processed at once; a frame with several people also uses idle threads.",
     )
     max_wait_s: float = Field(
         default=2.0,
         gt=0,
         allow_inf_nan=False,
-        description="For a thread, once uploaded; a frame that would wait longer is refused.",
+        description="Longest wait of an uploaded frame for a thread; one that would wait longer "
+        "is refused.",
     )
     request_timeout_s: float = Field(
         default=10.0,
         gt=0,
         allow_inf_nan=False,
-        description="From the end of the upload to the answer.",
+        description="Longest time from the end of the upload to the reply.",
     )
     upload_timeout_s: float = Field(
         default=30.0,
         gt=0,
         allow_inf_nan=False,
-        description="A slower client is sent away with 408.",
+        description="Longest upload; a slower client gets a 408.",
     )
 
     max_cameras: int = Field(
         default=64,
         ge=0,
         validate_default=True,
-        description="Camera sessions; beyond, the least recently used is dropped. 0 for none.",
+        description="Most camera sessions; the least recently used one is dropped. 0 turns "
+        "sessions off.",
     )
     camera_idle_s: float = Field(
         default=300.0,
         gt=0,
         allow_inf_nan=False,
-        description="A camera session is dropped when no frame has come for this long.",
+        description="Seconds without a frame after which a camera session is dropped.",
     )
     camera_memory_mb: int = Field(
         default=256,
         ge=1,
-        description="Of all camera sessions; beyond, the least recently used is dropped.",
+        description="Memory of all camera sessions; the least recently used one is dropped.",
     )
 
     max_sequences: int = Field(
-        default=2, ge=1, description="Videos received or worked on at once; one more gets 503."
+        default=2,
+        ge=1,
+        description="Most videos received or processed at once; one more gets a 503.",
     )
     max_video_bytes: int = Field(
-        default=64 * 1024**2, ge=1024, description="Of a request with a video, on disk meanwhile."
+        default=64 * 1024**2,
+        ge=1024,
+        description="Largest request with a video, in bytes; it is kept in memory.",
     )
     video_upload_timeout_s: float = Field(
         default=120.0,
         gt=0,
         allow_inf_nan=False,
-        description="As `POSE_UPLOAD_TIMEOUT_S`, for a video.",
+        description="Longest upload of a video.",
     )
     max_sequence_frames: int = Field(
-        default=5000, ge=1, description="Frames of a video that are worked on."
+        default=5000, ge=1, description="Most frames of a video that are processed."
     )
     sequence_timeout_s: float = Field(
         default=900.0,
         gt=0,
         allow_inf_nan=False,
-        description="From the end of the upload of a video to the last line of the answer.",
+        description="Longest time from the end of a video's upload to the last line of the reply.",
     )
 
     api_keys: Annotated[tuple[SecretStr, ...], NoDecode] = Field(
-        default=(), description="Comma-separated; without any, no key is required."
+        default=(), description="Comma-separated keys; without any, no key is required."
     )
     cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
-        default=(), description="Comma-separated origins whose pages may call the service."
+        default=(), description="Origins, comma-separated, whose pages may call the service."
     )
 
     log_level: Literal["debug", "info", "warning", "error"] = Field(
@@ -166,7 +181,7 @@ class Settings(BaseSettings):
         if not isinstance(value, str):
             return value
         parts = tuple(part.strip() for part in value.split(","))
-        # An empty key would leave a service open that was meant to be locked.
+        # An empty key would open a service that was meant to be locked.
         if not all(parts):
             raise ValueError("expected values separated by commas, got an empty one")
         return parts
@@ -209,7 +224,7 @@ def read_settings() -> Settings:
     Raises
     ------
     SettingsError
-        If a value is invalid, or a variable looks like a setting but is none.
+        If a value is invalid, or a variable looks like a setting but is not one.
     """
     _refuse_unknown(os.environ)
     try:
@@ -218,25 +233,25 @@ def read_settings() -> Settings:
         first = error.errors()[0]
         place = str(first["loc"][0]).upper()
         name = place if place in VARIABLES else f"{PREFIX}{place}"
-        sentence = f"{_as_written(name, os.environ)}: {expected_and_got(first)}"
-    # Raised outside the handler, whose error holds the values, secrets included.
+        sentence = f"{_spelling(name, os.environ)}: {expected_and_got(first)}"
+    # Raised outside the handler: its error holds the values, secrets included.
     raise SettingsError(sentence)
 
 
 def _refuse_unknown(environment: Mapping[str, str]) -> None:
     known = {name.removeprefix(PREFIX): name for name in VARIABLES}
-    for written, value in environment.items():
-        name = written.upper()
+    for spelling, value in environment.items():
+        name = spelling.upper()
         if not name.startswith(PREFIX) or name in VARIABLES:
             continue
-        if _OF_KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
+        if _KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
             continue
         raise SettingsError(
-            f"{written}: expected one of the settings in docs/operations.md"
+            f"{spelling}: expected one of the settings in docs/operations.md"
             + (suggestion(name.removeprefix(PREFIX), known) or ", which has none of this name")
         )
 
 
-def _as_written(name: str, environment: Mapping[str, str]) -> str:
+def _spelling(name: str, environment: Mapping[str, str]) -> str:
     """Return a variable's name in the case in which it was set."""
-    return next((written for written in environment if written.upper() == name), name)
+    return next((spelling for spelling in environment if spelling.upper() == name), name)

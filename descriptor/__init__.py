@@ -1,1 +1,1 @@
-"""Silhouette to vector: normalisation, Krawtchouk moments, descriptors. NumPy only."""
+"""Silhouette to vector: normalisation, Krawtchouk moments, descriptors. NumPy and OpenCV only."""

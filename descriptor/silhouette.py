@@ -53,10 +53,6 @@ class Placement:
         """Image pixels to normalised pixels, both ``(..., 2)`` with x before y."""
         return np.asarray(points, np.float64) * self.scale + (self.offset_x, self.offset_y)
 
-    def to_image(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Normalised pixels to image pixels, both ``(..., 2)`` with x before y."""
-        return (np.asarray(points, np.float64) - (self.offset_x, self.offset_y)) / self.scale
-
 
 def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
     """Scale a silhouette to fill a frame of 128x48, centred, keeping its aspect ratio.

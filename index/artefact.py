@@ -13,15 +13,17 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.folders import replace_folder, staging
-from index.neighbours import Neighbours
-from index.reranker import Reranker, load_reranker, reranker_files
+from index.folders import replacing
+from index.reranker import FILES as RERANKER_FILES
+from index.reranker import RankingModel, load_reranker, reranker_files
+from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
 from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
 FORMAT_VERSION = 4
+MANIFEST = "manifest.json"
 
 _SILHOUETTES = "silhouettes.npy"
 """Compressed in itself and stored as it is; every other file is compressed."""
@@ -36,7 +38,14 @@ def save_index(index: PoseIndex, path: Path) -> str:
 
     How its vectors are searched is chosen by whoever loads the index.
     A network that re-ranks is written beside it and is no part of the version.
+
+    Raises
+    ------
+    ArtefactError
+        If ``path`` holds anything but an index; see :func:`check_replaceable`.
     """
+    path = Path(path).resolve()
+    check_replaceable(path)
     files = _files(index)
     manifest: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -68,14 +77,45 @@ def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> st
     """Seal a manifest and write the folder; return its version."""
     version = _version(manifest)
     manifest = {**manifest, "version": version}
-    path = Path(path)
-    with staging(path) as folder:
+    with replacing(path) as folder:
         for name, content in stored.items():
             (folder / name).write_bytes(content)
-        (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
-        folder.chmod(0o755)
-        replace_folder(folder, path)
+        (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+        # Something may have been put there since the build began.
+        check_replaceable(path)
     return version
+
+
+def check_replaceable(path: Path) -> None:
+    """Refuse to write an index where anything else would be deleted.
+
+    Raises
+    ------
+    ArtefactError
+        Unless ``path`` is missing, an empty folder, or an index of any format and nothing else.
+    """
+    if path.exists() and not path.is_dir():
+        raise ArtefactError(f"expected a folder for the index, got the file {path}")
+    found = {file.name for file in path.iterdir()} if path.exists() else set()
+    foreign = sorted(found - _own_names(path))
+    if foreign:
+        raise ArtefactError(
+            f"expected {path} to be missing, empty or an index, since it is replaced whole; it "
+            f"holds {len(foreign)} other file{'s' * (len(foreign) > 1)}, such as {foreign[0]}"
+        )
+
+
+def _own_names(path: Path) -> set[str]:
+    """Names of the files of an index, of this or another format; none if there is no index."""
+    try:
+        manifest = json.loads((path / MANIFEST).read_bytes())
+        names = set(manifest["files"])
+        is_index = {"format_version", "version", "descriptor"} <= manifest.keys()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
+    if not is_index:
+        return set()
+    return {MANIFEST, *RERANKER_FILES, *names, *(f"{name}.xz" for name in names)}
 
 
 def load_index(
@@ -126,7 +166,7 @@ def find_artefact(folder: Path, version: str) -> Path:
         If there is no usable artefact of that version.
     """
     found = []
-    for manifest in sorted([*folder.glob("manifest.json"), *folder.glob("[!.]*/manifest.json")]):
+    for manifest in sorted([*folder.glob(MANIFEST), *folder.glob(f"[!.]*/{MANIFEST}")]):
         try:
             version_there = _read_manifest(manifest.parent)["version"]
         except ArtefactError:
@@ -175,7 +215,7 @@ def _restore(
     manifest: dict[str, Any],
     files: dict[str, Any],
     searched_by: Neighbours | None,
-    reranker: Reranker | None,
+    reranker: RankingModel | None,
 ) -> PoseIndex:
     learned = {
         name.removeprefix("descriptor-"): array
@@ -210,7 +250,7 @@ def _restore(
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    file = path / "manifest.json"
+    file = path / MANIFEST
     try:
         manifest = json.loads(file.read_bytes())
     except FileNotFoundError:

@@ -1,43 +1,55 @@
-"""Atomic replacement of folders."""
+"""Folders written beside their place and moved there whole."""
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
+import glob
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-# From fcntl.h and fs.h of Linux.
-_AT_FDCWD = -100
-_EXCHANGE = 2
+MARK = ".silhouette-pose-staging"
+"""A file in every staging folder; it holds the name of the folder that is to be written."""
+
+_NEW, _OLD = "new", "old"
 
 
 @contextmanager
 def staging(path: Path) -> Iterator[Path]:
-    """A new folder beside ``path``, removed at the end; if killed, by the next of the same path."""
+    """Make a folder beside ``path`` for the time of a build.
+
+    It is removed at the end; that of a killed build is removed by the next build of the same path.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    clear_left_overs(path)
+    _clear_leftovers(path)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    # Locked before it is marked: another build never sees it marked and free.
     held = lock(folder)
     try:
+        (folder / MARK).write_bytes(os.fsencode(path.name))
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _clear(folder, path)
         if held is not None:
             os.close(held)
 
 
-def clear_left_overs(path: Path) -> None:
-    """Remove staging folders of killed builds; running builds hold a lock on theirs."""
-    for folder in path.parent.glob(f".{path.name}-*"):
-        held = lock(folder)
-        if held is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-            os.close(held)
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield an empty folder that takes the place of ``path`` once it is filled.
+
+    Whatever fails on the way, the old folder stays or is put back.
+    """
+    with staging(path) as folder:
+        new = folder / _NEW
+        new.mkdir()
+        yield new
+        if path.exists():
+            path.rename(folder / _OLD)
+        new.rename(path)
 
 
 def lock(folder: Path) -> int | None:
@@ -51,33 +63,23 @@ def lock(folder: Path) -> int | None:
     return descriptor
 
 
-def replace_folder(source: Path, target: Path) -> None:
-    """Move ``source`` to ``target``; an existing target may end up where ``source`` was."""
-    if not target.exists():
-        source.rename(target)
-    elif not _exchange(source, target):
-        _set_aside_and_rename(source, target)
+def _clear_leftovers(path: Path) -> None:
+    """Remove staging folders of killed builds; running builds hold a lock on theirs."""
+    for folder in path.parent.glob(f".{glob.escape(path.name)}-*"):
+        if _is_staging_of(folder, path) and (held := lock(folder)) is not None:
+            _clear(folder, path)
+            os.close(held)
 
 
-def _exchange(source: Path, target: Path) -> bool:
-    """Exchange two folders atomically; False where the system cannot."""
-    try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):  # Not glibc, or not Linux.
-        return False
-    return bool(
-        renameat2(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _EXCHANGE) == 0
-    )
+def _is_staging_of(folder: Path, path: Path) -> bool:
+    with suppress(OSError):
+        return not folder.is_symlink() and (folder / MARK).read_bytes() == os.fsencode(path.name)
+    return False
 
 
-def _set_aside_and_rename(source: Path, target: Path) -> None:
-    """Replace a folder in two steps; undo the first if the second fails."""
-    aside = Path(tempfile.mkdtemp(prefix=f"{target.name}-old-", dir=target.parent))
-    target.rename(aside / target.name)
-    try:
-        source.rename(target)
-    except OSError:
-        (aside / target.name).rename(target)
-        raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+def _clear(folder: Path, path: Path) -> None:
+    """Remove a staging folder, after putting back an old folder that was not replaced."""
+    old = folder / _OLD
+    if old.exists() and not path.exists():
+        old.rename(path)
+    shutil.rmtree(folder, ignore_errors=True)

@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.features import match_features
-from index.keypoint_fit import fit_to_keypoints
-from index.keypoints import Keypoints
-from index.landmark_search import Nearest, rotate_clockwise
+from index.keypoints import Keypoints, fit_to_keypoints
 from index.modes import Modes, find_modes, mode_weights
 from index.outline import outline_distances
 from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
-from index.ranking import fused_distances
-from index.reranking import Ranking
+from index.ranking import Ranking, fused_distances
 from index.rotations import (
     RotatedQuery,
     compare_rotated_entries,
@@ -27,6 +24,7 @@ from index.rotations import (
     seen_from,
     usual_rotations,
 )
+from index.search import Nearest, rotate_clockwise
 from index.skeleton import LIMBS, POINTS, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 
@@ -84,7 +82,7 @@ class Hypothesis:
     fused_distance : float
         The same, shorter where landmarks agree and longer where they disagree; without landmarks,
         longer where a network finds the joints unlikely, see
-        :meth:`index.reranking.Ranking.distances`. Ascending.
+        :meth:`index.ranking.Ranking.distances`. Ascending.
     reprojection_error_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.

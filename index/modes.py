@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.keypoints import Agreement
-from index.skeleton import JOINTS, NATIVE, POINTS
+from index.skeleton import JOINTS, POINTS, with_bone_lengths_of
 
 DISTINCT_M = 0.11
 """Smallest root mean square joint distance between the centres of two modes.
@@ -224,7 +224,9 @@ def _interpolate(
         np.array(centres),
         weights.sum(axis=1),
         np.linalg.norm(combinations @ candidates.offsets, axis=1),
-        with_bones_of(candidates.points_3d[centres], _combine(combinations, candidates.points_3d)),
+        with_bone_lengths_of(
+            candidates.points_3d[centres], _combine(combinations, candidates.points_3d)
+        ),
         _combine(combinations, candidates.points_normalised),
     )
 
@@ -248,60 +250,3 @@ def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
     """Weighted sums ``(M, P, D)`` of points ``(K, P, D)``."""
     flat = shares @ points.reshape(len(points), -1)
     return np.asarray(flat.reshape(len(shares), *points.shape[1:]))
-
-
-def with_bones_of(
-    skeleton: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Reset the bone lengths of skeletons to those of others, keeping the directions.
-
-    Averaging skeletons shortens their bones.
-
-    Parameters
-    ----------
-    skeleton : (..., 24, 3) array
-        Source of the lengths.
-    points : (..., 24, 3) array
-        Source of the directions.
-
-    Returns
-    -------
-    (..., 24, 3) float64 array
-        Pelvis at the origin; the face moves with the head.
-    """
-    lengths, _ = _bones(skeleton)
-    current, bones = _bones(points)
-    bones = bones * (lengths / np.maximum(current, 1e-6))[..., None]
-    joints = _PATHS @ bones
-    face = points[..., JOINTS:, :] - points[..., _HEAD : _HEAD + 1, :]
-    return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
-
-
-def pixels_per_metre(
-    points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares."""
-    metres = points_3d[:, :JOINTS, :2] - points_3d[:, :JOINTS, :2].mean(axis=1, keepdims=True)
-    pixels = points_normalised[:, :JOINTS]
-    pixels = pixels - pixels.mean(axis=1, keepdims=True)
-    return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))
-
-
-def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lengths ``(..., 18)`` of the bones, and the bones ``(..., 18, 3)`` from parent to child."""
-    bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
-    return np.sqrt((bones**2).sum(axis=-1)), bones
-
-
-def _paths_from_pelvis() -> NDArray[np.float64]:
-    """Bones on the path from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
-    paths = np.zeros((JOINTS, len(NATIVE.bones)))
-    for bone, (parent, child) in enumerate(NATIVE.bones):
-        paths[child] = paths[parent]
-        paths[child, bone] = 1
-    return paths
-
-
-_PARENTS, _CHILDREN = np.array(NATIVE.bones).T
-_PATHS = _paths_from_pelvis()
-_HEAD = NATIVE.names.index("head")

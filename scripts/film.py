@@ -9,17 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.people import Silhouette, silhouette_from_mask
-from index.build.body import (
-    Avatar,
-    pose_transforms,
-    posed_points,
-    retarget,
-    rotation_between,
-)
-from index.build.motion import Clip
+from index.build.body import Avatar, pose_transforms, posed_points, retarget, rotation_between
+from index.build.motion import METRES_PER_UNIT, Clip
 from index.build.poses import Poses
 from index.build.render import fill_triangles, skin
-from index.build.rig import METRES_PER_UNIT
 from index.skeleton import JOINT_NAMES, camera_rotation
 
 CLIP_FPS = 30

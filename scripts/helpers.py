@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import ObservedPerson, Person
-from app.estimation.estimator import Estimator
-from app.estimation.hypotheses import fit_poses, normalise_person
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.estimator import Estimator, fit_poses, normalise_person
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
+from app.scheduling.process import available_cores
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
-from app.vision.people import Box, Silhouette
-from app.work.cores import available_cores
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
 from index.matching import Hypothesis
 from index.rotations import RotatedQuery
 from index.skeleton import LIMBS, POINT_NAMES
@@ -34,7 +34,7 @@ def estimate(
 ) -> tuple[Person, ...]:
     """Estimate the people of a photograph, encoded or as BGR pixels, or those in some boxes."""
     upload = Upload(photograph, boxes=boxes or None)
-    return estimator.estimate(upload, HYPOTHESES, lambda: None).persons
+    return estimator.estimate(upload, HYPOTHESES, Job()).persons
 
 
 def find_people(
@@ -42,12 +42,12 @@ def find_people(
 ) -> tuple[ObservedPerson, ...]:
     """Find the people of a photograph, or those in some boxes of it, without poses."""
     upload = Upload(photograph, boxes=boxes or None)
-    return estimator.find_people(upload, lambda: None, Stopwatch()).people
+    return estimator.find_people(upload, Job()).people
 
 
 def track(session: CameraSession, frame: NDArray[np.uint8], timestamp: float) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
-    return session.process(Upload(encoded(frame)), timestamp, HYPOTHESES, lambda: None)
+    return session.process(Upload(encoded(frame)), timestamp, HYPOTHESES, Job())
 
 
 def encoded(frame: NDArray[np.uint8]) -> bytes:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.boxes import Boxes, iou_matrix
+from app.vision.geometry import Boxes, iou_matrix
 
 Scored = tuple[Boxes, NDArray[np.float64]]
 """Detections of one photograph and their scores."""

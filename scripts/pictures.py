@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import draw_skeleton
-from app.estimation.estimates import ObservedPerson, Scene
 from app.estimation.estimator import Estimator
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Scene
+from app.scheduling.job import Job
 from app.settings import Settings
-from app.vision.people import Box
+from app.vision.geometry import Box
+from index import DEFAULT_PATH
 from index.skeleton import NATIVE
-from index.store import DEFAULT_PATH
 from scripts.datasets import read_frames, read_pose2sim, read_vtest, rotate_box
 from scripts.helpers import find_people, place_entry
 from scripts.load.server import ServerProcess
@@ -75,7 +75,7 @@ def draw_person(estimator: Estimator, frame: Picture, found: ObservedPerson, nam
     """Draw one person."""
     silhouette = found.silhouette
     assert silhouette is not None
-    (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, lambda: None, Stopwatch())
+    (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, Job())
     first, normalised = person.hypotheses[0], NormalisedPerson.of(silhouette, None)
     box = silhouette.box
     height = 1.12 * max(box.height, box.width / 0.62)

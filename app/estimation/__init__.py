@@ -1,1 +1,1 @@
-"""The one use case: a frame in, persons with hypotheses out. Imports work, settings and vision."""
+"""The one use case: a frame in, persons with hypotheses out."""

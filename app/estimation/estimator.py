@@ -3,25 +3,144 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from app.estimation.estimates import Estimate, Evidence, ObservedPerson, Person, Scene
-from app.estimation.finder import Check, PeopleFinder
-from app.estimation.hypotheses import fit_poses, normalise_person
-from app.estimation.networks import load_networks
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.finder import PeopleFinder
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.ordering import rank_by_keypoints, rank_by_silhouette
+from app.estimation.posture import estimate_posture, vote_posture
+from app.estimation.results import (
+    Estimate,
+    Evidence,
+    ObservedPerson,
+    Person,
+    ProjectedHypothesis,
+    Scene,
+)
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
+from app.scheduling.job import Job
+from app.scheduling.process import available_cores
 from app.settings import Settings
-from app.vision.detection.detector import Detector
-from app.vision.people import Box
-from app.vision.person.reader import PersonReader
-from app.work.executor import Map, map_serially
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
+from app.vision.detector import Detector, HogDetector, NetworkDetector
+from app.vision.geometry import Box
+from app.vision.models import network_path
+from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.person_reader import PersonReader
 from index.artefact import load_index
-from index.matching import match
-from index.store import PoseIndex
+from index.matching import (
+    FIRST_HYPOTHESES,
+    Hypothesis,
+    match,
+)
+from index.store import Label, PoseIndex
+
+# Two threads share a pass of a network with little loss; more do not.
+_NETWORK_THREADS = 2
+
+
+def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
+    """Threads of one pass of a network, and copies of it, that share the cores.
+
+    Examples
+    --------
+    >>> network_threads(cores=8, concurrency=8)
+    (2, 4)
+    """
+    threads = min(_NETWORK_THREADS, cores)
+    return threads, max(1, min(concurrency, cores // threads))
+
+
+def load_networks(settings: Settings) -> tuple[Detector, PersonReader]:
+    """Load what finds people and what reads them.
+
+    Raises
+    ------
+    NetworkError
+        If a network of the package is missing or altered.
+    """
+    threads, copies = network_threads(available_cores(), settings.concurrency)
+    share = {"threads": threads, "copies": copies}
+    movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
+    landmarks = LandmarkNetwork(network_path("pose_landmarks"), **share)
+    reader = PersonReader(landmarks, KeypointReader(movenet))
+    smallest = settings.min_person_px
+    if settings.detector == "hog":
+        return HogDetector(min_person_px=smallest), reader
+    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
+    return NetworkDetector(movenet, pose_detection, landmarks, min_person_px=smallest), reader
+
+
+VOTERS = FIRST_HYPOTHESES
+"""Hypotheses that vote for a posture, however many are asked for."""
+
+
+def normalise_person(person: ObservedPerson) -> NormalisedPerson | None:
+    """Normalise a person's silhouette; None where there is none."""
+    if person.silhouette is None:
+        return None
+    return NormalisedPerson.of(person.silhouette, person.landmarks)
+
+
+def fit_poses(
+    index: PoseIndex,
+    observed: ObservedPerson,
+    normalised: NormalisedPerson | None,
+    n: int,
+) -> Person:
+    """Find the ``n`` nearest distinct poses of a person.
+
+    Parameters
+    ----------
+    index : PoseIndex
+    observed : ObservedPerson
+    normalised : NormalisedPerson or None
+        The same person; None where there is no silhouette.
+    n : int
+    """
+    if normalised is None:
+        return Person(observed, None, None, ())
+    keypoints = normalised.keypoints()
+    found = match(
+        index,
+        normalised.silhouette,
+        n,
+        keypoints,
+        roll_deg=normalised.roll_deg,
+        whole=normalised.whole,
+    )
+    matched = found.hypotheses
+    # Posture and facing do not depend on how many are asked for.
+    most = max(n, VOTERS)
+    ranked = (
+        rank_by_silhouette(matched, most, VOTERS)
+        if keypoints is None
+        else rank_by_keypoints(matched, most, found.first_batch)
+    )
+    presence = 1.0 if observed.presence is None else observed.presence
+    confidences = [presence * confidence for confidence in ranked.confidences]
+    votes = vote_posture(
+        [hypothesis.posture for hypothesis in ranked.hypotheses[:VOTERS]], confidences[:VOTERS]
+    )
+    points_2d = normalised.points_in_frame(
+        np.array([hypothesis.points_normalised for hypothesis in ranked.hypotheses[:n]])
+    )
+    placed = [
+        ProjectedHypothesis(hypothesis, distance, confidence, _label(index, hypothesis), points)
+        for hypothesis, distance, confidence, points in zip(
+            ranked.hypotheses[:n], ranked.distances[:n], confidences[:n], points_2d, strict=True
+        )
+    ]
+    posture = estimate_posture(votes, observed.landmarks, presence)
+    return Person(observed, ranked.facing, posture, tuple(placed))
+
+
+def _label(index: PoseIndex, hypothesis: Hypothesis) -> Label:
+    label = index.label(hypothesis.entry, mirrored=hypothesis.mirrored)
+    return replace(label, roll_deg=hypothesis.tilt_deg)
 
 
 class Estimator:
@@ -39,8 +158,6 @@ class Estimator:
     max_persons : int
         Detections beyond are dropped, the least certain first; a caller who gives more people
         is refused.
-    map_parts : callable
-        Works on the parts of a frame; see :class:`app.work.executor.Map`.
     """
 
     def __init__(
@@ -52,28 +169,19 @@ class Estimator:
         min_person_px: float | None,
         max_pixels: int,
         max_persons: int,
-        map_parts: Map = map_serially,
     ) -> None:
         self.index = index
         self.detector = detector
-        self._decoder = UploadDecoder(max_pixels, max_persons, map_parts)
-        self.finder = PeopleFinder(detector, reader, min_person_px, max_persons, map_parts)
-        self.map_parts = map_parts
+        self._decoder = UploadDecoder(max_pixels, max_persons)
+        self.finder = PeopleFinder(detector, reader, min_person_px, max_persons)
 
     @classmethod
-    def load(
-        cls,
-        settings: Settings,
-        map_parts: Map = map_serially,
-        index: PoseIndex | None = None,
-    ) -> Estimator:
+    def load(cls, settings: Settings, index: PoseIndex | None = None) -> Estimator:
         """Load index and networks.
 
         Parameters
         ----------
         settings : Settings
-        map_parts : callable
-            As in :class:`Estimator`.
         index : PoseIndex, optional
             By default loaded from the folder in the settings.
 
@@ -95,7 +203,6 @@ class Estimator:
             min_person_px=settings.min_person_px,
             max_pixels=settings.max_pixels,
             max_persons=settings.max_persons,
-            map_parts=map_parts,
         )
 
     def with_index(self, index: PoseIndex) -> Estimator:
@@ -113,7 +220,7 @@ class Estimator:
         match(self.index, self.index.silhouette(0), 1)
 
     def estimate(
-        self, upload: Upload, n: int, check: Check, evidence: Evidence = "photograph"
+        self, upload: Upload, n: int, job: Job, evidence: Evidence = "photograph"
     ) -> Estimate:
         """Find the ``n`` nearest distinct poses of every person.
 
@@ -121,8 +228,8 @@ class Estimator:
         ----------
         upload : Upload
         n : int
-        check : callable
-            Called between steps; raises where the work is no longer wanted.
+        job : Job
+            Checked between steps.
         evidence : str
             ``photograph``: silhouettes and the landmarks that it shows; ``silhouette``: the
             silhouettes alone, as in the paper.
@@ -132,47 +239,36 @@ class Estimator:
         UploadError
             If the images or boxes cannot be used.
         """
-        stopwatch = Stopwatch()
-        scene = self.find_people(upload, check, stopwatch, evidence)
-        persons = self.with_hypotheses(scene, n, check, stopwatch)
-        return Estimate(
-            scene.frame, persons, {**stopwatch.milliseconds, "total": stopwatch.total()}
-        )
+        scene = self.find_people(upload, job, evidence)
+        persons = self.with_hypotheses(scene, n, job)
+        return Estimate(scene.frame, persons, job.timings_ms())
 
-    def find_people(
-        self, upload: Upload, check: Check, stopwatch: Stopwatch, evidence: Evidence = "photograph"
-    ) -> Scene:
+    def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
-        check()
-        with stopwatch.stage("decode"):
-            decoded = self.decode(upload)
-        check()
+        decoded = self.decode(upload, job)
         reads = evidence == "photograph" and upload.frame is not None
-        people = self.finder.find(decoded, reads, check, stopwatch)
+        people = self.finder.find(decoded, reads, job)
         return Scene(decoded.frame, tuple(sorted(people, key=lambda person: person.box.x)))
 
-    def decode(self, upload: Upload) -> DecodedUpload:
+    def decode(self, upload: Upload, job: Job) -> DecodedUpload:
         """Decode the images of an upload; raises :class:`UploadError`."""
-        return self._decoder.decode(upload)
+        job.checkpoint()
+        with job.stage("decode"):
+            decoded = self._decoder.decode(upload, job)
+        job.checkpoint()
+        return decoded
 
-    def with_hypotheses(
-        self, scene: Scene, n: int, check: Check, stopwatch: Stopwatch
-    ) -> tuple[Person, ...]:
+    def with_hypotheses(self, scene: Scene, n: int, job: Job) -> tuple[Person, ...]:
         """Find the poses that fit people's silhouettes and keypoints."""
-
-        def fit(person: ObservedPerson, normalised: NormalisedPerson | None) -> Person:
-            check()
-            return fit_poses(self.index, person, normalised, n)
-
-        with stopwatch.stage("describe"):
+        with job.stage("describe"):
             normalised = [normalise_person(person) for person in scene.people]
-        with stopwatch.stage("search"):
+        with job.stage("search"):
             pairs = zip(scene.people, normalised, strict=True)
-            return tuple(self.map_parts(lambda pair: fit(*pair), pairs))
+            return tuple(job.map(lambda pair: fit_poses(self.index, *pair, n), pairs))
 
-    def detect(self, frame: bytes, check: Check) -> tuple[ObservedPerson, ...]:
+    def detect(self, frame: bytes, job: Job) -> tuple[ObservedPerson, ...]:
         """Find the people of a frame by their boxes alone, the surest first."""
-        check()
+        job.checkpoint()
         pixels = self._decoder.decode_frame(frame)
-        check()
+        job.checkpoint()
         return self.finder.detect(pixels)

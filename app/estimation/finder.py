@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimates import ObservedPerson, Source
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.results import ObservedPerson, Source
 from app.estimation.upload import DecodedUpload
-from app.vision.decoding.decode import LabelImage
-from app.vision.detection.detector import Detector, smallest_person_px
-from app.vision.people import Box, Detection, Silhouette
-from app.vision.person.landmarks import Reading
-from app.vision.person.reader import PersonReader, doubt_at_border
-from app.vision.person.silhouettes import silhouettes_of
-from app.vision.segmentation.background import BackgroundSegmenter
-from app.vision.segmentation.labels import silhouettes_from_labels
-from app.vision.segmentation.truncation import end_beyond_border
-from app.work.executor import Map, map_serially
-
-Check = Callable[[], None]
-"""Called between steps; raises where the work is no longer wanted."""
+from app.scheduling.job import Job
+from app.vision.background import BackgroundSegmenter
+from app.vision.blazepose import PoseReading
+from app.vision.detector import Detector, smallest_person_px
+from app.vision.geometry import Box
+from app.vision.images import LabelImage
+from app.vision.people import Detection, Silhouette
+from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
+from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
+from app.vision.truncation import end_beyond_border
 
 SAME_BODY = 0.12
 """Mean distance of landmarks, in sizes of the body, below which two readings are of one person."""
@@ -41,19 +37,14 @@ class PeopleFinder:
         Height of the smallest person wanted, where a background is given.
     max_persons : int
         Detections beyond are dropped, the least sure first.
-    map_parts : callable
-        Works on the people of a frame; see :class:`app.work.executor.Map`.
     """
 
     detector: Detector
     reader: PersonReader
     min_person_px: float | None
     max_persons: int
-    map_parts: Map = map_serially
 
-    def find(
-        self, upload: DecodedUpload, reads: bool, check: Check, stopwatch: Stopwatch
-    ) -> list[ObservedPerson]:
+    def find(self, upload: DecodedUpload, reads: bool, job: Job) -> list[ObservedPerson]:
         """Find the people of a frame with their silhouettes, in no particular order.
 
         Parameters
@@ -61,27 +52,24 @@ class PeopleFinder:
         upload : DecodedUpload
         reads : bool
             Whether landmarks count, else the silhouettes alone.
-        check : callable
-        stopwatch : Stopwatch
+        job : Job
         """
         frame = upload.frame
         background = upload.background is not None and BackgroundSegmenter(
             upload.background, min_person_px=smallest_person_px(frame.shape, self.min_person_px)
         )
         if upload.mask is not None:
-            people = self._in_mask(upload.mask, frame, reads, check, stopwatch)
+            people = self._in_mask(upload.mask, frame, reads, job)
         elif upload.boxes is not None:
             found = [Detection(box, 1.0) for box in upload.boxes]
-            people = self._read("boxes", found, frame, background or None, reads, check, stopwatch)
+            people = self._read("boxes", found, frame, background or None, reads, job)
             people = [replace(person, detection_score=None) for person in people]
         else:
-            with stopwatch.stage("detect"):
+            with job.stage("detect"):
                 detections = (background or self.detector).detect(frame)[: self.max_persons]
-            check()
+            job.checkpoint()
             source: Source = "background" if background else "detector"
-            people = self._read(
-                source, detections, frame, background or None, reads, check, stopwatch
-            )
+            people = self._read(source, detections, frame, background or None, reads, job)
             # A detection without a silhouette was hardly a person.
             people = [person for person in people if person.silhouette is not None]
         if reads:
@@ -96,15 +84,12 @@ class PeopleFinder:
         )
 
     def read(
-        self, frame: NDArray[np.uint8], found: Sequence[Detection], check: Check
-    ) -> list[Reading]:
+        self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job
+    ) -> list[PoseReading]:
         """Read each person of a frame."""
-
-        def read_one(one: Detection) -> Reading:
-            check()
-            return self.reader.read(frame, one.box, one.keypoints, one.windows)
-
-        return self.map_parts(read_one, found)
+        return job.map(
+            lambda one: self.reader.read(frame, one.box, one.keypoints, one.windows), found
+        )
 
     def _read(
         self,
@@ -113,20 +98,19 @@ class PeopleFinder:
         frame: NDArray[np.uint8],
         background: BackgroundSegmenter | None,
         reads: bool,
-        check: Check,
-        stopwatch: Stopwatch,
+        job: Job,
     ) -> list[ObservedPerson]:
         boxes = [one.box for one in found]
-        readings: Sequence[Reading | None] = [None] * len(found)
+        readings: Sequence[PoseReading | None] = [None] * len(found)
         if reads or background is None:
-            with stopwatch.stage("keypoints"):
-                read = self.read(frame, found, check)
+            with job.stage("keypoints"):
+                read = self.read(frame, found, job)
             if source != "boxes":
                 kept = distinct_bodies(read)
                 found, read = [found[i] for i in kept], [read[i] for i in kept]
                 boxes = [boxes[i] for i in kept]
             readings = read
-        with stopwatch.stage("segment"):
+        with job.stage("segment"):
             silhouettes = (
                 silhouettes_of(read, boxes, frame.shape, exact=source == "boxes")
                 if background is None
@@ -142,15 +126,14 @@ class PeopleFinder:
         mask: LabelImage,
         frame: NDArray[np.uint8],
         reads: bool,
-        check: Check,
-        stopwatch: Stopwatch,
+        job: Job,
     ) -> list[ObservedPerson]:
-        with stopwatch.stage("segment"):
+        with job.stage("segment"):
             silhouettes = silhouettes_from_labels(mask)
         if not reads:
             return [ObservedPerson(one.box, "mask", None, one) for one in silhouettes]
-        with stopwatch.stage("keypoints"):
-            readings = self.read(frame, [Detection(one.box, 1.0) for one in silhouettes], check)
+        with job.stage("keypoints"):
+            readings = self.read(frame, [Detection(one.box, 1.0) for one in silhouettes], job)
         return [
             observed(frame, one.box, "mask", None, one, reading)
             for one, reading in zip(silhouettes, readings, strict=True)
@@ -163,12 +146,12 @@ def observed(
     source: Source,
     score: float | None,
     silhouette: Silhouette | None,
-    reading: Reading | None,
+    reading: PoseReading | None,
 ) -> ObservedPerson:
     """What is seen of a person; landmarks show truncation that the silhouette may not show."""
     if reading is None:
         return ObservedPerson(box, source, score, silhouette)
-    landmarks = doubt_at_border(reading, frame.shape)
+    landmarks = attenuate_visibility_at_border(reading, frame.shape)
     if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
         silhouette = replace(silhouette, truncated=True)
     return ObservedPerson(
@@ -176,7 +159,7 @@ def observed(
     )
 
 
-def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
+def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:
     """Rows of readings that are not of the same body as one before them."""
     kept: list[int] = []
     for row, reading in enumerate(readings):
@@ -185,7 +168,7 @@ def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
     return kept
 
 
-def _apart(first: Reading, second: Reading) -> float:
+def _apart(first: PoseReading, second: PoseReading) -> float:
     """Mean distance between the landmarks of two readings, in sizes of the body."""
     offsets = first.landmarks.positions - second.landmarks.positions
     weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3

@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.decoding.decode import (
+from app.scheduling.job import Job
+from app.vision.geometry import Box
+from app.vision.images import (
     ImageError,
     ImageTooLargeError,
     LabelImage,
     decode_image,
     decode_mask,
 )
-from app.vision.people import Box
-from app.work.executor import Map
 
 T = TypeVar("T")
 
@@ -137,15 +137,12 @@ class UploadDecoder:
         Of each image.
     max_persons : int
         That a caller may name by boxes or a mask.
-    map_parts : callable
-        Decodes the images of an upload; see :class:`app.work.executor.Map`.
     """
 
     max_pixels: int
     max_persons: int
-    map_parts: Map
 
-    def decode(self, upload: Upload) -> DecodedUpload:
+    def decode(self, upload: Upload, job: Job) -> DecodedUpload:
         """Decode all images of an upload and check that they fit together."""
         images = (
             ("frame", upload.frame, decode_image),
@@ -153,7 +150,7 @@ class UploadDecoder:
             ("background", upload.background, decode_image),
         )
         sent = [image for image in images if isinstance(image[1], bytes)]
-        decoded: list[Any] = self.map_parts(lambda image: self._decode(*image), sent)
+        decoded: list[Any] = job.map(lambda image: self._decode(*image), sent)
         by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
         mask, background = by_name.get("mask"), by_name.get("background")
         if isinstance(upload.frame, np.ndarray):

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
-from index.build.avatars import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
 from index.build.body import Avatar
 from index.build.calibrate import (
     Queries,
@@ -19,7 +18,8 @@ from index.build.calibrate import (
     fit_calibration,
     run_trial,
 )
-from index.build.learn import learn_descriptor
+from index.build.descriptor_learning import learn_descriptor
+from index.build.garments import CALIBRATION_AVATARS, INDEX_AVATARS, make_avatars
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import (
     Dropped,
@@ -33,8 +33,8 @@ from index.build.poses import (
 from index.build.simulate import Simulation, simulate
 from index.build.workers import Workers
 from index.confidence import FEATURES, Calibration
-from index.neighbours import STEPS
 from index.posture import LOW, POSTURES, classify
+from index.search import STEPS
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 

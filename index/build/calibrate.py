@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from index.build.learn import view_joints
+from index.build.descriptor_learning import view_joints
 from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
-from index.landmark_search import rotate_clockwise
 from index.matching import match
 from index.posture import POSTURES
 from index.reranker import RERANKING_FEATURES
+from index.search import rotate_clockwise
 from index.skeleton import JOINTS, exchange_sides
 from index.store import PoseIndex
 

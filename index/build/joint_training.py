@@ -1,4 +1,4 @@
-"""Training the network of :mod:`index.joint_network` on the silhouettes of an index."""
+"""Training the network of :mod:`index.network` on the silhouettes of an index."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import nn
 
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.build.noise import degrade
-from index.joint_network import (
+from index.network import (
     AXES,
     BINS,
     CONVOLUTIONS,

@@ -1,10 +1,20 @@
-"""Motion capture: BVH clips to poses, and which frames to leave out."""
+"""Motion capture: BVH clips to poses, and which frames to leave out.
+
+A motion folder whose BVH files are not CMU's holds a ``rig.json``::
+
+    {"metres_per_unit": 0.01, "joints": {"Hips": "mixamorig:Hips", "LowerBack": "mixamorig:Spine"}}
+
+``joints`` names for a joint of ours the joint of the files that turns it; one of theirs may serve
+several of ours. Joints left out are called as ours are.
+"""
 
 from __future__ import annotations
 
 import csv
+import json
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +23,59 @@ import pybvh
 from numpy.typing import NDArray
 from pybvh.rotations import euler_to_rotmat
 
-from index.build.rig import CMU, FILE, MotionError, Rig
+RIG_FILE = "rig.json"
+
+METRES_PER_UNIT = 0.05644
+"""CMU's unit of length."""
+
+
+class MotionError(ValueError):
+    """Motion data that cannot be used; the message names the file and what is wrong."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """How the joints of some BVH files correspond to ours.
+
+    Parameters
+    ----------
+    joints : mapping of str to str
+        Joints of the files by the names of ours; those left out have the same name.
+    metres_per_unit : float
+    """
+
+    joints: Mapping[str, str] = field(default_factory=dict)
+    metres_per_unit: float = METRES_PER_UNIT
+
+
+CMU = Rig()
+
+
+def read_rig(folder: Path) -> Rig:
+    """Read the rig of a motion folder; CMU's where it names none.
+
+    Raises
+    ------
+    MotionError
+        If its file is malformed.
+    """
+    file = Path(folder) / RIG_FILE
+    if not file.exists():
+        return CMU
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        joints, unit = values.get("joints", {}), values.get("metres_per_unit", METRES_PER_UNIT)
+        unknown = set(values).difference(("joints", "metres_per_unit"))
+        if unknown:
+            raise ValueError(f"{', '.join(sorted(unknown))} is not known")
+        if not all(isinstance(name, str) for name in joints.values()):
+            raise ValueError("joints names something that is not a joint")
+        if not (isinstance(unit, int | float) and 0 < unit < float("inf")):
+            raise ValueError(f"expected metres_per_unit above 0, got {unit!r}")
+    except (OSError, AttributeError, ValueError) as error:
+        raise MotionError(f"{file} does not describe a rig: {error}") from error
+    return Rig(dict(joints), float(unit))
+
 
 T_POSE_BELOW_DEG = 6.0
 """Mean joint angle from the zero pose (arms out, legs straight) below which a frame is one.
@@ -99,7 +161,7 @@ class Clip:
         if name not in self.bones:
             raise MotionError(
                 f"the clip {self.name} has no joint {name!r}, which the body needs; "
-                f"{FILE} may say what it is called there"
+                f"{RIG_FILE} may say what it is called there"
             )
         return self.bones.index(name)
 
@@ -210,7 +272,7 @@ def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...
     if missing:
         ours, theirs = missing[0]
         raise MotionError(
-            f"the clip {file} has no joint {theirs!r}, which {FILE} names for {ours!r}"
+            f"the clip {file} has no joint {theirs!r}, which {RIG_FILE} names for {ours!r}"
         )
     # A joint of theirs may be called as another one of ours.
     kept = tuple(f"{name} of the file" if name in rig.joints else name for name in names)

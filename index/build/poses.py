@@ -1,4 +1,10 @@
-"""Which poses go into an index: all sound frames, thinned to those that add most."""
+"""Which poses go into an index: all sound frames, thinned to those that add most.
+
+Marker sets let the heads of whole subjects hang or rise: the median pitch of a subject's head over
+all upright frames lies anywhere from 6 degrees up to 41 down. Heads are therefore levelled first.
+Hardly any motion capture shows people who lie, so recorded poses are also laid on the ground: on
+the back, the belly, a side, or anything between.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +15,98 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.body import Avatar, pose_transforms, posed_points, retarget, turned_to_front
-from index.build.heads import with_level_heads
-from index.build.lying import SIDES, TRUNK_BELOW_M, laid_down, side_of
-from index.build.motion import Clip, Segment, read_clip
-from index.build.rig import MotionError, read_rig
+from index.build.body import (
+    Avatar,
+    about_vertical,
+    pose_transforms,
+    posed_points,
+    retarget,
+    turned_to_front,
+)
+from index.build.motion import Clip, MotionError, Segment, read_clip, read_rig
 from index.posture import POSTURES, classify
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
+
+UPRIGHT_ABOVE = np.cos(np.deg2rad(25.0))
+"""Vertical part of the trunk's axis from which a frame counts as upright."""
+
+FEWEST_FRAMES = 100
+"""Subjects with fewer upright frames are given the middle pitch of the others."""
+
+
+def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Clip, ...]:
+    """Turn the heads of each subject so that they look straight ahead in the median.
+
+    Parameters
+    ----------
+    clips : sequence of Clip
+    subjects : sequence of str
+        Whose each clip is.
+    """
+    pitches: dict[str, list[NDArray[np.float64]]] = {subject: [] for subject in subjects}
+    for clip, subject in zip(clips, subjects, strict=True):
+        pitches[subject].append(_upright_pitches(clip))
+    all_pitches = {subject: np.concatenate(parts) for subject, parts in pitches.items()}
+    middle = {s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= FEWEST_FRAMES}
+    usual = float(np.median(list(middle.values()))) if middle else 0.0
+    return tuple(
+        _pitched(clip, middle.get(subject, usual))
+        for clip, subject in zip(clips, subjects, strict=True)
+    )
+
+
+def _upright_pitches(clip: Clip) -> NDArray[np.float64]:
+    """How far the head looks up, in radians, in upright frames."""
+    upright = clip.rotations[:, clip.bone("Spine1"), 1, 1] > UPRIGHT_ABOVE
+    forward = clip.rotations[upright & ~clip.broken, clip.bone("Head"), :, 2]
+    return np.asarray(np.arcsin(np.clip(forward[:, 1], -1, 1)))
+
+
+def _pitched(clip: Clip, angle: float) -> Clip:
+    """Turn a clip's head down by an angle in radians, about the head's own left axis."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    down = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    rotations = clip.rotations.copy()
+    head = clip.bone("Head")
+    rotations[:, head] = rotations[:, head] @ down
+    return replace(clip, rotations=rotations)
+
+
+SIDES = ("back", "left", "belly", "right")
+"""What somebody lies on, by quarters of the turn about the body's long axis."""
+
+TRUNK_BELOW_M = 0.3
+"""Pelvis and chest of a body that lies are no higher than this above its lowest joint."""
+
+
+def laid_down(
+    rotations: NDArray[np.float64], lying_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lay bodies down.
+
+    Parameters
+    ----------
+    rotations : (P, B, 3, 3) float64 array
+        World rotations of the bones, the pelvis facing +z.
+    lying_deg : (P,) float64 array
+        Turn about the long axis before the body is laid on its back: 90 lies on the left side,
+        180 on the belly. NaN leaves a pose as it is.
+
+    Returns
+    -------
+    (P, B, 3, 3) float64 array
+        The pelvis faces +z again, as far as it faces anywhere.
+    """
+    about_long_axis = about_vertical(np.deg2rad(np.nan_to_num(lying_deg)))
+    # From upright to the back: what was up points backwards, what was ahead points up.
+    onto_back = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    lying = turned_to_front((onto_back @ about_long_axis)[:, None] @ rotations)
+    return np.where(np.isnan(lying_deg)[:, None, None, None], rotations, lying)
+
+
+def side_of(lying_deg: float) -> str:
+    """What a body laid down lies on, one of :data:`SIDES`."""
+    return SIDES[int(np.rint(lying_deg / 90.0)) % 4]
 
 
 @dataclass(frozen=True)
@@ -34,7 +125,7 @@ class Poses:
         Position in ``actions``.
     lying_deg : (P,) float array
         Turn about the body's long axis of poses laid down, see
-        :func:`index.build.lying.laid_down`; NaN for those that stay as they were recorded.
+        :func:`index.build.poses.laid_down`; NaN for those that stay as they were recorded.
     """
 
     clips: tuple[Clip, ...]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.body import Avatar
-from index.build.shard import Drawn, Shard, draw
+from index.build.views import Drawn, Shard, draw
 
 _PACKAGES = Path(__file__).resolve().parents[2]
 

@@ -16,7 +16,6 @@ from tqdm import tqdm
 from descriptor.descriptor import Descriptor
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
 from index.build.poses import Poses
-from index.build.shard import Shard
 from index.build.shard_files import (
     Task,
     code_version,
@@ -25,6 +24,7 @@ from index.build.shard_files import (
     read_drawn,
     write_avatars,
 )
+from index.build.views import Shard
 from index.build.workers import Threads, Workers
 from index.silhouettes import Silhouettes, sampled
 from index.store import SKELETON_DTYPE

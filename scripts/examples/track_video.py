@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from app.api.overlay import PEOPLE, draw_skeleton, write_text
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
+from index import DEFAULT_PATH
 from index.skeleton import NATIVE
-from index.store import DEFAULT_PATH
+from scripts.outputs import check_outputs
 
 HYPOTHESES = 7
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
@@ -123,7 +125,7 @@ def annotated(
     """Follow the people of a video and yield its frames with what is known of them."""
     session, annotator = CameraSession(estimator), Annotator()
     for timestamp, pixels in islice(frames_of(video, stride), max_frames):
-        tracked = session.process(Upload(pixels), timestamp, HYPOTHESES, lambda: None)
+        tracked = session.process(Upload(pixels), timestamp, HYPOTHESES, Job())
         yield annotator.draw(tracked)
 
 
@@ -167,6 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if options.stride < 1 or (options.max_frames is not None and options.max_frames < 1):
         parser.error("--stride and --max-frames: expected at least 1")
+    check_outputs((options.out, options.sheet), (options.video,))
     capture = cv2.VideoCapture(str(options.video))
     frames = -(-max(1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) // options.stride)
     estimator = Estimator.load(Settings(index=options.index))

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.actions import LEAST_SHARE, ActionModel
-from app.tracking.events import EventDetector, Trust
-from app.tracking.postures import PostureFilter
+from app.tracking.actions import ActionModel
+from app.tracking.events import EventDetector, Reliability
+from app.tracking.parameters import DEFAULTS
+from app.tracking.posture_filter import PostureFilter
 from app.tracking.smoothing import PoseSmoother
+from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.posture import POSTURES
-from index.store import DEFAULT_PATH
 from scripts.metrics import confusion, reliability
 from scripts.training.action_model import (
     ACTIONS,
@@ -139,7 +140,8 @@ def sequence_answers(
     motion = windows.motion[unseen.rows]
     votes = np.ones((len(windows.actions), len(ACTIONS)))
     votes[simulated : simulated + len(shown)] = [hypothesis_votes(track) for track in shown]
-    odds = unseen.odds / temperature + VOTE_WEIGHT * np.log(np.maximum(votes, LEAST_SHARE))[motion]
+    log_votes = np.log(np.maximum(votes, DEFAULTS.actions.min_vote))
+    odds = unseen.odds / temperature + VOTE_WEIGHT * log_votes[motion]
     odds = np.exp(odds - odds.max(axis=1, keepdims=True))
     probabilities = odds / odds.sum(axis=1, keepdims=True)
     plain = {simulated + number: plain_vote(track) for number, track in enumerate(shown)}
@@ -243,7 +245,7 @@ def count_falls(track: Track, rate: int) -> int:
             continue
         box = person.observed.box
         _, shares = postures.update(timestamp, smoothed.votes, None, 1.0, box)
-        trust = Trust(*2 * [smoothed.pose.confidence])
+        trust = Reliability(*2 * [smoothed.pose.confidence])
         events = detector.update(1, timestamp, shares, trust, box.height)
         falls += sum(event.event == "fell" for event in events)
     return falls

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor, DiscriminantDescriptor
 from index.build.builder import assemble
-from index.build.learn import Recipe, learn_descriptor, view_joints
+from index.build.descriptor_learning import Recipe, learn_descriptor, view_joints
 from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration

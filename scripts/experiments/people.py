@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import Person
 from app.estimation.estimator import Estimator
-from app.estimation.posture import GROUNDED
+from app.estimation.results import Person
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
-from app.vision.people import LANDMARK_NAMES, Box
+from app.vision.geometry import Box
+from app.vision.people import LANDMARK_NAMES
+from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
 from scripts.datasets import (
     Athlete,
@@ -54,7 +55,7 @@ STREET_FRAMES = 300
 MIN_TRACK = 10
 """Fewest poses of a track in which exchanges of left and right are counted."""
 
-LOW = (*GROUNDED, "sitting", "kneeling", "crouching")
+LOW = (*ON_THE_GROUND, "sitting", "kneeling", "crouching")
 ONLOOKER_FROM_PX = 500.0
 """A person sits in the corner of UP-Fall's camera 2, right of this column."""
 
@@ -79,7 +80,7 @@ ACTIVITIES = {
     10: Activity(
         "jumps", False, True, ("standing", "crouching", "bending", "arms_raised"), ("jump",)
     ),
-    11: Activity("lies", False, False, GROUNDED, ("lie",)),
+    11: Activity("lies", False, False, ON_THE_GROUND, ("lie",)),
 }
 UPFALL_FPS, UPFALL_STEP, UPFALL_FRAMES = 18, 3, 144
 """Frame rate, step between frames that are sent, and frames of an activity that is no fall."""
@@ -119,7 +120,7 @@ def percent(values: Sequence[float] | NDArray[np.generic]) -> float:
 
 def is_low(person: Person) -> bool:
     """Return whether the posture is reported as lying or crawling."""
-    return person.posture is not None and person.posture.label in GROUNDED
+    return person.posture is not None and person.posture.label in ON_THE_GROUND
 
 
 def sport(estimator: Estimator, athletes: Iterable[Athlete]) -> dict[str, Figures]:
@@ -340,9 +341,9 @@ def upfall(estimator: Estimator, files: Sequence[Path]) -> dict[str, object]:
     daily = [
         one.alarm
         for one in watched
-        if not one.activity.is_fall and one.activity.postures != GROUNDED
+        if not one.activity.is_fall and one.activity.postures != ON_THE_GROUND
     ]
-    lying = [one for one in watched if one.activity.postures == GROUNDED]
+    lying = [one for one in watched if one.activity.postures == ON_THE_GROUND]
     upright = [one for one in watched if one.activity.is_upright]
     judged = [activity for activity in ACTIVITIES.values() if activity.postures]
     by_activity = {

@@ -20,11 +20,11 @@ from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
 from app.settings import Settings
-from app.vision.boxes import iou_matrix
-from app.vision.detection.detector import MIN_SCORE, Detector, NetworkDetector
-from app.vision.people import Box
+from app.vision.detector import Detector, NetworkDetector
+from app.vision.geometry import Box, iou_matrix
+from app.vision.parameters import DEFAULTS
+from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
-from index.store import DEFAULT_PATH
 from scripts.datasets import (
     Marks,
     Photograph,
@@ -54,7 +54,7 @@ from scripts.metrics import FOUND_FROM, reliability, rightness
 
 CAMERAS = ("cam01", "cam03")
 VTEST_FRAMES = 20
-SCORES = {"default": MIN_SCORE, "sure": 0.5}
+SCORES = {"default": DEFAULTS.detector.min_score, "sure": 0.5}
 """Minimum detection scores."""
 
 IGNORED_FROM = 0.3

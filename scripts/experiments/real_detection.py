@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson
 from app.estimation.estimator import Estimator
-from app.vision.boxes import Boxes
-from app.vision.detection.detector import HogDetector, NetworkDetector, detection_features
+from app.estimation.results import ObservedPerson
+from app.vision.detector import HogDetector, NetworkDetector, detection_features
+from app.vision.geometry import Boxes
 from app.vision.odds import sigmoid
 from index.skeleton import wrap_degrees
 from scripts.datasets import Photograph, as_array, rotate_box

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimates import ObservedPerson, Person, Scene
-from app.estimation.estimator import Estimator
+from app.estimation.estimator import Estimator, fit_poses
 from app.estimation.finder import observed
-from app.estimation.hypotheses import fit_poses
-from app.estimation.normalised_person import NormalisedPerson
-from app.estimation.stopwatch import Stopwatch
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person, Scene
+from app.scheduling.job import Job
+from app.vision.geometry import Box
+from app.vision.models import fitted_constants as constants_of
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES, Box, Detection, Silhouette
-from app.vision.person.silhouettes import silhouettes_of
-from app.vision.weights import fitted as constants_of
+from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
+from app.vision.silhouettes import silhouettes_of
 from descriptor.silhouette import normalise
 from index.skeleton import LIMBS, wrap_degrees
 from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
@@ -83,7 +83,7 @@ def cut_out(
 ) -> list[Silhouette | None]:
     """Return the service's own silhouettes of people in given boxes."""
     found = [Detection(box, 1.0) for box in boxes]
-    readings = estimator.finder.read(frame, found, lambda: None)
+    readings = estimator.finder.read(frame, found, Job())
     return silhouettes_of(readings, boxes, frame.shape, exact=True)
 
 
@@ -134,7 +134,7 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
             return None
         return fit_poses(estimator.index, person, normalised, HYPOTHESES)
     scene = Scene(shown.frame, (person,))
-    return estimator.with_hypotheses(scene, HYPOTHESES, lambda: None, Stopwatch())[0]
+    return estimator.with_hypotheses(scene, HYPOTHESES, Job())[0]
 
 
 def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:
@@ -211,7 +211,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
 
 
 def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias of the confidence of :mod:`app.estimation.reranking`."""
+    """Fit slope and bias of the confidence of :mod:`app.estimation.ordering`."""
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
         agreement[:, None], np.concatenate([t.right for t in trials])

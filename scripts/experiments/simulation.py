@@ -17,22 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
-from index.build.avatars import HELD_OUT_AVATARS, make_avatars
 from index.build.builder import Asked, simulate_queries
-from index.build.calibrate import (
-    HYPOTHESES,
-    Queries,
-    Trial,
-    expected_calibration_error,
-    run_trial,
-)
+from index.build.calibrate import HYPOTHESES, Queries, Trial, expected_calibration_error, run_trial
+from index.build.garments import HELD_OUT_AVATARS, make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX
-from index.landmark_search import rotate_clockwise
 from index.posture import LOW, POSTURES, classify
-from index.reranker import Reranker
+from index.reranker import RankingModel
 from index.rotations import RotatedQuery, find_rotated_candidates, usual_rotations
+from index.search import rotate_clockwise
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS
 from index.store import PoseIndex
 from scripts.metrics import confusion, reliability
@@ -142,7 +136,7 @@ def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figur
     if index.reranker is None:
         return {}
     unfitted = replace(index.reranker, spread=(0.0, 0.0, 0.0))
-    steps: Mapping[str, Reranker | None] = {
+    steps: Mapping[str, RankingModel | None] = {
         "modes": None,
         "network_order": replace(unfitted, support_weight=0.0),
         "network_order_and_weights": unfitted,
@@ -181,7 +175,7 @@ def nearest_entries(
     return error_px, error_m
 
 
-def right_by_itself(reranker: Reranker, queries: Queries) -> NDArray[np.bool_]:
+def right_by_itself(reranker: RankingModel, queries: Queries) -> NDArray[np.bool_]:
     """Return whether the likeliest positions of the joints make a right skeleton ``(Q,)``."""
     places = np.stack(
         [reranker.network.distributions(s).likeliest()[:, :2] for s in queries.silhouettes]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import Person
 from app.estimation.facing import azimuth_deg
-from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
+from app.estimation.results import Person
+from app.tracking.parameters import DEFAULTS
+from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
-from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
 from index.build.body import Phenotype
 from index.build.builder import Plan, build, split_by_clip
 from index.build.calibrate import expected_calibration_error
+from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
 from index.confidence import RIGHT_BELOW_PX
@@ -47,8 +48,8 @@ EXCHANGED = 0.8
 
 VARIANTS: dict[str, dict[str, float]] = {
     "as_it_is": {},
-    "seven_hypotheses_a_frame": {"states": 7},
-    "without_heading_over_time": {"turn_weight": 0.0},
+    "seven_hypotheses_a_frame": {"max_states": 7},
+    "without_heading_over_time": {"heading_weight": 0.0},
     "without_cost_of_moving": {"cost_per_m": 0.0},
     "without_line_through_last_frames": {"line_s": 0.0},
 }
@@ -103,7 +104,7 @@ def run(options: argparse.Namespace) -> dict[str, object] | None:
     index = strict_index(options.shared, options.strict_index)
     filmed = film_segments(options.shared, held, HELD_OUT_AVATARS, VIEWS)
     return measure([
-        (one, match_silhouettes(index, one.silhouettes, STATES))
+        (one, match_silhouettes(index, one.silhouettes, DEFAULTS.smoothing.max_states))
         for one in tqdm(filmed, desc="matching", unit="sequence")
     ])  # fmt: skip
 
@@ -173,7 +174,8 @@ def alone(filmed: Filmed, persons: Sequence[Person]) -> Estimated:
 
 def smoothed(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> list[Smoothed]:
     """Smooth a sequence; each pose follows from the frames up to its own."""
-    smoother = PoseSmoother(**parameters)
+    smoothing = replace(DEFAULTS.smoothing, **parameters)
+    smoother = PoseSmoother(replace(DEFAULTS, smoothing=smoothing))
     updates = [
         smoother.update(person, timestamp)
         for person, timestamp in zip(persons, filmed.timestamps.tolist(), strict=True)
@@ -215,7 +217,9 @@ def fit(shared: Path) -> None:
     )
     features, right = [], []
     for filmed in tqdm(film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)):
-        poses = smoothed(filmed, match_silhouettes(index, filmed.silhouettes, STATES))
+        poses = smoothed(
+            filmed, match_silhouettes(index, filmed.silhouettes, DEFAULTS.smoothing.max_states)
+        )
         features += [one.confidence_features for one in poses]
         right.append(smooth(filmed, poses).measures()["right"] > 0)
     fitted = LogisticRegression(C=1e3).fit(np.array(features), np.concatenate(right))

@@ -27,11 +27,12 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
+from app.scheduling.job import Job
 from app.settings import Settings
 from app.tracking.session import CameraSession
 from descriptor.descriptor import Arrays, Descriptor, DiagonalDescriptor
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.experiments.paper_data import nearest
 from scripts.metrics import confusion
 
@@ -278,7 +279,7 @@ def watch(film: Film, estimator: Estimator) -> Session:
     frames = []
     for number, mask in enumerate(in_frames(film)):
         upload = Upload(mask=cv2.imencode(".png", mask)[1].tobytes())
-        result = session.process(upload, number / FRAMES_PER_S, 7, lambda: None, "silhouette")
+        result = session.process(upload, number / FRAMES_PER_S, 7, Job(), "silhouette")
         for person in result.persons[:1]:
             if person.action is not None:
                 label = person.action.label

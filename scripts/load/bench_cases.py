@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from scripts.datasets import Marks, read_frames, read_marks, read_vtest
 from scripts.load.client import Call
 from scripts.load.scenes import encode

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.actions import WINDOW_S, ActionModel, window_features
-from app.tracking.measures import Measured
+from app.tracking.actions import ActionModel, PoseSample, window_features
+from app.tracking.parameters import DEFAULTS
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
@@ -160,7 +160,7 @@ def _pieces(motion: Motion, most: int) -> list[Motion]:
     ]
 
 
-def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
+def seen(motion: Motion, generator: np.random.Generator) -> list[PoseSample]:
     """Show a motion as a random camera and its hypotheses would."""
     tempo = _tempo(motion, generator) * CLIP_FPS
     rate = float(generator.choice(FRAME_RATES))
@@ -177,7 +177,7 @@ def seen(motion: Motion, generator: np.random.Generator) -> list[Measured]:
     jitter = generator.normal(0, 0.3 * noise_m, (len(world), 2))
     taken_for = max(elevation_deg + generator.normal(*ELEVATION_ERROR_DEG), 0.0)
     return [
-        Measured(
+        PoseSample(
             number / rate,
             points[number] - points[number, :1],
             _PIXELS_PER_METRE * (in_camera[number, 0, :2] + jitter[number]),
@@ -251,12 +251,13 @@ def make_windows(motions: Sequence[Motion], copies: int, seed: int) -> Windows:
     )
 
 
-def windows_of(measured: Sequence[Measured]) -> NDArray[np.float64]:
+def windows_of(measured: Sequence[PoseSample]) -> NDArray[np.float64]:
     """Return features ``(W, D)`` of windows that end ``HOP_S`` apart, back from the last pose."""
     times = np.array([m.timestamp for m in measured])
-    ends = np.arange(times[-1], min(WINDOW_S, times[-1]) - 1e-9, -HOP_S)
+    window_s = DEFAULTS.actions.window_s
+    ends = np.arange(times[-1], min(window_s, times[-1]) - 1e-9, -HOP_S)
     return np.stack([
-        window_features([m for m in measured if end - WINDOW_S <= m.timestamp <= end + 1e-9])
+        window_features([m for m in measured if end - window_s <= m.timestamp <= end + 1e-9])
         for end in ends
     ])  # fmt: skip
 

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimates import Person
-from app.tracking.measures import Measured
+from app.estimation.results import Person
+from app.tracking.actions import PoseSample
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from index.artefact import load_index
-from index.build.avatars import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.body import Avatar
+from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
 from index.posture import classify
@@ -293,7 +293,7 @@ def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:
     shown = [track for track in tracks if track.action in ACTIONS and len(track.smoothed) > FPS]
     parts = [
         windows_of([
-            Measured.of(timestamp, smoothed)
+            PoseSample.of(timestamp, smoothed)
             for timestamp, smoothed in zip(
                 track.timestamps.tolist(), track.smoothed, strict=True
             )

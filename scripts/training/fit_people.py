@@ -1,7 +1,7 @@
 """Fit detection scores, lying bodies, postures and confidences to photographs.
 
 Writes the parts `detection`, `grounded`, `posture` and `confidence` of
-``app/vision/weights/fitted.json`` within about ten minutes.
+``app/vision/models/fitted.json`` within about ten minutes.
 
 The data are street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP
 Extended: detection and confidence), photographs with and without a fallen person (Ambianic), and
@@ -24,20 +24,19 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimates import Person
-from app.estimation.estimator import Estimator
-from app.estimation.hypotheses import normalise_person
-from app.estimation.posture import GROUNDED, GROUPS, body_features
+from app.estimation.estimator import Estimator, normalise_person
+from app.estimation.posture import GROUPS, body_features
+from app.estimation.results import Person
 from app.settings import Settings
-from app.vision.boxes import Boxes, iou_matrix
-from app.vision.detection.detector import HogDetector, NetworkDetector, detection_features
+from app.vision.detector import HogDetector, NetworkDetector, detection_features
+from app.vision.geometry import Box, Boxes, iou_matrix
+from app.vision.models import write_fitted
 from app.vision.odds import log_odds
-from app.vision.people import LANDMARK_NAMES, Box, Landmarks
-from app.vision.weights import write_fitted
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.confidence import RIGHT_BELOW_PX
-from index.landmark_search import rotate_clockwise
-from index.posture import POSTURES, UPRIGHT, camera_up, classify
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify
 from index.ranking import DISTANCE_WEIGHT
+from index.search import rotate_clockwise
 from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
 from index.store import PoseIndex
 from scripts.datasets import (
@@ -173,7 +172,7 @@ def posture_samples(
             for one in found:
                 grounded[kind].add(_body(one), kind == "fall", name)
                 if kind == "fall":
-                    people[kind].append((one, GROUNDED))
+                    people[kind].append((one, ON_THE_GROUND))
     frames = [(one.name, one.frame) for one in read_pennfudan(real / "pennfudan")]
     frames += [(str(number), frame) for number, frame in read_vtest(real / "vtest", 20)]
     for name, frame in tqdm(frames, desc="street"):
@@ -231,7 +230,7 @@ def simulated_samples(index: PoseIndex) -> Samples:
             metres = points[row][_POINT_OF_LANDMARK] + rng.normal(0, NOISE_M, (33, 3))
             metres = rotate_clockwise(metres, float(rng.normal(0, ROLL_DEG)))
             landmarks = Landmarks(PX_PER_M * metres[:, :2], np.full(33, 0.95), metres)
-            samples.add(body_features(landmarks), posture in GROUNDED, "simulated")
+            samples.add(body_features(landmarks), posture in ON_THE_GROUND, "simulated")
     return samples
 
 

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import load_index, save_index
 from index.build.builder import Plan, build, split_by_clip
 from index.build.motion import Segment, read_manifest
-from index.reranker import Reranker, load_reranker
-from index.store import DEFAULT_PATH, PoseIndex
+from index.reranker import RankingModel, load_reranker
+from index.store import PoseIndex
 
 ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground whose actions have too few clips for one to be held out of each."""
@@ -46,7 +47,7 @@ def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
     return replace(index, reranker=shipped_reranker(held))
 
 
-def shipped_reranker(held: Sequence[Segment]) -> Reranker | None:
+def shipped_reranker(held: Sequence[Segment]) -> RankingModel | None:
     """Return the network beside the default index; a ValueError if it knows a held-out clip."""
     reranker = load_reranker(DEFAULT_PATH)
     if reranker is not None:

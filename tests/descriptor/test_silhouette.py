@@ -126,15 +126,6 @@ def test_mirrored_mask_gives_mirrored_silhouette(mask: Mask) -> None:
     assert_array_equal(flipped[:, ::-1], straight)
 
 
-@given(
-    mask=masks(),
-    points=st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), min_size=1, max_size=5),
-)
-def test_placement_round_trip(mask: Mask, points: list[tuple[float, float]]) -> None:
-    _, placement = normalise(mask)
-    assert_allclose(placement.to_image(placement.to_normalised(points)), points, atol=1e-8)
-
-
 @given(mask=masks())
 def test_placement_maps_the_bounding_box_into_the_middle_of_the_frame(mask: Mask) -> None:
     _, placement = normalise(mask)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from index.joint_network import LAYER_SHAPES, MOST, JointNetwork, Layer
+from index.network import LAYER_SHAPES, MOST, JointNetwork, Layer
 
 
 def random_network(seed: int) -> JointNetwork:

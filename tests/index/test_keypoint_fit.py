@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.keypoint_fit import fit_to_keypoints
-from index.keypoints import Keypoints
+from index.keypoints import Keypoints, fit_to_keypoints
 from index.skeleton import JOINTS, LIMBS, NATIVE, POINT_NAMES, exchange_sides
 from index.store import PoseIndex
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.keypoints import OUTLIER_WEIGHT, Keypoints
-from index.landmark_search import rotate_clockwise
+from index.search import rotate_clockwise
 from index.skeleton import LIMBS, POINT_NAMES, POINTS, exchange_sides
 
 ROWS = (*(POINT_NAMES.index(name) for name in LIMBS), POINT_NAMES.index("nose"))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.landmark_search import (
+from index.search import (
     DIMENSION,
     SEARCHED,
     STEPS_PER_BODY,

@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.build.body import Avatar
-from index.build.learn import view_joints
+from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import RIGHT_BELOW_PX
-from index.landmark_search import rotate_clockwise
 from index.matching import DISTINCT_M, FIRST_HYPOTHESES, Hypothesis, match
 from index.posture import Posture
+from index.search import rotate_clockwise
 from index.skeleton import JOINTS, POINTS, mean_joint_distance, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from index.build.body import Avatar
-from index.build.learn import view_joints
+from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.keypoints import Keypoints
-from index.landmark_search import rotate_clockwise
 from index.matching import Hypothesis, Match, match
 from index.rotations import rotate_silhouette
+from index.search import rotate_clockwise
 from index.skeleton import (
     JOINTS,
     LIMBS,

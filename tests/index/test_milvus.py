@@ -13,15 +13,22 @@ import numpy as np
 import pytest
 
 from index.artefact import load_index, save_index
-from index.neighbours import UnavailableError
+from index.search import UnavailableError
 from index.store import PoseIndex
 from index.verified_files import ArtefactError
 from tests.conftest import build_tiny_index
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
-    from index.milvus import LARGEST_K, Contents, Milvus, MilvusNeighbours, check_vectors
-    from index.milvus_publication import publish, remove_older
+    from index.milvus import (
+        LARGEST_K,
+        Contents,
+        Milvus,
+        MilvusNeighbours,
+        check_vectors,
+        publish,
+        remove_older,
+    )
 
 pytestmark = pytest.mark.skipif(
     why_milvus_cannot_run() is not None, reason=str(why_milvus_cannot_run())

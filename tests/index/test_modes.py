@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
-from index.modes import DISTINCT_M, Modes, find_modes, with_bones_of
-from index.skeleton import JOINTS, NATIVE, POINTS
+from index.modes import DISTINCT_M, Modes, find_modes
+from index.skeleton import JOINTS, NATIVE, POINTS, with_bone_lengths_of
 from index.store import PoseIndex
 
 Points = NDArray[np.float64]
@@ -159,18 +159,18 @@ class TestWithBonesOf:
         self, seed: int, shrink: float
     ) -> None:
         skeleton, points = some_pose(seed), shrink * some_pose(seed + 1) + 5.0
-        result = with_bones_of(skeleton, points)
+        result = with_bone_lengths_of(skeleton, points)
         assert_allclose(bone_lengths(result), bone_lengths(skeleton), rtol=1e-6)
         assert_allclose(bone_directions(result), bone_directions(points), atol=1e-6)
         assert_allclose(result[0], 0)
 
     def test_the_face_moves_with_the_head(self) -> None:
         points = some_pose(1)
-        result = with_bones_of(some_pose(2), points)
+        result = with_bone_lengths_of(some_pose(2), points)
         assert_allclose(result[JOINTS:] - result[HEAD], points[JOINTS:] - points[HEAD])
 
     def test_a_bone_without_direction_stays_finite(self) -> None:
-        assert np.isfinite(with_bones_of(some_pose(), np.zeros((POINTS, 3)))).all()
+        assert np.isfinite(with_bone_lengths_of(some_pose(), np.zeros((POINTS, 3)))).all()
 
 
 def test_of_equally_dense_modes_the_first_candidate_comes_first() -> None:

@@ -20,18 +20,18 @@ from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
 from index.keypoints import Keypoints
 from index.matching import match
-from index.modes import find_modes, pixels_per_metre
+from index.modes import find_modes
+from index.ranking import Ranking
 from index.reranker import (
     FILES,
     MANIFEST,
     RERANKING_FEATURES,
     WEIGHTS,
-    Reranker,
+    RankingModel,
     load_reranker,
     save_reranker,
 )
-from index.reranking import Ranking
-from index.skeleton import JOINT_NAMES, JOINTS, NATIVE
+from index.skeleton import JOINT_NAMES, JOINTS, NATIVE, pixels_per_metre
 from index.store import PoseIndex
 from index.verified_files import ArtefactError
 from tests.index.networks import random_network
@@ -46,14 +46,14 @@ def bone_lengths(skeleton: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="module")
-def reranker() -> Reranker:
+def reranker() -> RankingModel:
     count = len(RERANKING_FEATURES)
     calibration = Calibration((0.1,) * count, -0.2, RERANKING_FEATURES)
-    return Reranker(random_network(1), calibration, {"passes": 0})
+    return RankingModel(random_network(1), calibration, {"passes": 0})
 
 
 @pytest.fixture(scope="module")
-def reranked(toy_index: PoseIndex, reranker: Reranker) -> PoseIndex:
+def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
     return dataclasses.replace(toy_index, reranker=reranker)
 
 
@@ -66,7 +66,7 @@ class TestRanking:
         return silhouette
 
     @pytest.fixture
-    def ranking(self, reranker: Reranker, silhouette: NDArray[np.uint8]) -> Ranking:
+    def ranking(self, reranker: RankingModel, silhouette: NDArray[np.uint8]) -> Ranking:
         return Ranking.of(dataclasses.replace(reranker, support_weight=2.0), silhouette)
 
     @pytest.fixture
@@ -94,7 +94,7 @@ class TestRanking:
         assert (np.argsort(support) == np.argsort(likelihoods)).all()
 
     def test_support_without_a_weight_changes_nothing(
-        self, reranker: Reranker, silhouette: NDArray[np.uint8], candidates: Candidates
+        self, reranker: RankingModel, silhouette: NDArray[np.uint8], candidates: Candidates
     ) -> None:
         plain = dataclasses.replace(reranker, support_weight=0.0)
         assert Ranking.of(plain, silhouette).support(candidates) is None
@@ -137,7 +137,7 @@ class TestMatch:
 
 
 @pytest.fixture
-def saved(toy_index: PoseIndex, reranker: Reranker, tmp_path: Path) -> Path:
+def saved(toy_index: PoseIndex, reranker: RankingModel, tmp_path: Path) -> Path:
     folder = tmp_path / "artefact"
     save_index(toy_index, folder)
     save_reranker(reranker, folder)
@@ -145,7 +145,7 @@ def saved(toy_index: PoseIndex, reranker: Reranker, tmp_path: Path) -> Path:
 
 
 class TestFiles:
-    def test_loads_what_was_saved(self, saved: Path, reranker: Reranker) -> None:
+    def test_loads_what_was_saved(self, saved: Path, reranker: RankingModel) -> None:
         back = load_index(saved).reranker
         assert back is not None
         assert back.calibration == reranker.calibration
@@ -153,7 +153,7 @@ class TestFiles:
         assert_array_equal(back.network.layers[-1].offsets, reranker.network.layers[-1].offsets)
 
     def test_the_files_and_the_version_of_the_index_stay(
-        self, toy_index: PoseIndex, reranker: Reranker, tmp_path: Path
+        self, toy_index: PoseIndex, reranker: RankingModel, tmp_path: Path
     ) -> None:
         version = save_index(toy_index, tmp_path / "index")
         before = {file: file.read_bytes() for file in (tmp_path / "index").iterdir()}
@@ -216,7 +216,7 @@ def test_threads_change_nothing(reranked: PoseIndex, tmp_path: Path) -> None:
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
         "from index.artefact import load_index\n"
-        "from index.joint_network import joint_positions\n"
+        "from index.network import joint_positions\n"
         "index = load_index(Path(sys.argv[1]))\n"
         "seen = index.reranker.network.distributions(index.silhouette(3))\n"
         "positions = joint_positions(*index.points(np.arange(50)))\n"

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
-from index.landmark_search import rotate_clockwise
 from index.rotations import (
     MAX_ROTATIONS,
     MIN_SHARE,
@@ -21,6 +20,7 @@ from index.rotations import (
     rotations_of_landmarks,
     usual_rotations,
 )
+from index.search import rotate_clockwise
 from index.skeleton import camera_rotation
 from index.store import PoseIndex
 
@@ -98,7 +98,8 @@ def test_without_a_rotation_a_mask_is_normalised(toy_index: PoseIndex) -> None:
     rotated_by_none, inverse = rotate_silhouette(mask, 0.0)
     expected, placement = normalise(mask)
     assert_differ_only_at_the_outline(rotated_by_none, expected)
-    assert_allclose(inverse @ [24, 64, 1], placement.to_image([24, 64]), atol=1.0)
+    middle = (inverse @ [24, 64, 1])[:2]
+    assert_allclose(placement.to_normalised(middle), [24, 64], atol=placement.scale)
 
 
 def rotated(silhouette: NDArray[np.uint8], *rotations_deg: float) -> list[RotatedQuery]:

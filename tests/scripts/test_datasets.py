@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from scripts.datasets import rotate_box
 from tests.support.rotation import rotate_box as rotate_corners
 

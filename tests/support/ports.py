@@ -1,4 +1,4 @@
-"""Ports for servers under test."""
+"""Free ports of the loopback address."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 
 def free_ports(count: int) -> list[int]:
-    """Find ports of the loopback address that nobody listens on, all different."""
+    """Find ports of the loopback address that are not in use, all different."""
     with ExitStack() as probes:
         sockets = [probes.enter_context(socket.socket()) for _ in range(count)]
         for probe in sockets:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 
 
 def rotate_points(

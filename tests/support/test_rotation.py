@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from tests.support.rotation import rotate_box, rotate_points
 
 SHAPE = (30, 50, 3)

@@ -24,9 +24,8 @@ from index.build.body import (
     strongest,
     turned_to_front,
 )
-from index.build.motion import Clip, read_clip
+from index.build.motion import Clip, MotionError, read_clip
 from index.build.poses import Poses
-from index.build.rig import MotionError
 from index.skeleton import JOINT_NAMES, NATIVE
 
 Angles = dict[str, tuple[float, float, float]]

@@ -28,9 +28,8 @@ from index.build.builder import (
     split_by_clip,
     spread,
 )
-from index.build.lying import SIDES
 from index.build.motion import MANIFESTS, Segment, read_manifest
-from index.build.poses import Poses, joints_of, read_poses
+from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.posture import LOW, POSTURES, classify
 

@@ -9,9 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.build.heads import FEWEST_FRAMES, with_level_heads
 from index.build.motion import Clip
-from index.build.poses import Poses
+from index.build.poses import FEWEST_FRAMES, Poses, with_level_heads
 from index.skeleton import JOINT_NAMES
 
 HEAD = JOINT_NAMES.index("head")

@@ -16,7 +16,7 @@ from index.build.joint_training import (  # noqa: E402
     in_whole_numbers,
     train,
 )
-from index.joint_network import (  # noqa: E402
+from index.network import (  # noqa: E402
     AXES,
     BINS,
     joint_positions,

@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from index.build.body import Avatar, facing_yaw
-from index.build.lying import SIDES, TRUNK_BELOW_M, laid_down, side_of
-from index.build.poses import Poses, joints_of, lay_down
+from index.build.poses import SIDES, TRUNK_BELOW_M, Poses, joints_of, laid_down, lay_down, side_of
 from index.posture import POSTURES, classify
 from index.skeleton import JOINT_NAMES, NATIVE
 

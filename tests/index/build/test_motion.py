@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from index.build.motion import MANIFESTS, read_clip, read_manifest
-from index.build.rig import METRES_PER_UNIT, MotionError
+from index.build.motion import MANIFESTS, METRES_PER_UNIT, MotionError, read_clip, read_manifest
 
 Angles = dict[str, tuple[float, float, float]]
 Write = Callable[..., Path]

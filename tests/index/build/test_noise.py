@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from index.build.learn import view_joints
+from index.build.descriptor_learning import view_joints
 from index.build.noise import degrade, degrade_all
 from index.build.simulate import Simulation
 

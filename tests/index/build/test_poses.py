@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.motion import Segment
+from index.build.motion import MotionError, Segment
 from index.build.poses import Poses, farthest_points, merged, read_poses
-from index.build.rig import MotionError
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:

@@ -10,9 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from index.build.body import Avatar, retarget
-from index.build.motion import Segment, read_clip
+from index.build.motion import CMU, RIG_FILE, MotionError, Rig, Segment, read_clip, read_rig
 from index.build.poses import joints_of, read_poses
-from index.build.rig import CMU, FILE, MotionError, Rig, read_rig
 
 Write = Callable[..., Path]
 Walk = Callable[..., list[dict[str, tuple[float, float, float]]]]
@@ -39,7 +38,7 @@ def renamed(clip: Path, tmp_path: Path) -> Path:
 
 
 def describe(file: Path, **values: object) -> Path:
-    (file.parents[1] / FILE).write_text(json.dumps(values))
+    (file.parents[1] / RIG_FILE).write_text(json.dumps(values))
     return file.parents[1]
 
 
@@ -92,7 +91,7 @@ def test_a_joint_that_the_file_lacks_is_named(renamed: Path) -> None:
      '{"metres_per_unit": "1"}', '{"bones": {}}'],
 )  # fmt: skip
 def test_malformed_rigs_are_refused_in_one_sentence(tmp_path: Path, content: str) -> None:
-    (tmp_path / FILE).write_text(content)
+    (tmp_path / RIG_FILE).write_text(content)
     with pytest.raises(MotionError, match=r"rig\.json does not describe a rig: ") as error:
         read_rig(tmp_path)
     assert "\n" not in str(error.value)

@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build.body import Avatar
-from index.build.camera import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
-from index.build.learn import view_joints
+from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses, joints_of, merged
 from index.build.simulate import Simulation, simulate
+from index.build.views import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 from index.skeleton import JOINT_NAMES
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scripts.examples import track_video
 from tests.conftest import ROOT
-from tests.videos import numbered_frames, write_video
+from tests.support.videos import numbered_frames, write_video
 
 SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
 STREET = SHARED / "real" / "vtest" / "vtest.avi"

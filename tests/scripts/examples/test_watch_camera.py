@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from scripts.examples import watch_camera
 from tests.conftest import WALKERS, Server
-from tests.videos import numbered_frames, write_video
+from tests.support.videos import numbered_frames, write_video
 
 EVENT = {"event": "fell", "state": "begin", "track_id": 3, "timestamp": 0.2, "probability": 0.9}
 ANSWER = {"persons": [], "events": [EVENT], "reset": None, "timings_ms": {"total": 9.0}}

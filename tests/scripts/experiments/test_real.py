@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("sklearn", reason="needs the test extra: scikit-learn")
 
-from app.vision.people import Box
+from app.vision.geometry import Box
 from scripts.datasets import Marks
 from scripts.experiments.real import compare
 

@@ -1,0 +1,113 @@
+"""Results of the estimator: people as observed, and the poses that fit them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.facing import Facing
+from app.estimation.posture import EstimatedPosture
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Landmarks, Silhouette
+from index.matching import Hypothesis
+from index.store import Label
+
+Source = Literal["detector", "mask", "boxes", "background", "track"]
+"""Who says that a person is there: the detector, the caller's mask or boxes, what differs from the
+background, or a track that expects them."""
+
+Evidence = Literal["photograph", "silhouette"]
+"""What poses are estimated from: silhouette and keypoints, or the silhouette alone."""
+
+
+@dataclass(frozen=True)
+class ObservedPerson:
+    """A person as the photograph or the caller's mask shows them.
+
+    Parameters
+    ----------
+    box : Box
+        Pixels of the frame.
+    source : str
+    detection_score : float or None
+        None if the caller said where people are.
+    silhouette : Silhouette or None
+        In the original frame; None if none was found in a caller's box.
+    landmarks : Landmarks or None
+        Pixels of the frame; None if none were read.
+    presence : float or None
+        Probability that a person is there, as the landmark network gives it; None if not asked.
+    next_window : PersonWindow or None
+        Where the landmark network would look for them next.
+    """
+
+    box: Box
+    source: Source
+    detection_score: float | None
+    silhouette: Silhouette | None
+    landmarks: Landmarks | None = None
+    presence: float | None = None
+    next_window: PersonWindow | None = None
+
+    @property
+    def whole_box(self) -> Box:
+        """The silhouette's box, the detection's where there is no silhouette."""
+        return self.box if self.silhouette is None else self.silhouette.box
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A frame and the people in it, ordered left to right.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR; black if the caller sent a mask alone.
+    people : tuple of ObservedPerson
+    """
+
+    frame: NDArray[np.uint8]
+    people: tuple[ObservedPerson, ...]
+
+
+@dataclass(frozen=True)
+class ProjectedHypothesis:
+    """A hypothesis, the label of its entry, and its skeleton in the photograph.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    distance, confidence : float
+        By silhouette and keypoints; see :class:`app.estimation.ordering.Ranked`.
+    label : Label
+    points_2d : (24, 2) float64 array
+        Pixels of the frame; rows are ``POINT_NAMES``.
+    """
+
+    hypothesis: Hypothesis
+    distance: float
+    confidence: float
+    label: Label
+    points_2d: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Person:
+    """An observed person and the poses that fit; without a silhouette there are none."""
+
+    observed: ObservedPerson
+    facing: Facing | None
+    posture: EstimatedPosture | None
+    hypotheses: tuple[ProjectedHypothesis, ...]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A decoded frame, its persons ordered left to right, and where the time went."""
+
+    frame: NDArray[np.uint8]
+    persons: tuple[Person, ...]
+    timings_ms: dict[str, float]

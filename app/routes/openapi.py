@@ -1,0 +1,147 @@
+"""The OpenAPI document: FastAPI's with additions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from app.api.schemas import DeepstackUpload, FrameUpload, Problem
+from app.api.tracking_schemas import CameraConfiguration, TrackUpload, VideoUpload
+from app.http.errors import MEDIA_TYPE
+
+_FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
+
+TAGS = [
+    {"name": "pose", "description": "A frame in; its people, their silhouettes and poses out."},
+    {"name": "cameras", "description": "Frames of fixed cameras, in order; people over time."},
+    {"name": "index", "description": "The simulated silhouettes that people are compared with."},
+    {"name": "compatibility", "description": "Other services' protocols, for their clients."},
+    {"name": "health", "description": "Whether the service runs, and whether it takes frames."},
+]
+
+SERVERS = [
+    {"url": "/", "description": "The service this document came from."},
+    {"url": "http://127.0.0.1:8000", "description": "As `make run` serves it."},
+]
+
+HEADERS: dict[str, Any] = {
+    "X-Request-ID": {
+        "description": "The request's own `X-Request-ID` if it had a plain one, else a new one; "
+        "the service's log contains it.",
+        "schema": {"type": "string"},
+    },
+    "Retry-After": {
+        "description": "Seconds until there is probably room for another frame, or the index is "
+        "loaded. Missing if waiting does not help.",
+        "schema": {"type": "integer", "minimum": 1},
+    },
+    "X-Session": {
+        "description": "`new` if the camera starts afresh and nothing is known of earlier frames; "
+        "else `warm`.",
+        "schema": {"type": "string", "enum": ["new", "warm"]},
+    },
+}
+
+
+def add_openapi(app: FastAPI) -> None:
+    """Make ``app`` describe its errors, and its uploads so that generated clients work.
+
+    Routes refer to :class:`Problem` by name: if they declared the model, FastAPI would also promise
+    ``application/json``. Routes that take images refer to their forms by name because they parse
+    them themselves.
+    """
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            document = get_openapi(
+                title=app.title,
+                version=app.version,
+                summary=app.summary,
+                description=app.description,
+                contact=app.contact,
+                license_info=app.license_info,
+                tags=app.openapi_tags,
+                servers=app.servers,
+                routes=app.routes,
+            )
+            components = document["components"]
+            components["headers"] = HEADERS
+            for model in (Problem, CameraConfiguration, *_FORMS):
+                schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+                components["schemas"].update(schema.pop("$defs", {}))
+                components["schemas"][model.__name__] = schema
+            for name, schema in components["schemas"].items():
+                _mend_schema(name, schema)
+            for path in document["paths"].values():
+                for operation in path.values():
+                    _mend_operation(operation)
+            app.openapi_schema = document
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _mend_schema(name: str, schema: dict[str, Any]) -> None:
+    # The models forbid additional fields, but a later version may add some, and clients that refuse
+    # them would break. (And openapi-generator warns.)
+    schema.pop("additionalProperties", None)
+    properties = schema.get("properties", {})
+    if name in {form.__name__ for form in _FORMS}:
+        properties = {field: _form_field(value) for field, value in properties.items()}
+        schema["properties"] = properties
+    for value in properties.values():
+        value.pop("title", None)  # Pydantic's are the name again, in capitals.
+
+
+def _mend_operation(operation: dict[str, Any]) -> None:
+    for parameter in operation.get("parameters", ()):
+        parameter["schema"].pop("title", None)
+    for status, response in operation["responses"].items():
+        names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
+        names += ["X-Session"] * (operation["operationId"] == "track_frame")
+        for content in response.get("content", {}).values():
+            if "anyOf" in content["schema"]:
+                # FastAPI adds that lines of JSON are a string.
+                content["schema"] = {"anyOf": content["schema"]["anyOf"]}
+        response["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in names}
+    if "security" in operation:
+        # Keys are required only if the operator has set any.
+        operation["security"].append({})
+
+
+def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
+    """Write a field of a form in a way that client generators understand.
+
+    A form has no null: an optional field is missing. Generators treat a field with a default as one
+    that is always present.
+    """
+    kind: dict[str, Any] = next(
+        (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}
+    )
+    return {**kind, **{k: v for k, v in schema.items() if k not in ("anyOf", "default")}}
+
+
+def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Describe error responses of a route for the OpenAPI document."""
+    return {
+        status: {
+            "description": _MEANINGS[status],
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+        }
+        for status in statuses
+    }
+
+
+_MEANINGS = {
+    400: "An upload is not a decodable image or video.",
+    401: "An API key is configured, and the request's is missing or wrong.",
+    404: "There is no such resource.",
+    408: "The upload took too long.",
+    409: "The frame is not later than the last one of its camera.",
+    413: "Too many bytes or pixels.",
+    415: "The body is neither multipart/form-data nor, where that is taken, an image or a video.",
+    422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
+    503: "Overloaded or unable to search (with Retry-After), or the index is not loaded.",
+}

@@ -1,0 +1,1 @@
+"""The queue, threads, deadlines, cores. Imports nothing of the service."""

@@ -1,0 +1,123 @@
+"""One frame's work: whether it is still wanted, where its time goes, who helps with its parts.
+
+Work in a thread cannot be stopped from outside, so it checks now and then whether to go on.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+STAGES = ("decode", "detect", "segment", "keypoints", "describe", "search")
+
+
+class BusyError(Exception):
+    """The service has more to do than it can.
+
+    Parameters
+    ----------
+    message : str
+        One sentence for the caller.
+    retry_after_s : int, optional
+        When it is worth trying again; None where it is not.
+    """
+
+    reason = "busy"
+    """One word for callers, logs and metrics."""
+
+    def __init__(self, message: str, retry_after_s: int | None = 1) -> None:
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
+
+
+class DeadlineError(BusyError):
+    """The answer was not ready in time."""
+
+    reason = "deadline"
+
+
+class ClientGoneError(Exception):
+    """The client has closed the connection."""
+
+    def __init__(self) -> None:
+        super().__init__("the client closed the connection")
+
+
+class ParallelMap(Protocol):
+    """Calls a function with each item and returns the results in order."""
+
+    def __call__(
+        self, function: Callable[[Item], Result], items: Iterable[Item], /
+    ) -> list[Result]:
+        """Call it."""
+        ...
+
+
+def serial_map(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
+    """Call a function with one item after the other, where there is no executor."""
+    return [function(item) for item in items]
+
+
+class Job:
+    """The work on one frame.
+
+    Parameters
+    ----------
+    timeout_s : float
+        Time left for the work.
+    parallel_map : callable
+        Shares the parts of the frame among threads.
+    """
+
+    def __init__(self, timeout_s: float = math.inf, parallel_map: ParallelMap = serial_map) -> None:
+        self.stage_ms = dict.fromkeys(STAGES, 0.0)
+        self._started = time.perf_counter()
+        self._deadline = time.monotonic() + timeout_s
+        self._cancelled = threading.Event()
+        self._parallel_map = parallel_map
+
+    def checkpoint(self) -> None:
+        """Raise :class:`ClientGoneError` or :class:`DeadlineError` once the work is unwanted."""
+        if self._cancelled.is_set():
+            raise ClientGoneError
+        if time.monotonic() > self._deadline:
+            raise DeadlineError("the frame took longer than the service allows")
+
+    def cancel(self) -> None:
+        """Make the next :meth:`checkpoint` raise."""
+        self._cancelled.set()
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+        """Call a function with each part of the frame, after a checkpoint each, in parallel.
+
+        Returns
+        -------
+        list
+            Results in the order of the items.
+        """
+
+        def checked(item: Item) -> Result:
+            self.checkpoint()
+            return function(item)
+
+        return self._parallel_map(checked, items)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to one of :data:`STAGES`."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.stage_ms[name] += (time.perf_counter() - started) * 1000
+
+    def timings_ms(self) -> dict[str, float]:
+        """Milliseconds by stage, and ``total`` since the job began."""
+        return {**self.stage_ms, "total": (time.perf_counter() - self._started) * 1000}

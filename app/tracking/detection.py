@@ -1,0 +1,184 @@
+"""Finds the people of a camera's frame: each track by its own window, new people by a search.
+
+Tracked people are read on every frame, in the windows that their last landmarks point to. Now and
+then, and where a track's window shows nobody any more, the whole frame is searched, for new people
+and to check the tracks: MoveNet, which needs no window, finds those that have gone astray.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.finder import PeopleFinder, distinct_bodies, observed
+from app.scheduling.job import Job
+from app.tracking.parameters import DEFAULTS, TrackingParameters
+from app.tracking.track import Sighting, Track
+from app.vision.blazepose import PoseReading
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Detection
+from app.vision.person_reader import fuse
+from app.vision.silhouettes import silhouettes_of
+
+
+@dataclass(frozen=True)
+class _Target:
+    """A person to read: a detection, or a track whose person no detection shows."""
+
+    detection: Detection  # Of a track, its predicted box and its window.
+    track: Track | None  # None for a detection.
+
+
+class TrackedPeopleDetector:
+    """Finds people frame by frame; one frame at a time.
+
+    Parameters
+    ----------
+    finder : PeopleFinder
+        Its detector and its reader are used.
+    """
+
+    def __init__(self, finder: PeopleFinder, parameters: TrackingParameters = DEFAULTS) -> None:
+        self._finder = finder
+        self._parameters = parameters.detection
+        self._min_presence = parameters.track.min_presence
+        self._searched_at = self._read_at = -math.inf
+
+    def find(
+        self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
+    ) -> list[Sighting]:
+        """Find the people of a frame with their silhouettes and landmarks.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) uint8 array
+            BGR.
+        timestamp : float
+            Seconds.
+        tracks : sequence of Track
+            All of the session.
+        job : Job
+            Whose time it takes.
+
+        Returns
+        -------
+        list of Sighting
+            Each with the track in whose window the person was read, None after a search.
+        """
+        read = self._read_people(frame, timestamp, tracks, job)
+        self._read_at = timestamp
+        found = _distinct([(target, reading) for target, reading in read if reading is not None])
+        boxes = [
+            target.detection.box if target.track is None else self._body_box(reading)
+            for target, reading in found
+        ]
+        with job.stage("segment"):
+            readings = [reading for _, reading in found]
+            silhouettes = silhouettes_of(readings, boxes, frame.shape, exact=False)
+        sightings = []
+        for (target, reading), box, silhouette in zip(found, boxes, silhouettes, strict=True):
+            if silhouette is None:
+                continue
+            score = target.track.score if target.track else target.detection.score
+            # A detector's box may hold more than the body that is read in it.
+            place = silhouette.box if reading.presence >= self._min_presence else box
+            person = observed(frame, place, "detector", score, silhouette, reading)
+            sightings.append(Sighting(person, track=target.track))
+        return sightings
+
+    def _read_people(
+        self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
+    ) -> list[tuple[_Target, PoseReading | None]]:
+        """Read the tracks by their windows or, where that does not suffice, all that is found.
+
+        The search lowers its threshold near people who were lost at the frame before or at this
+        one.
+        """
+        recent = [
+            track
+            for track in tracks
+            if timestamp - track.seen_at <= self._parameters.window_lasts_s
+        ]
+        with_window = [
+            (track, track.box_filter.predict(timestamp)) for track in recent if track.next_window
+        ]
+        lost = [track for track in tracks if track.seen_at < self._read_at]
+        due = timestamp - self._searched_at >= self._parameters.search_every_s
+        if with_window and len(with_window) == len(recent) and not due:
+            read = self._read_all(frame, self._targets((), with_window), job)
+            lost_now = [target.track for target, reading in read if reading is None]
+            if not lost_now:
+                return read
+            lost += [track for track in lost_now if track is not None and track not in lost]
+        with job.stage("detect"):
+            places = [track.box_filter.seen for track in lost]
+            detections = self._finder.detector.detect(frame, places)[: self._finder.max_persons]
+        self._searched_at = timestamp
+        return self._read_all(frame, self._targets(detections, with_window), job)
+
+    def _targets(
+        self, detections: Iterable[Detection], with_window: Iterable[tuple[Track, Box]]
+    ) -> list[_Target]:
+        """Detections, with the windows of the tracks that they show, then all other tracks."""
+        targets: list[_Target] = []
+        unseen = [(track, box) for track, box in with_window]
+        for detection in detections:
+            best = max(unseen, key=lambda pair: pair[1].iou(detection.box), default=None)
+            if best is not None and best[1].iou(detection.box) >= self._parameters.min_track_iou:
+                unseen.remove(best)
+                windows = (*detection.windows, *_windows(best[0]))
+                detection = replace(detection, windows=windows)
+            targets.append(_Target(detection, None))
+        for track, box in unseen:
+            targets.append(_Target(Detection(box, 0.0, None, _windows(track)), track))
+        return targets
+
+    def _read_all(
+        self, frame: NDArray[np.uint8], targets: Sequence[_Target], job: Job
+    ) -> list[tuple[_Target, PoseReading | None]]:
+        job.checkpoint()
+        with job.stage("keypoints"):
+            readings = job.map(lambda target: self._read(frame, target), targets)
+        return list(zip(targets, readings, strict=True))
+
+    def _read(self, frame: NDArray[np.uint8], target: _Target) -> PoseReading | None:
+        """Read a person; None where a track's window no longer shows anybody."""
+        detection, reader = target.detection, self._finder.reader
+        if target.track is None:
+            return reader.read(frame, detection.box, detection.keypoints, detection.windows)
+        reading = reader.network.read(frame, detection.windows[0])
+        if reading.presence < self._min_presence or reading.drift > self._parameters.max_drift:
+            return None
+        if reading.body_px < self._parameters.movenet_from_px:
+            return reading
+        keypoints = reader.keypoint_reader.read(frame, reading.landmarks.box())
+        return reading if keypoints is None else fuse(reading, keypoints)
+
+    def _body_box(self, reading: PoseReading) -> Box:
+        """The box about a body, whose landmarks end short of the crown, hands and feet."""
+        box = reading.landmarks.box()
+        margin = self._parameters.body_margin * max(box.width, box.height)
+        return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
+
+
+def _windows(track: Track) -> tuple[PersonWindow, ...]:
+    return () if track.next_window is None else (track.next_window,)
+
+
+def _distinct(found: Sequence[tuple[_Target, PoseReading]]) -> list[tuple[_Target, PoseReading]]:
+    """One reading of each body, in their order: of a detection rather than of a track's window.
+
+    Of two tracks the one counts that is predicted nearer to the body.
+    """
+
+    def rank(row: int) -> tuple[float, float]:
+        target, reading = found[row]
+        return -target.detection.score, -target.detection.box.iou(reading.landmarks.box())
+
+    order = sorted(range(len(found)), key=rank)
+    kept = distinct_bodies([found[row][1] for row in order])
+    return [found[row] for row in sorted(order[i] for i in kept)]

@@ -1,0 +1,79 @@
+"""A track's posture: the shares of its frames, averaged over time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.posture import (
+    EstimatedPosture,
+    grounded_probability,
+    posture_of,
+    with_bent_legs,
+    with_grounded,
+)
+from app.tracking.parameters import DEFAULTS, PostureParameters
+from app.vision.geometry import Box
+from app.vision.people import Landmarks
+
+
+class PostureFilter:
+    """Averages the postures of a track's frames, the newest counting most."""
+
+    def __init__(self, parameters: PostureParameters = DEFAULTS.posture) -> None:
+        self._parameters = parameters
+        self._shares: NDArray[np.float64] | None = None
+        self._presence = 1.0
+        self._last_at = -math.inf
+
+    def update(
+        self,
+        timestamp: float,
+        votes: NDArray[np.float64],
+        landmarks: Landmarks | None,
+        presence: float,
+        box: Box,
+    ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
+        """Take in a frame.
+
+        Parameters
+        ----------
+        timestamp : float
+            Seconds, after those of the frames before.
+        votes : (10,) float64 array
+            Share of each of ``POSTURES`` in the hypotheses of this frame.
+        landmarks : Landmarks or None
+            None where none were read.
+        presence : float
+            Probability that the landmarks are a person's.
+        box : Box
+            Of the person.
+
+        Returns
+        -------
+        posture : EstimatedPosture
+            Of the track.
+        shares : (10,) float64 array
+            Of this frame alone.
+        """
+        shares = votes
+        if landmarks is not None:
+            # Where the network sees no person, only the shape of the box says how they lie.
+            lies = presence * grounded_probability(landmarks) + (1 - presence) * self._wide(box)
+            shares = with_grounded(with_bent_legs(votes, landmarks, presence), lies)
+        if self._shares is None:
+            self._shares, self._presence = shares, presence
+        else:
+            elapsed = min(timestamp - self._last_at, self._parameters.max_step_s)
+            kept = math.exp(-elapsed / self._parameters.settling_s)
+            self._shares = kept * self._shares + (1 - kept) * shares
+            self._presence = kept * self._presence + (1 - kept) * presence
+        self._last_at = timestamp
+        return posture_of(self._shares, self._presence), shares
+
+    def _wide(self, box: Box) -> float:
+        """Probability that the person in a box lies, by its shape alone."""
+        narrowness = self._parameters.wide_from * box.height / box.width
+        return float(1 / (1 + narrowness**self._parameters.wide_slope))

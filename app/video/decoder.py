@@ -1,0 +1,130 @@
+"""The program that decodes a video, run in a process of its own.
+
+FFmpeg reads the video. A hostile file can make it hang, crash or fill the memory. In a process of
+its own it cannot harm the service, which kills it when it is late or no longer wanted. The program
+is run by its path and writes a header before each frame, and another one at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import resource
+import sys
+from contextlib import suppress
+from pathlib import Path
+from struct import Struct
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+
+HEADER = Struct("<cIIId")
+"""Kind, number of the frame, width, height, and seconds since the video began."""
+
+FRAME, END, TOO_LARGE = b"F", b"E", b"L"
+"""Kinds of headers: a frame, followed by its BGR pixels; the end, with the number of frames read
+and, as width, the number that the file announces; a frame of more pixels than allowed."""
+
+# Without playlists and image sequences, which make FFmpeg open other files.
+_FORMATS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,h264,hevc,m4v,ivf"
+_OPTIONS = f"protocol_whitelist;file|format_whitelist;{_FORMATS}"
+
+_MEMORY_BYTES = 640 * 1024**2
+_NICENESS = 5
+# A frame rate above the maximum is not believed, and the default used.
+_DEFAULT_FPS = 25.0
+_MAX_FPS = 1000.0
+_MAX_TIMESTAMP_S = 1e9
+
+
+def main() -> None:
+    """Write the frames of a file to standard output."""
+    parser = argparse.ArgumentParser(description="Decode a video for the service.")
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--stride", type=int, default=1, help="take every n-th frame")
+    parser.add_argument("--max-pixels", type=int, required=True, help="of a frame")
+    parser.add_argument("--max-seconds", type=int, required=True, help="of processor time")
+    options = parser.parse_args()
+    _limit_process(options.max_seconds)
+    with suppress(BrokenPipeError), open(sys.stdout.fileno(), "wb", closefd=False) as out:
+        write_frames(options.file, options.stride, options.max_pixels, out)
+
+
+def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> None:
+    """Decode a file and write a header and the pixels of every ``stride``-th frame.
+
+    A frame of more than ``max_pixels`` ends the output.
+    """
+    os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _OPTIONS
+    capture = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+    clock = _Clock(capture.get(cv2.CAP_PROP_FPS))
+    width, height = _size(capture)
+    number = 0
+    while width * height <= max_pixels and capture.grab():
+        timestamp = clock.timestamp(number, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+        if number % stride == 0:
+            read, picture = capture.retrieve()
+            if not read:
+                break
+            height, width = picture.shape[:2]
+            if width * height > max_pixels:
+                break
+            out.write(HEADER.pack(FRAME, number, width, height, timestamp))
+            out.write(np.ascontiguousarray(picture).data)
+            out.flush()
+        number += 1
+    if width * height > max_pixels:
+        out.write(HEADER.pack(TOO_LARGE, number, width, height, 0.0))
+    else:
+        announced = max(0, min(2**32 - 1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))))
+        out.write(HEADER.pack(END, number, announced, 0, 0.0))
+    out.flush()
+
+
+def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
+    """Width and height that the file announces, 0 if it announces none."""
+    width, height = (
+        max(0, int(capture.get(key)))
+        for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    )
+    return width, height
+
+
+class _Clock:
+    """Ascending timestamps: the file's own, or by its frame rate where they do not ascend."""
+
+    def __init__(self, fps: float) -> None:
+        self._interval_s = 1 / (fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS)
+        self._last_s = -math.inf
+
+    def timestamp(self, number: int, reported_s: float) -> float:
+        """Seconds of a frame since the video began, given what the file reports."""
+        if number == 0 and not reported_s > 0:
+            self._last_s = 0.0
+        elif self._last_s < reported_s < _MAX_TIMESTAMP_S:
+            self._last_s = reported_s
+        else:
+            self._last_s = max(self._last_s, 0.0) + self._interval_s
+        return self._last_s
+
+
+def _limit_process(max_seconds: int) -> None:
+    """Limit the resources that a hostile file can make this process take."""
+    os.nice(_NICENESS)
+    for kind, limit in (
+        (resource.RLIMIT_DATA, _MEMORY_BYTES),
+        (resource.RLIMIT_CPU, max_seconds),
+        (resource.RLIMIT_FSIZE, 0),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (limit if hard < 0 else min(limit, hard),) * 2)
+    # If memory runs out, the kernel ends this process first.
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+if __name__ == "__main__":
+    main()

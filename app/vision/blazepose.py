@@ -1,0 +1,203 @@
+"""BlazePose [1]_: its person detector, and its landmark network.
+
+The detector finds large people in any orientation, each with a circle about the body. The network
+has anchors at the centres of the cells of three grids. It gives each anchor a score and the offsets
+of a box and of four points: the first is the middle of the hips, the second lies on the circle
+about the body, in the direction of the head.
+
+The landmark network reads mask, landmarks and depth of the person in a window in one pass.
+
+References
+----------
+.. [1] V. Bazarevsky et al., "BlazePose: On-device Real-time Body Pose tracking", 2020.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.crops import resize, sample_window
+from app.vision.geometry import WINDOW_SCALE, PersonWindow, non_max_suppression, transform_points
+from app.vision.odds import sigmoid
+from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
+from app.vision.tflite import TfliteNetwork
+
+LANDMARK_PX = 256
+"""Side of the landmark network's input and mask."""
+
+# Points of the landmark network: the landmarks, the centre of the circle about the body, its point
+# in the direction of the head, and others. Each has x, y, z, visibility and presence.
+_POINTS, _POINT_VALUES = 39, 5
+_CIRCLE_CENTRE, _CIRCLE_TOP = 33, 34
+_LANDMARKS = len(LANDMARK_NAMES)
+
+DETECTOR_PX = 224
+"""Side of the detector's input."""
+
+ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
+"""Stride of each grid in pixels, and anchors per cell."""
+
+_ANCHORS, _ANCHOR_VALUES = 2254, 12
+_NMS_IOU = 0.3
+
+
+@dataclass(frozen=True)
+class PoseReading:
+    """What the landmark network reads in a window.
+
+    Parameters
+    ----------
+    window : PersonWindow
+    landmarks : Landmarks
+        In pixels of the frame, and metres.
+    presence : float
+        The network's probability that a person is in the window.
+    probability : (256, 256) float32 array
+        Probability that each pixel of the window shows the person.
+    next_window : PersonWindow
+        The window that the landmarks point to.
+    keypoints : ObservedKeypoints, optional
+        MoveNet's keypoints of the same person, in pixels of the frame.
+    """
+
+    window: PersonWindow
+    landmarks: Landmarks
+    presence: float
+    probability: NDArray[np.float32]
+    next_window: PersonWindow
+    keypoints: ObservedKeypoints | None = None
+
+    @property
+    def body_px(self) -> float:
+        """Size of the body, the radius of its circle, in pixels of the frame."""
+        return self.next_window.side / (2 * WINDOW_SCALE)
+
+    @property
+    def drift(self) -> float:
+        """Distance from the window to the next, as a share of its side; large for a wrong one."""
+        return self.window.drift(self.next_window)
+
+
+class LandmarkNetwork:
+    """BlazePose's landmark network; thread-safe.
+
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    """
+
+    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
+        self._network = TfliteNetwork(
+            path,
+            (LANDMARK_PX, LANDMARK_PX, 3),
+            [(_POINT_VALUES * _POINTS,), (1,), (LANDMARK_PX, LANDMARK_PX, 1), (3 * _POINTS,)],
+            threads=threads,
+            copies=copies,
+        )
+
+    def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading:
+        """Read the person in a window of a frame ``(H, W, 3)``, BGR."""
+        image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
+        values, presence, log_odds, world = self._network.run(image * np.float32(1 / 255))
+        points = values.reshape(_POINTS, _POINT_VALUES).astype(np.float64)
+        to_frame = window.to_frame(LANDMARK_PX)
+        # The network counts pixels from the corner of the first one.
+        positions = transform_points(to_frame, points[:, :2] - 0.5)
+        visibility = sigmoid(points[:_LANDMARKS, 3])
+        metres = world.reshape(_POINTS, 3)[:_LANDMARKS].astype(np.float64)
+        rotation = to_frame[:, :2] / (window.side / LANDMARK_PX)
+        metres = np.hstack([metres[:, :2] @ rotation.T, metres[:, 2:]])
+        return PoseReading(
+            window,
+            Landmarks(positions[:_LANDMARKS], visibility, metres),
+            float(presence[0]),
+            sigmoid(log_odds[..., 0]),
+            PersonWindow.about_circle(positions[_CIRCLE_CENTRE], positions[_CIRCLE_TOP]),
+        )
+
+
+@dataclass(frozen=True)
+class BlazePoseDetection:
+    """A body that BlazePose's detector finds.
+
+    Parameters
+    ----------
+    window : PersonWindow
+        About the circle around the body.
+    score : float
+        0 to 1; not a probability.
+    """
+
+    window: PersonWindow
+    score: float
+
+
+class BlazePoseDetector:
+    """BlazePose's person detector; thread-safe.
+
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    """
+
+    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
+        self._network = TfliteNetwork(
+            path,
+            (DETECTOR_PX, DETECTOR_PX, 3),
+            [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)],
+            threads=threads,
+            copies=copies,
+        )
+
+    def detect(self, frame: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
+        """Find bodies in a frame ``(H, W, 3)``, BGR; best first.
+
+        The network sees the whole frame, so that it finds large people only.
+        """
+        height, width = frame.shape[:2]
+        factor = DETECTOR_PX / max(height, width)
+        columns, rows = max(1, round(width * factor)), max(1, round(height * factor))
+        left, top = (DETECTOR_PX - columns) // 2, (DETECTOR_PX - rows) // 2
+        image: NDArray[np.float32] = np.full((DETECTOR_PX, DETECTOR_PX, 3), -1, np.float32)
+        small = cv2.cvtColor(resize(frame, columns, rows), cv2.COLOR_BGR2RGB)
+        image[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
+        values, log_odds = self._network.run(image)
+        scores = sigmoid(log_odds[:, 0].astype(np.float64))
+        used = np.flatnonzero(scores >= min_score)
+        boxes, points = decode_anchors(values, used)
+        kept = non_max_suppression(boxes, scores[used], _NMS_IOU)
+        # Pixel centres of the network's input to those of the frame.
+        scale = np.array([width / columns, height / rows])
+        points = (points - [left, top]) * scale - 0.5
+        return [
+            BlazePoseDetection(PersonWindow.about_circle(*points[i, :2]), float(scores[used[i]]))
+            for i in kept
+        ]
+
+
+def decode_anchors(
+    values: NDArray[np.float32], used: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Boxes ``(K, 4)`` and points ``(K, 4, 2)`` of the anchors in rows ``used`` ``(K,)``.
+
+    They are in pixels of the network's input, from the corner of the first pixel.
+    """
+    raw = values[used].astype(np.float64)
+    anchors = _ANCHOR_CENTRES[used]
+    size = raw[:, 2:4]
+    boxes = np.hstack([raw[:, :2] + anchors - size / 2, size])
+    return boxes, raw[:, 4:].reshape(-1, 4, 2) + anchors[:, None]
+
+
+def _anchor_centres() -> NDArray[np.float64]:
+    """Centres ``(2254, 2)`` of all anchors, x before y."""
+    grids = []
+    for stride, count in ANCHOR_GRIDS:
+        centres = (np.arange(DETECTOR_PX // stride) + 0.5) * stride
+        x, y = np.meshgrid(centres, centres)
+        grids.append(np.repeat(np.stack([x.ravel(), y.ravel()], axis=-1), count, axis=0))
+    return np.concatenate(grids)
+
+
+_ANCHOR_CENTRES = _anchor_centres()

@@ -1,1 +1,0 @@
-"""Encoded bytes to pixels."""

@@ -1,0 +1,225 @@
+"""Boxes, and the rotated square windows in which people are read, in pixels of a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Boxes = NDArray[np.float64]
+"""Many boxes ``(N, 4)``: x, y, width, height."""
+
+WINDOW_SCALE = 1.25
+"""Side of a person's window relative to the circle about the body or the longer side of its box, as
+BlazePose was trained."""
+
+_MIN_RADIUS_PX = 1e-3
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright rectangle in pixels.
+
+    The origin is the centre of the top-left pixel, so the box of that pixel alone is
+    ``Box(-0.5, -0.5, 1, 1)``.
+
+    Parameters
+    ----------
+    x, y : float
+        Left and top edge.
+    width, height : float
+        Positive.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+    def __post_init__(self) -> None:
+        finite = np.isfinite([self.x, self.y, self.width, self.height]).all()
+        if not (finite and self.width > 0 and self.height > 0):
+            raise ValueError(f"expected a box of positive finite size, got {self}")
+
+    @classmethod
+    def from_edges(cls, left: float, top: float, right: float, bottom: float) -> Box:
+        """Make the box between four edges."""
+        return cls(left, top, right - left, bottom - top)
+
+    @property
+    def right(self) -> float:
+        """Right edge."""
+        return self.x + self.width
+
+    @property
+    def bottom(self) -> float:
+        """Bottom edge."""
+        return self.y + self.height
+
+    @property
+    def area(self) -> float:
+        """Area in square pixels."""
+        return self.width * self.height
+
+    @property
+    def foot(self) -> NDArray[np.float64]:
+        """Middle of the lower edge ``(2,)``, where a person stands."""
+        return np.array([self.x + self.width / 2, self.bottom])
+
+    def intersection(self, other: Box) -> float:
+        """Area shared with another box, in square pixels."""
+        width = min(self.right, other.right) - max(self.x, other.x)
+        height = min(self.bottom, other.bottom) - max(self.y, other.y)
+        return max(0.0, width) * max(0.0, height)
+
+    def iou(self, other: Box) -> float:
+        """Intersection over union with another box, 0 to 1."""
+        shared = self.intersection(other)
+        return shared / (self.area + other.area - shared)
+
+    def clip(self, width: int, height: int) -> Box | None:
+        """The part inside a frame of ``width`` x ``height`` pixels; None if there is none."""
+        left, top = max(self.x, -0.5), max(self.y, -0.5)
+        right, bottom = min(self.right, width - 0.5), min(self.bottom, height - 0.5)
+        if right <= left or bottom <= top:
+            return None
+        return Box.from_edges(left, top, right, bottom)
+
+    def scaled(self, factor: float) -> Box:
+        """The same box in a frame resized by ``factor``."""
+        x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
+        return Box(x, y, self.width * factor, self.height * factor)
+
+    def pixels(self) -> tuple[int, int, int, int]:
+        """The pixels nearest the edges: first column and row, then one past the last.
+
+        There is at least one pixel each way. They may lie outside the frame.
+        """
+        left, top = round(self.x + 0.5), round(self.y + 0.5)
+        right, bottom = round(self.right + 0.5), round(self.bottom + 0.5)
+        return left, top, max(left + 1, right), max(top + 1, bottom)
+
+
+def box_array(boxes: Iterable[Box]) -> Boxes:
+    """Boxes as an array ``(N, 4)``."""
+    rows = [[box.x, box.y, box.width, box.height] for box in boxes]
+    return np.array(rows, np.float64).reshape(-1, 4)
+
+
+def intersections(first: Boxes, second: Boxes) -> NDArray[np.float64]:
+    """Shared area ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
+    low = np.maximum(first[:, None, :2], second[None, :, :2])
+    high = np.minimum(
+        first[:, None, :2] + first[:, None, 2:], second[None, :, :2] + second[None, :, 2:]
+    )
+    return np.asarray(np.clip(high - low, 0, None).prod(axis=2))
+
+
+def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
+    """Intersection over union ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
+    shared = intersections(first, second)
+    areas = (first[:, 2] * first[:, 3])[:, None] + (second[:, 2] * second[:, 3])[None, :]
+    return np.asarray(shared / (areas - shared))
+
+
+def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: float) -> list[int]:
+    """Keep the best of boxes that overlap.
+
+    Unlike OpenCV's, it keeps the first of boxes with equal scores.
+
+    Parameters
+    ----------
+    boxes : (N, 4) float64 array
+    scores : (N,) float64 array
+    max_iou : float
+        Intersection over union from which the box of the lower score is dropped.
+
+    Returns
+    -------
+    list of int
+        Rows kept, best first.
+    """
+    overlaps = iou_matrix(boxes, boxes)
+    is_open = np.ones(len(boxes), bool)
+    kept = []
+    for row in np.argsort(-scores, kind="stable"):
+        if is_open[row]:
+            kept.append(int(row))
+            is_open &= overlaps[row] < max_iou
+    return kept
+
+
+def transform_points(
+    matrix: NDArray[np.float64], points: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Points ``(..., 2)``, x before y, after an affine transform ``(2, 3)``."""
+    return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+
+
+@dataclass(frozen=True)
+class PersonWindow:
+    """A square of a frame about a person, rotated so that the trunk is upright in it.
+
+    Parameters
+    ----------
+    x, y : float
+        Centre, in pixels of the frame.
+    side : float
+        Positive, in pixels of the frame.
+    roll_deg : float
+        Direction of the head in the frame, clockwise: 0 is up, 90 right.
+    """
+
+    x: float
+    y: float
+    side: float
+    roll_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.x, self.y, self.side, self.roll_deg]).all() and self.side > 0):
+            raise ValueError(f"expected a window of positive finite size, got {self}")
+
+    @classmethod
+    def about_box(cls, box: Box, roll_deg: float = 0.0) -> PersonWindow:
+        """Make the window about a person's box."""
+        side = WINDOW_SCALE * max(box.width, box.height)
+        return cls(box.x + box.width / 2, box.y + box.height / 2, side, roll_deg)
+
+    @classmethod
+    def about_circle(cls, centre: NDArray[np.floating], top: NDArray[np.floating]) -> PersonWindow:
+        """Make the window about the circle around a body.
+
+        Parameters
+        ----------
+        centre : (2,) array
+            Middle of the hips, in pixels of the frame.
+        top : (2,) array
+            The circle's point in the direction of the head.
+        """
+        right, down = (np.asarray(top, np.float64) - centre).tolist()
+        radius = max(math.hypot(right, down), _MIN_RADIUS_PX)
+        roll_deg = math.degrees(math.atan2(right, -down))
+        return cls(float(centre[0]), float(centre[1]), 2 * WINDOW_SCALE * radius, roll_deg)
+
+    def to_frame(self, pixels: int) -> NDArray[np.float64]:
+        """Affine transform ``(2, 3)`` to the frame from the window at ``pixels`` a side."""
+        angle = math.radians(self.roll_deg)
+        scale = self.side / pixels
+        cosine, sine = scale * math.cos(angle), scale * math.sin(angle)
+        linear = np.array([[cosine, -sine], [sine, cosine]])
+        middle = (pixels - 1) / 2
+        offset = np.array([self.x, self.y]) - linear @ np.array([middle, middle])
+        return np.column_stack([linear, offset])
+
+    def corners(self) -> NDArray[np.float64]:
+        """Corners ``(4, 2)`` in the frame, clockwise from the top left one of the window."""
+        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
+        return transform_points(self.to_frame(2), corners)
+
+    def drift(self, other: PersonWindow) -> float:
+        """Mean distance to the corners of another window, as a share of this one's side."""
+        apart = self.corners() - other.corners()
+        return float(np.linalg.norm(apart, axis=1).mean() / self.side)

@@ -1,1 +1,0 @@
-"""What a photograph shows of people's joints: the network, and what it says of one person."""

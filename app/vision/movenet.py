@@ -1,0 +1,211 @@
+"""MoveNet MultiPose [1]_: all people of an image in one pass, each with a box and 17 keypoints.
+
+The network is a CenterNet [2]_: a heatmap of people's centres, at each centre the size of the box
+and a first guess of the keypoints, and heatmaps that refine the keypoints. Google's graph decodes
+six people; decoding here gives any number.
+
+References
+----------
+.. [1] Google, "MoveNet.MultiPose", model card, 2021.
+.. [2] X. Zhou, D. Wang, P. Krähenbühl, "Objects as Points", 2019.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.crops import PixelRect, crop_and_resize
+from app.vision.geometry import Box
+from app.vision.parameters import DEFAULTS, KeypointParameters
+from app.vision.people import COCO_NAMES, ObservedKeypoints
+from app.vision.tflite import TfliteNetwork
+
+CELL_PX = 4
+"""Pixels of the input per heatmap cell, each way."""
+
+KEYPOINTS = len(COCO_NAMES)
+
+MIN_KEYPOINT_SCORE = 0.127
+"""Score below which keypoints do not count towards a person's score, as in Google's graph."""
+
+# The sides of the input are multiples of this.
+_INPUT_MULTIPLE_PX = 32
+# Channels of the network's heads, in the order of `decode_heads`.
+_CHANNELS = (1, 2, 2, 2 * KEYPOINTS, KEYPOINTS, 2 * KEYPOINTS)
+# Variance of the Gaussian that weights a heatmap about the first guess, relative to the heatmap's
+# shorter side; from Google's graph.
+_GUESS_SPREAD = 0.3
+
+
+@dataclass(frozen=True)
+class MoveNetDetection:
+    """A person that MoveNet finds.
+
+    Parameters
+    ----------
+    box, keypoints : Box, ObservedKeypoints
+        In pixels of the image.
+    score : float
+        0 to 1: of the centre, times the mean of the visible keypoints. It is no probability and is
+        low for small and covered people.
+    centre_score : float
+        Of the centre alone.
+    """
+
+    box: Box
+    score: float
+    centre_score: float
+    keypoints: ObservedKeypoints
+
+
+class MoveNet:
+    """MoveNet; thread-safe.
+
+    Paths, threads, copies and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        threads: int = 1,
+        copies: int = 1,
+        parameters: KeypointParameters = DEFAULTS.keypoints,
+    ) -> None:
+        heads = [(None, None, channels) for channels in _CHANNELS]
+        self._network = TfliteNetwork(path, (None, None, 3), heads, threads=threads, copies=copies)
+        self._parameters = parameters
+
+    def detect(self, image: NDArray[np.uint8]) -> list[MoveNetDetection]:
+        """Find the people of an image ``(H, W, 3)``, BGR, highest centre score first.
+
+        The network sees the image at its full size, which memory and time must allow.
+        """
+        height, width = image.shape[:2]
+        rows, columns = (
+            -(-side // _INPUT_MULTIPLE_PX) * _INPUT_MULTIPLE_PX for side in (height, width)
+        )
+        padded: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
+        padded[:height, :width] = image[..., ::-1]
+        return decode_heads(self._network.run(padded), self._parameters)
+
+
+def decode_heads(
+    heads: Sequence[NDArray[np.float32]], parameters: KeypointParameters = DEFAULTS.keypoints
+) -> list[MoveNetDetection]:
+    """Decode the network's heads into people, highest centre score first.
+
+    Parameters
+    ----------
+    heads : sequence of (h, w, C) float32 arrays
+        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
+        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
+        cell (34); rows before columns, in cells.
+    """
+    centres = heads[0][..., 0]
+    highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
+    is_peak = (centres >= highest - 1e-6) & (centres >= parameters.min_centre_score)
+    rows, columns = np.nonzero(is_peak)
+    order = np.argsort(-centres[rows, columns], kind="stable")[: parameters.max_people]
+    found = (_decode_person(heads, int(rows[i]), int(columns[i]), parameters) for i in order)
+    return [person for person in found if person is not None]
+
+
+def _decode_person(
+    heads: Sequence[NDArray[np.float32]], row: int, column: int, parameters: KeypointParameters
+) -> MoveNetDetection | None:
+    """Decode the person whose centre lies in a cell; None if the box is empty."""
+    centres, sizes, offsets, guesses, heatmaps, refinements = heads
+    cells = np.array(centres.shape[:2])
+    middle = np.array([row, column]) + offsets[row, column]
+    half = np.maximum(sizes[row, column], 0) / 2
+    low, high = np.clip(middle - half, 0, cells), np.clip(middle + half, 0, cells)
+    if (high - low < parameters.min_box_cells).any():
+        return None
+    first = np.minimum(np.ceil(low).astype(int), cells - 1)
+    last = np.maximum(np.ceil(high).astype(int), first + 1)
+    guess = guesses[row, column].reshape(KEYPOINTS, 2) + np.array([row, column])
+    inside = heatmaps[first[0] : last[0], first[1] : last[1]]
+    at, scores = _heatmap_peaks(inside, first, guess, _GUESS_SPREAD * cells.min())
+    which = np.arange(KEYPOINTS)
+    refined = at + refinements[at[:, 0], at[:, 1]].reshape(KEYPOINTS, KEYPOINTS, 2)[which, which]
+    visible = scores > MIN_KEYPOINT_SCORE
+    mean = float(scores[visible].mean()) if visible.any() else 0.0
+    centre = float(centres[row, column, 0])
+    top, left, bottom, right = (float(CELL_PX * edge - 0.5) for edge in (*low, *high))
+    return MoveNetDetection(
+        Box.from_edges(left, top, right, bottom),
+        centre * mean,
+        centre,
+        ObservedKeypoints(CELL_PX * refined[:, ::-1].astype(np.float64) - 0.5, scores),
+    )
+
+
+def _heatmap_peaks(
+    heatmaps: NDArray[np.float32],
+    first: NDArray[np.int_],
+    guess: NDArray[np.float32],
+    variance: float,
+) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    """Cells ``(17, 2)`` and scores ``(17,)`` of the keypoints in a part of the heatmaps.
+
+    ``first`` is the part's first cell. Heatmaps are weighted about the guesses ``(17, 2)``.
+    """
+    rows, columns = heatmaps.shape[:2]
+    down = np.arange(first[0], first[0] + rows)[:, None] - guess[:, 0]
+    across = np.arange(first[1], first[1] + columns)[:, None] - guess[:, 1]
+    near = np.exp(-(down**2) / variance)[:, None] * np.exp(-(across**2) / variance)[None]
+    weighted = (heatmaps * near).reshape(-1, KEYPOINTS)
+    best = weighted.argmax(axis=0)
+    scores = np.clip(weighted[best, np.arange(KEYPOINTS)], 0, 1).astype(np.float64)
+    return np.stack([first[0] + best // columns, first[1] + best % columns], axis=-1), scores
+
+
+class KeypointReader:
+    """Reads the keypoints of one person in a box; thread-safe."""
+
+    def __init__(
+        self, network: MoveNet, parameters: KeypointParameters = DEFAULTS.keypoints
+    ) -> None:
+        self._network = network
+        self._parameters = parameters
+
+    def read(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
+        """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
+
+        They are in pixels of the frame; None if the network finds nobody in the box.
+        """
+        rect, columns, rows = keypoint_window(box, self._parameters)
+        people = self._network.detect(crop_and_resize(frame, rect, columns, rows))
+        scale = rect[2] / columns
+        inside = Box(box.x - rect[0], box.y - rect[1], box.width, box.height).scaled(1 / scale)
+        person = self._best_match(people, inside)
+        if person is None:
+            return None
+        return person.keypoints.scaled(scale).moved(rect[0], rect[1])
+
+    def _best_match(self, people: list[MoveNetDetection], box: Box) -> MoveNetDetection | None:
+        """The person in a box, whose window may show neighbours as well."""
+        # A blank wall can have a centre but no keypoints: its score is 0.
+        min_iou = self._parameters.min_iou
+        near = [one for one in people if one.score > 0 and box.iou(one.box) >= min_iou]
+        return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)
+
+
+def keypoint_window(
+    box: Box, parameters: KeypointParameters = DEFAULTS.keypoints
+) -> tuple[PixelRect, int, int]:
+    """Window about a box in whole pixels, and the columns and rows at which MoveNet sees it."""
+    long_px, short_px = parameters.input_px
+    columns, rows = (long_px, short_px) if box.width > box.height else (short_px, long_px)
+    scale = parameters.window_scale * max(box.width / columns, box.height / rows)
+    width, height = max(1, round(scale * columns)), max(1, round(scale * rows))
+    left = round(box.x + 0.5 + (box.width - width) / 2)
+    top = round(box.y + 0.5 + (box.height - height) / 2)
+    return (left, top, width, height), columns, rows

@@ -1,0 +1,232 @@
+"""Reads one person: the best of the landmark network's readings, fused with MoveNet's keypoints.
+
+The landmark network reads well if its window is right: about the body, with the trunk upright.
+Windows come from the detectors. MoveNet's keypoints need no window: they show which reading is
+right, and make its landmarks a little more precise where both networks agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.blazepose import LandmarkNetwork, PoseReading
+from app.vision.geometry import Box, PersonWindow
+from app.vision.movenet import KeypointReader
+from app.vision.parameters import DEFAULTS, ReadingParameters
+from app.vision.people import (
+    COCO_LANDMARKS,
+    COCO_NAMES,
+    LANDMARK_NAMES,
+    Landmarks,
+    ObservedKeypoints,
+    coco_rows,
+)
+from app.vision.truncation import ends_at_border
+
+# Of the face, the nose alone counts.
+_COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
+
+
+def _nearest_keypoint(landmark: str) -> int:
+    """Row of the COCO keypoint at, or nearest along the body to, a landmark."""
+    if landmark.startswith("mouth"):
+        return COCO_NAMES.index("nose")
+    side, _, part = landmark.partition("_")
+    if part.startswith("eye"):
+        part = "eye"
+    elif part in ("pinky", "index", "thumb"):
+        part = "wrist"
+    elif part in ("heel", "foot_index"):
+        part = "ankle"
+    return COCO_NAMES.index(f"{side}_{part}" if part else side)
+
+
+_NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
+
+
+@dataclass(frozen=True)
+class PersonReader:
+    """Reads people; thread-safe."""
+
+    network: LandmarkNetwork
+    keypoint_reader: KeypointReader
+    parameters: ReadingParameters = DEFAULTS.reading
+
+    def read(
+        self,
+        frame: NDArray[np.uint8],
+        box: Box,
+        keypoints: ObservedKeypoints | None = None,
+        windows: Sequence[PersonWindow] = (),
+    ) -> PoseReading:
+        """Read the person in a box.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) uint8 array
+            BGR.
+        box : Box
+            Tight around the visible person.
+        keypoints : ObservedKeypoints, optional
+            MoveNet's, in pixels of the frame; by default they are read in the box.
+        windows : sequence of PersonWindow
+            Windows to try besides the one about the box, the likeliest first.
+
+        Returns
+        -------
+        PoseReading
+            Its landmarks fused with the keypoints that agree.
+        """
+        if keypoints is None:
+            keypoints = self.keypoint_reader.read(frame, box)
+        beyond = window_beyond_border(keypoints, box, frame.shape, self.parameters)
+        about = PersonWindow.about_box(box, trunk_roll_deg(keypoints, self.parameters) or 0.0)
+        best = self._best_reading(frame, (*beyond, *windows, about), keypoints)
+        return best if keypoints is None else fuse(best, keypoints, self.parameters)
+
+    def _best_reading(
+        self,
+        frame: NDArray[np.uint8],
+        windows: Iterable[PersonWindow],
+        keypoints: ObservedKeypoints | None,
+    ) -> PoseReading:
+        """The first good reading; without one, the best, or that of the window it points to."""
+
+        def quality_of(reading: PoseReading) -> float:
+            return reading_quality(reading, keypoints, self.parameters)
+
+        readings = []
+        for window in windows:
+            readings.append(self.network.read(frame, window))
+            if quality_of(readings[-1]) >= self.parameters.good_quality:
+                return readings[-1]
+        best = max(readings, key=quality_of)
+        return max(best, self.network.read(frame, best.next_window), key=quality_of)
+
+
+def window_beyond_border(
+    keypoints: ObservedKeypoints | None,
+    box: Box,
+    frame_shape: tuple[int, ...],
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> list[PersonWindow]:
+    """Window about the whole body if the border cuts off its head or its feet; else none.
+
+    In a window about the visible part alone, the network would read a small whole body.
+    """
+    if keypoints is None or not ends_at_border(box, frame_shape):
+        return []
+    nose, shoulders, hips, ankles = (
+        _mean_position(keypoints, part, parameters.min_visible_score)
+        for part in ("nose", "shoulder", "hip", "ankle")
+    )
+    if hips is None or (nose is None) == (ankles is None):
+        return []
+    if ankles is not None:
+        return [PersonWindow.about_circle(hips, hips + (hips - ankles))]
+    top = nose if shoulders is None else shoulders
+    assert top is not None
+    return [PersonWindow.about_circle(hips, hips + parameters.hips_to_feet * (top - hips))]
+
+
+def reading_quality(
+    reading: PoseReading,
+    keypoints: ObservedKeypoints | None,
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> float:
+    """How good a reading is: it agrees with MoveNet, sees a person, and its window stays."""
+    agreement = parameters.unknown_agreement
+    if keypoints is not None:
+        agreement = _agreement(reading, keypoints, parameters)
+    return (
+        agreement
+        + parameters.presence_weight * reading.presence
+        - parameters.drift_weight * reading.drift
+    )
+
+
+def _agreement(
+    reading: PoseReading, keypoints: ObservedKeypoints, parameters: ReadingParameters
+) -> float:
+    """Share of MoveNet's keypoints, weighted by score, that the landmarks match, 0 to 1."""
+    scores = keypoints.scores[_COMPARED]
+    distances = _distances(reading, keypoints)[_COMPARED]
+    agrees = np.exp(-((distances / parameters.agreement_distance) ** 2))
+    total = float(scores.sum())
+    # Few keypoints show little.
+    known = min(1.0, total)
+    share = float((scores * agrees).sum() / max(total, 1e-9))
+    return known * share + (1 - known) * parameters.unknown_agreement
+
+
+def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
+    """Distances ``(17,)`` between both networks' keypoints, in sizes of the body."""
+    offsets = keypoints.positions - reading.landmarks.positions[COCO_LANDMARKS]
+    return np.asarray(np.linalg.norm(offsets, axis=1) / reading.body_px)
+
+
+def fuse(
+    reading: PoseReading,
+    keypoints: ObservedKeypoints,
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> PoseReading:
+    """Move landmarks towards the keypoints of MoveNet that agree with them."""
+    agrees = _distances(reading, keypoints) < parameters.agreement_distance
+    weights = parameters.keypoint_weight * keypoints.scores * agrees
+    positions = reading.landmarks.positions.copy()
+    shares = (weights / (1 + weights))[:, None]
+    positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])
+    landmarks = replace(reading.landmarks, positions=positions)
+    return replace(reading, landmarks=landmarks, keypoints=keypoints)
+
+
+def attenuate_visibility_at_border(
+    reading: PoseReading,
+    frame_shape: tuple[int, ...],
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> Landmarks:
+    """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
+
+    If the border cuts a body, the landmark network squeezes the whole of it into the visible part
+    and calls all of it visible. MoveNet gives a low score to what it does not see.
+    """
+    landmarks = reading.landmarks
+    if reading.keypoints is None:
+        return landmarks
+    reach = parameters.border_distance * reading.body_px
+    end = np.array([frame_shape[1], frame_shape[0]]) - 1
+    near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
+    scores = reading.keypoints.scores[_NEAREST_KEYPOINTS]
+    factors = np.minimum(1.0, scores / parameters.min_visible_score)
+    visibility = np.where(near, factors * landmarks.visibility, landmarks.visibility)
+    return replace(landmarks, visibility=visibility)
+
+
+def trunk_roll_deg(
+    keypoints: ObservedKeypoints | None, parameters: ReadingParameters = DEFAULTS.reading
+) -> float | None:
+    """Direction from hips to shoulders, clockwise from up; None if either is not visible."""
+    if keypoints is None:
+        return None
+    hips, shoulders = (
+        _mean_position(keypoints, part, parameters.min_trunk_score) for part in ("hip", "shoulder")
+    )
+    if hips is None or shoulders is None:
+        return None
+    right, down = shoulders - hips
+    return float(np.rad2deg(np.arctan2(right, -down)))
+
+
+def _mean_position(
+    keypoints: ObservedKeypoints, part: str, min_score: float
+) -> NDArray[np.float64] | None:
+    """Mean position ``(2,)`` of a part on both sides, by score; None if neither is visible."""
+    rows = coco_rows(part)
+    scores = keypoints.scores[rows]
+    if scores.max() < min_score:
+        return None
+    return np.asarray(scores @ keypoints.positions[rows] / scores.sum())

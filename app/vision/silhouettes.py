@@ -1,0 +1,182 @@
+"""Silhouettes of the people of a frame, from the landmark network's masks or a caller's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.geometry import Box
+from app.vision.images import LabelImage
+from app.vision.parameters import DEFAULTS, SilhouetteParameters
+from app.vision.people import Silhouette, silhouette_from_mask
+from app.vision.truncation import with_truncation
+
+
+def silhouettes_of(
+    readings: Sequence[PoseReading],
+    boxes: Sequence[Box],
+    frame_shape: tuple[int, ...],
+    *,
+    exact: bool,
+    parameters: SilhouetteParameters = DEFAULTS.silhouettes,
+) -> list[Silhouette | None]:
+    """Cut people out of the masks of their readings.
+
+    A pixel that several people claim goes to the one of the highest probability.
+
+    Parameters
+    ----------
+    readings : sequence of PoseReading
+        Of all people known in the frame.
+    boxes : sequence of Box
+        The box of each.
+    frame_shape : tuple of int
+        Height and width first.
+    exact : bool
+        Whether boxes are tight; if not, limbs may reach beyond them.
+
+    Returns
+    -------
+    list of Silhouette or None
+        One for each reading, in order; None where the network did not see the person.
+    """
+    height, width = frame_shape[:2]
+    regions = [
+        _region(
+            box if exact else _with_landmarks(box, reading, parameters), width, height, parameters
+        )
+        for box, reading in zip(boxes, readings, strict=True)
+    ]
+    found: list[Silhouette | None] = []
+    for own, region in enumerate(regions):
+        rivals = [
+            (readings[other], other < own)
+            for other, theirs in enumerate(regions)
+            if region and theirs and other != own and region.intersection(theirs) > 0
+        ]
+        found.append(_cut_out(readings[own], rivals, region, parameters) if region else None)
+    return with_truncation(found, boxes, frame_shape)
+
+
+def silhouettes_from_labels(image: LabelImage) -> list[Silhouette]:
+    """Silhouettes of a caller's mask, from left to right by the middle of their boxes."""
+    people = [
+        silhouette_from_mask(image.part == label, left=image.left, top=image.top, segmenter="mask")
+        for label in image.present
+    ]
+    found = [person for person in people if person is not None]
+    flagged = with_truncation(found, [person.box for person in found], image.labels.shape)
+    return sorted(
+        (person for person in flagged if person is not None),
+        key=lambda person: person.box.x + person.box.width / 2,
+    )
+
+
+def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParameters) -> Box:
+    """A box widened to the visible landmarks."""
+    visible = reading.landmarks.visibility >= parameters.min_visibility
+    if not visible.any():
+        return box
+    positions = reading.landmarks.positions[visible]
+    margin = parameters.landmark_margin * max(box.width, box.height)
+    left, top = (positions.min(axis=0) - margin).tolist()
+    right, bottom = (positions.max(axis=0) + margin).tolist()
+    return Box.from_edges(
+        min(box.x, left), min(box.y, top), max(box.right, right), max(box.bottom, bottom)
+    )
+
+
+def _region(box: Box, width: int, height: int, parameters: SilhouetteParameters) -> Box | None:
+    """The part of a frame to cut a person out of: the box, extended to edges that are near."""
+    inside = box.clip(width, height)
+    if inside is None:
+        return None
+    left, top, _, _ = inside.pixels()
+    if left >= width or top >= height:
+        return None  # A sliver at the edge holds no pixel.
+    sides = np.array([inside.x, inside.y, inside.right, inside.bottom])
+    edges = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
+    near = np.abs(sides - edges) <= parameters.edge_px
+    return Box.from_edges(*np.where(near, edges, sides).tolist())
+
+
+def _cut_out(
+    reading: PoseReading,
+    rivals: Sequence[tuple[PoseReading, bool]],
+    region: Box,
+    parameters: SilhouetteParameters,
+) -> Silhouette | None:
+    """Cut one person out of a region; None if next to nothing is left.
+
+    ``rivals`` are the readings of other people there, and whether they win ties.
+    """
+    left, top, right, bottom = region.pixels()
+    width, height = right - left, bottom - top
+    scale = min(1.0, parameters.max_side_px / max(width, height))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    # From pixels as drawn to pixels of the frame.
+    to_frame = np.array(
+        [
+            [width / size[0], 0, left + 0.5 * width / size[0] - 0.5],
+            [0, height / size[1], top + 0.5 * height / size[1] - 0.5],
+        ]
+    )
+    own = _probability(reading, to_frame, size)
+    mask = own >= parameters.min_probability
+    for rival, wins_ties in rivals:
+        theirs = _probability(rival, to_frame, size)
+        mask &= own > theirs if wins_ties else own >= theirs
+    mask = fill_small_holes(keep_components(mask, parameters.min_part), parameters.max_hole)
+    inside = cv2.resize(mask.astype(np.float32), (width, height)) >= parameters.min_cover
+    if np.count_nonzero(inside) < parameters.min_fill * inside.size:
+        return None
+    return silhouette_from_mask(inside, left=left, top=top, segmenter="network")
+
+
+def _probability(
+    reading: PoseReading, to_frame: NDArray[np.float64], size: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Draw a reading's mask at ``size``, whose pixels ``to_frame`` ``(2, 3)`` maps to the frame."""
+    from_frame = cv2.invertAffineTransform(reading.window.to_frame(LANDMARK_PX))
+    linear = from_frame[:, :2] @ to_frame[:, :2]
+    offset = from_frame[:, :2] @ to_frame[:, 2] + from_frame[:, 2]
+    matrix = np.column_stack([linear, offset])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
+
+
+def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Fill holes of a mask ``(H, W)`` of up to ``share`` of its area.
+
+    Larger ones stay: the gap between arm and trunk shows the pose.
+    """
+    limit = share * np.count_nonzero(mask)
+    # A ring of background, so that the outside is one component, number `labels[0, 0]`.
+    background = np.pad(~mask, 1, constant_values=True).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
+    small = stats[:, cv2.CC_STAT_AREA] <= limit
+    small[0] = False  # The mask itself.
+    small[labels[0, 0]] = False
+    if count <= 2 or not small.any():
+        return mask
+    return np.asarray(mask | small[labels[1:-1, 1:-1]])
+
+
+def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Keep the largest component of a mask ``(H, W)`` and those of at least ``share`` of its area.
+
+    A lamp post may part a leg from its body, so one component need not be all of a person.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    if count <= 2:
+        return mask
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    keep = areas >= share * areas.max()
+    keep[0] = False
+    keep[areas.argmax()] = True
+    return np.asarray(keep[labels])

@@ -1,0 +1,186 @@
+"""Virtual cameras on a hemisphere, and the shards of a simulation that they see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg
+from index.build.body import Avatar, posed_points
+from index.build.render import render, skin
+from index.posture import POSTURES, classify
+from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
+from index.store import ENTRY_DTYPE
+
+ELEVATIONS_DEG = (-5.0, 60.0)
+"""From a little below the pelvis to a steep surveillance view."""
+
+GROUND_ELEVATIONS_DEG = (5.0, 70.0)
+"""For bodies that lie or crawl."""
+
+DISTANCES_M = (3.0, 20.0)
+"""From a room to a car park."""
+
+ROLL_STD_DEG = 2.0
+"""Cameras are rolled a little."""
+
+VIEW_DTYPE = np.dtype(
+    [("azimuth_deg", "<f4"), ("elevation_deg", "<f4"), ("roll_deg", "<f4"), ("distance", "<f4")]
+)
+
+
+def sample_views(
+    count: int,
+    generator: np.random.Generator,
+    elevations_deg: tuple[float, float] = ELEVATIONS_DEG,
+) -> NDArray[np.void]:
+    """Cameras spread over the hemisphere, each a little off its place.
+
+    Azimuths are stratified, so that ``count`` views of one pose surround it. Elevations crowd
+    towards eye level, where most cameras are, with a third above 25 degrees. Distances are
+    uniform in their logarithm.
+
+    Returns
+    -------
+    (count,) array of VIEW_DTYPE
+    """
+    views = np.zeros(count, VIEW_DTYPE)
+    strata = (np.arange(count) + generator.random(count)) / count
+    views["azimuth_deg"] = (360.0 * (strata + generator.random())) % 360.0
+    low, high = elevations_deg
+    # Stratified as well, in an order of its own; the power crowds them towards eye level.
+    heights = generator.permutation((np.arange(count) + generator.random(count)) / count)
+    views["elevation_deg"] = low + (high - low) * heights**1.8
+    views["roll_deg"] = generator.normal(0.0, ROLL_STD_DEG, count)
+    nearest, farthest = np.log(DISTANCES_M)
+    views["distance"] = np.exp(generator.uniform(nearest, farthest, count))
+    return views
+
+
+FORESHORTENED_OF = 2
+"""Cameras sampled for each that looks at a pose laid down: who lies across the picture looks as
+somebody who stands."""
+
+_NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Posed bodies to draw; the same shard and avatars give the same bytes anywhere.
+
+    Parameters
+    ----------
+    first : int
+        Number of its first body in the simulation.
+    avatar : (N,) int64 array
+        Position of each body among the avatars.
+    transforms : (N, B, 3, 4) float64 array
+        Of the bones; see :func:`index.build.body.pose_transforms`.
+    foreshortened : (N,) bool array
+        Bodies that are seen along the trunk only.
+    views : int
+        Views per body.
+    seed : int
+        With the number of a body, decides its cameras.
+    """
+
+    first: int
+    avatar: NDArray[np.int64]
+    transforms: NDArray[np.float64]
+    foreshortened: NDArray[np.bool_]
+    views: int
+    seed: int
+
+    def __len__(self) -> int:
+        return len(self.avatar)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The silhouettes of a shard.
+
+    Parameters
+    ----------
+    bits : (N * views, 768) uint8 array
+        Bit-packed normalised silhouettes, body by body, view by view.
+    entries : (N * views,) array of ENTRY_DTYPE
+    skeletons : (N, 24, 3) float16 array
+    """
+
+    bits: NDArray[np.uint8]
+    entries: NDArray[np.void]
+    skeletons: NDArray[np.float16]
+
+
+def draw(shard: Shard, avatars: Sequence[Avatar]) -> Drawn:
+    """Draw every body of a shard from its views."""
+    views = shard.views
+    bits = np.empty((len(shard) * views, HEIGHT * WIDTH // 8), np.uint8)
+    entries = np.zeros(len(shard) * views, ENTRY_DTYPE)
+    skeletons = np.empty((len(shard), POINTS, 3), np.float16)
+    silhouettes = np.empty((views, HEIGHT, WIDTH), np.uint8)
+    for row, transforms in enumerate(shard.transforms):
+        number, avatar = shard.first + row, avatars[shard.avatar[row]]
+        points = posed_points(avatar, transforms[None])
+        skeletons[row] = points[0]
+        vertices = skin(
+            avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
+        )
+        near_ground = classify(points, BODY_UP)[0] in _NEAR_GROUND
+        foreshortened = bool(shard.foreshortened[row])
+        # What SeedSequence.spawn gives the body, whatever shard it is in.
+        seed = np.random.SeedSequence(shard.seed, spawn_key=(number,))
+        cameras = sample_views(
+            (FORESHORTENED_OF if foreshortened else 1) * views,
+            np.random.default_rng(seed),
+            GROUND_ELEVATIONS_DEG if near_ground else ELEVATIONS_DEG,
+        )
+        if foreshortened:
+            cameras = most_foreshortened(cameras, points[0], views)
+        for view, camera in enumerate(cameras):
+            entries[row * views + view] = (
+                number, *_draw_view(avatar, vertices, points[0], camera, silhouettes[view])
+            )  # fmt: skip
+        bits[row * views : (row + 1) * views] = pack(silhouettes)
+    return Drawn(bits, entries, skeletons)
+
+
+def most_foreshortened(
+    cameras: NDArray[np.void], points: NDArray[np.float64], count: int
+) -> NDArray[np.void]:
+    """The ``count`` cameras that look most along the trunk of a body ``(24, 3)``."""
+    trunk = points[JOINT_NAMES.index("neck")] - points[JOINT_NAMES.index("pelvis")]
+    rotations = camera_rotation(cameras["azimuth_deg"], cameras["elevation_deg"])
+    along = np.abs(rotations[:, 2] @ trunk)
+    return cameras[np.sort(np.argsort(-along, kind="stable")[:count])]
+
+
+def _draw_view(
+    avatar: Avatar,
+    vertices: NDArray[np.float32],
+    points: NDArray[np.float64],
+    camera: np.void,
+    silhouette: NDArray[np.uint8],
+) -> tuple[float, ...]:
+    """Draw one view; return its camera, rolled where the body is wide, and the placement."""
+    azimuth_deg, elevation_deg, roll_deg, distance = camera.tolist()
+
+    def placed() -> tuple[float, ...]:
+        rotation = camera_rotation(azimuth_deg, elevation_deg, roll_deg).astype(np.float32)
+        return tuple(
+            render(vertices, avatar.triangles, avatar.closed, rotation, distance, silhouette)
+        )
+
+    placement = placed()
+    if is_wide(silhouette):
+        axis_deg = principal_axis_deg(silhouette)
+        body = points[[JOINT_NAMES.index("head"), JOINT_NAMES.index("pelvis")]]
+        rolls = [roll_deg - axis_deg, roll_deg - axis_deg + 180.0]
+        upright = camera_rotation(azimuth_deg, elevation_deg, np.array(rolls))
+        head_down, pelvis_down = (body @ upright.swapaxes(1, 2))[..., 1].T
+        roll_deg = float(wrap_degrees(rolls[int((head_down - pelvis_down).argmin())]))
+        placement = placed()
+    return azimuth_deg, elevation_deg, roll_deg, distance, *placement

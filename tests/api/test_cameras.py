@@ -1,0 +1,228 @@
+"""Frames of cameras over HTTP: order, state, callers, late frames, limits."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+import pytest
+from fastapi.testclient import TestClient
+from pydantic import SecretStr
+
+from app.api.tracking_schemas import CameraList, CameraState, TrackResponse
+from app.estimation.finder import PeopleFinder
+from tests.conftest import Photo, Server, Serving
+from tests.support.service import check_problem, eventually, sample, send
+
+
+def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any) -> list[str]:
+    """States of the sessions that the frames of cameras find, one after the other."""
+    return [send(client, photo, camera, **options).headers["x-session"] for camera in cameras]
+
+
+class TestTrackFrame:
+    def test_a_frame_is_answered_and_tracked(self, client: TestClient, photo: Photo) -> None:
+        response = send(client, photo, timestamp="12.5")
+        assert response.headers["x-session"] == "new"
+        answer = TrackResponse.model_validate_json(response.content)
+        assert (answer.camera_id, answer.frame_index, answer.timestamp) == ("yard", 0, 12.5)
+        assert answer.reset is None
+        (person,) = answer.persons
+        assert person.track_id >= 1
+        assert person.age_frames == 1
+
+    def test_the_next_frame_finds_the_session_warm(self, client: TestClient, photo: Photo) -> None:
+        states = sessions_of(client, photo, "yard", "yard", "yard", "gate")
+        assert states == ["new", "warm", "warm", "new"]
+        assert sample(client, "pose_camera_sessions") == 2
+        assert sample(client, "pose_camera_sessions_started_total") == 2
+        assert sample(client, "pose_camera_frames_total", session="new") == 2
+        assert sample(client, "pose_camera_frames_total", session="warm") == 2
+
+    def test_a_photograph_may_be_the_body(self, client: TestClient, photo: Photo) -> None:
+        response = client.post(
+            "/cameras/yard/frames",
+            content=photo.frame_png,
+            headers={"content-type": "image/png"},
+            params={"timestamp": 3.25},
+        )
+        assert response.json()["timestamp"] == 3.25
+
+    @pytest.mark.parametrize("late", ["7", "6.9"])
+    def test_a_late_frame_is_refused(self, client: TestClient, photo: Photo, late: str) -> None:
+        send(client, photo, timestamp="7")
+        response = send(client, photo, timestamp=late)
+        assert "7" in check_problem(response, 409, "timestamp")
+        assert response.headers["x-session"] == "warm"
+        assert sample(client, "pose_rejected_total", reason="late_frame") == 1
+        assert send(client, photo, timestamp="7.1").json()["frame_index"] == 1
+
+    def test_every_answer_names_the_session_state(self, client: TestClient, photo: Photo) -> None:
+        path = "/cameras/yard/frames"
+        broken = client.post(path, files={"frame": b"?"})
+        assert (broken.status_code, broken.headers["x-session"]) == (400, "new")
+        assert sessions_of(client, photo, "yard") == ["new"]
+        for response in (
+            client.post(path, files={"frame": b"?"}),
+            client.post(path, files={"frames": b"?"}),
+            client.post(path, content=b"?"),
+            client.post(path, params={"n": 0}, files={"frame": photo.frame_png}),
+        ):
+            assert 400 <= response.status_code < 500
+            assert response.headers["x-session"] == "warm"
+
+    def test_a_dropped_session_starts_afresh(self, serving: Serving, photo: Photo) -> None:
+        with serving(max_cameras=1) as client:
+            assert sessions_of(client, photo, "yard", "gate", "yard") == ["new"] * 3
+            assert sample(client, "pose_camera_sessions_ended_total", reason="number") == 2
+
+    def test_idle_sessions_end_by_themselves(self, serving: Serving, photo: Photo) -> None:
+        with serving(camera_idle_s=0.2) as client:
+            send(client, photo)
+            eventually(lambda: sample(client, "pose_camera_sessions") == 0)
+            assert sample(client, "pose_camera_sessions_ended_total", reason="idle") == 1
+
+
+class Gate:
+    """Holds frames back until they are released."""
+
+    def __init__(self) -> None:
+        self.begun = 0
+        self.let_go = threading.Event()
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> Gate:
+    """Holds frames back before people are detected."""
+    gate = Gate()
+    find = PeopleFinder.find
+
+    def slow(*arguments: Any, **options: Any) -> Any:
+        gate.begun += 1
+        assert gate.let_go.wait(10)
+        return find(*arguments, **options)
+
+    monkeypatch.setattr(PeopleFinder, "find", slow)
+    return gate
+
+
+class TestOrder:
+    """One camera's frames come one after the other, the newest first; two cameras' side by side."""
+
+    Ask = Callable[[TestClient, Photo], Any]
+
+    @pytest.mark.parametrize(
+        "ask",
+        [
+            send,
+            *(
+                lambda client, photo, path=path: client.post(
+                    path, files=photo.files, headers={"X-Camera-ID": "yard"}
+                )
+                for path in ("/pose", "/pose/overlay", "/silhouette")
+            ),
+        ],
+    )
+    def test_the_newest_waiting_frame_replaces_older_ones(
+        self, serving: Serving, photo: Photo, gate: Gate, ask: Ask
+    ) -> None:
+        with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(3) as threads:
+            queue = client.app.state.runtime.executor.queue  # type: ignore[attr-defined]
+            running = threads.submit(ask, client, photo)
+            eventually(lambda: gate.begun == 1)
+            older = threads.submit(ask, client, photo)
+            eventually(lambda: queue.in_flight == 2)
+            newer = threads.submit(ask, client, photo)
+            refused = older.result(10)
+            assert not newer.done()
+            assert gate.begun == 1
+            gate.let_go.set()
+            answers = [running.result(10), newer.result(10)]
+            assert [answer.status_code for answer in answers] == [200, 200]
+            if ask is send:
+                assert [answer.json()["frame_index"] for answer in answers] == [0, 1]
+            assert "newer frame of this camera" in check_problem(refused, 503)
+            assert refused.json()["reason"] == "superseded"
+            assert "retry-after" not in refused.headers  # The frame is out of date.
+            assert sample(client, "pose_rejected_total", reason="superseded") == 1
+            assert sample(client, "pose_rejected_total", reason="overloaded") is None
+
+    def test_two_cameras_run_side_by_side(self, serving: Serving, photo: Photo, gate: Gate) -> None:
+        with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(2) as threads:
+            answers = [threads.submit(send, client, photo, name) for name in ("yard", "gate")]
+            eventually(lambda: gate.begun == 2)
+            assert not any(answer.done() for answer in answers)
+            gate.let_go.set()
+            assert [answer.result(10).status_code for answer in answers] == [200, 200]
+
+
+def test_cameras_are_listed_and_forgotten(client: TestClient, photo: Photo) -> None:
+    assert client.get("/cameras").json() == {"cameras": []}
+    sessions_of(client, photo, "yard", "gate", "yard")
+    listed = CameraList.model_validate_json(client.get("/cameras").content)
+    assert [(one.camera_id, one.frames) for one in listed.cameras] == [("gate", 1), ("yard", 2)]
+    yard = CameraState.model_validate_json(client.get("/cameras/yard").content)
+    assert (yard.image.width, yard.image.height) == (320, 240)
+    assert len(yard.track_ids) == 1
+    response = client.delete("/cameras/yard")
+    assert (response.status_code, response.content) == (204, b"")
+    assert "content-type" not in response.headers
+    assert sessions_of(client, photo, "yard") == ["new"]
+
+
+class TestKeys:
+    @pytest.fixture
+    def locked(self, serving: Serving) -> Iterator[TestClient]:
+        with serving(api_keys=(SecretStr("first"), SecretStr("second"))) as client:
+            yield client
+
+    def test_callers_have_separate_cameras(self, locked: TestClient, photo: Photo) -> None:
+        first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
+        bearer = {"Authorization": "Bearer first"}
+        states = [
+            sessions_of(locked, photo, "yard", headers=headers)
+            for headers in (first, second, first, bearer)
+        ]
+        assert states == [["new"], ["new"], ["warm"], ["warm"]]
+        assert locked.get("/cameras/yard", headers=first).json()["frames"] == 3
+        assert locked.get("/cameras/yard", headers=second).json()["frames"] == 1
+        assert locked.delete("/cameras/yard", headers=second).status_code == 204
+        assert locked.get("/cameras", headers=second).json() == {"cameras": []}
+        assert locked.get("/cameras/yard", headers=first).status_code == 200
+
+    def test_without_a_key_nothing_is_revealed(self, locked: TestClient, photo: Photo) -> None:
+        response = send(locked, photo)
+        assert response.status_code == 401
+        assert "x-session" not in response.headers
+        for method, path in (("GET", ""), ("GET", "/yard"), ("DELETE", "/yard")):
+            assert locked.request(method, f"/cameras{path}").status_code == 401
+
+
+def test_eight_cameras_at_once_over_real_sockets(server: Server, photo: Photo) -> None:
+    """Each camera's frames are counted in order, whatever was refused."""
+
+    def play(camera: str) -> list[int]:
+        seen: list[int] = []
+
+        def ask() -> bool:
+            response = send(client, photo, camera, query={"n": 1})
+            if response.status_code != 503:
+                assert response.status_code == 200, response.text
+                assert response.json()["camera_id"] == camera
+                seen.append(response.json()["frame_index"])
+            return len(seen) == 6
+
+        with httpx.Client(base_url=server.url, timeout=30) as client:
+            eventually(ask, timeout_s=60)
+        return seen
+
+    names = [f"camera-{number}" for number in range(8)]
+    with ThreadPoolExecutor(8) as clients:
+        assert list(clients.map(play, names)) == [list(range(6))] * 8
+    listed = httpx.get(f"{server.url}/cameras").json()["cameras"]
+    assert {camera["camera_id"]: camera["frames"] for camera in listed} == dict.fromkeys(names, 6)
+    for name in names:
+        assert httpx.delete(f"{server.url}/cameras/{name}").status_code == 204

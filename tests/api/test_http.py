@@ -1,0 +1,94 @@
+"""HTTP behaviour that all routes share."""
+
+from __future__ import annotations
+
+import gzip
+import json
+
+import httpx
+import pytest
+from fastapi.testclient import TestClient
+
+from tests.conftest import Photo
+from tests.support.service import check_problem
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/",
+        "/docs",
+        "/openapi.json",
+        "/healthz",
+        "/readyz",
+        "/metrics",
+        "/index",
+        "/index/entries/3",
+        "/index/entries/3/silhouette.png",
+        "/static/page.js",
+    ],
+)
+def test_head_works_wherever_get_does(client: TestClient, path: str) -> None:
+    head, get = client.head(path), client.get(path)
+    assert head.status_code == get.status_code == 200
+    assert head.content == b""
+    assert head.headers["content-type"] == get.headers["content-type"]
+    if path != "/metrics":  # It counts the request before.
+        assert head.headers["content-length"] == get.headers["content-length"]
+
+
+def test_head_of_a_problem_has_no_body_either(client: TestClient) -> None:
+    response = client.head("/index/entries/9999")
+    assert (response.status_code, response.content) == (404, b"")
+    response = client.head("/pose")
+    assert (response.status_code, response.headers["allow"]) == (405, "POST")
+
+
+@pytest.mark.parametrize(
+    ("path", "location"),
+    [
+        ("/pose/", "../pose"),
+        ("/pose/?n=3", "../pose?n=3"),
+        ("/index/entries/3/", "../3"),
+        ("/v1/vision/detection/", "../detection"),
+    ],
+)
+def test_redirects_are_relative(client: TestClient, path: str, location: str) -> None:
+    response = client.get(path, follow_redirects=False)
+    assert (response.status_code, response.headers["location"]) == (307, location)
+    assert path.partition("?")[0] in check_problem(response, 307)
+
+
+def test_a_redirected_frame_is_answered(client: TestClient, photo: Photo) -> None:
+    response = client.post("/pose/?n=1", files=photo.files)
+    assert response.status_code == 200
+    assert response.json()["persons"]
+
+
+@pytest.mark.parametrize("path", ["//evil.example/", "/static/", "//", "/nothing/", "/pose//"])
+def test_nothing_else_is_redirected(client: TestClient, path: str) -> None:
+    response = client.get(f"http://testserver{path}", follow_redirects=False)
+    assert response.status_code in (200, 404)
+    assert "location" not in response.headers
+
+
+def test_answers_are_compressed_on_request(client: TestClient, photo: Photo) -> None:
+    def ask(encoding: str) -> httpx.Response:
+        headers = {"accept-encoding": encoding}
+        with client.stream("POST", "/pose", files=photo.files, headers=headers) as response:
+            response.raw = b"".join(response.iter_raw())
+        return response
+
+    packed, plain = ask("gzip, br"), ask("identity")
+    assert packed.headers["content-encoding"] == "gzip"
+    assert "content-encoding" not in plain.headers
+    assert "Accept-Encoding" in packed.headers["vary"]
+    assert len(packed.raw) < len(plain.raw) / 2
+    answers = [json.loads(text) for text in (gzip.decompress(packed.raw), plain.raw)]
+    assert answers[0]["persons"] == answers[1]["persons"]
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/index/entries/3/silhouette.png"])
+def test_small_answers_and_pictures_are_not_compressed(client: TestClient, path: str) -> None:
+    response = client.get(path, headers={"accept-encoding": "gzip"})
+    assert "content-encoding" not in response.headers

@@ -1,0 +1,371 @@
+"""POST /pose and its pictures, over the tiny index of stick figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from app.api.overlay import LEGEND
+from app.api.schemas import PoseResponse
+from app.vision.people import LANDMARK_NAMES
+from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
+from index.store import PoseIndex
+from tests.conftest import WALKERS, Photo, photograph, png
+
+
+def ask(client: TestClient, photo: Photo, **params: Any) -> dict[str, Any]:
+    """Ask by the silhouette alone by default: keypoints read from stick figures are wrong."""
+    return post(client, photo.files, **{"evidence": "silhouette", **params})
+
+
+def post(client: TestClient, files: dict[str, bytes], **params: Any) -> dict[str, Any]:
+    response = client.post("/pose", files=files, params=params)
+    assert response.status_code == 200, response.text
+    PoseResponse.model_validate_json(response.content)
+    return response.json()
+
+
+def points(joints: list[dict[str, float]]) -> np.ndarray:
+    return np.array([list(joint.values()) for joint in joints])
+
+
+def decoded(picture: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def test_a_photographed_entry_is_its_own_nearest(client: TestClient, photo: Photo) -> None:
+    person = ask(client, photo)["persons"][0]
+    best = person["hypotheses"][0]
+    assert best["entry"] == photo.entry
+    assert best["distance"] == pytest.approx(0, abs=1e-3)
+    assert best["reprojection_error_px"] == 0
+    assert person["box"] == tight_box(photo)
+    assert person["silhouette"]["area_px"] == photo.mask.sum()
+    # The crop's width is odd where the normalised one is even: half a pixel at most.
+    assert np.abs(points(best["joints_2d"]) - photo.joints_2d).max() <= 0.51
+
+
+def tight_box(photo: Photo) -> dict[str, float]:
+    rows, columns = np.nonzero(photo.mask)
+    # Edges lie half a pixel outside the centres of the outermost pixels.
+    return {
+        "x": columns.min() - 0.5,
+        "y": rows.min() - 0.5,
+        "width": np.ptp(columns) + 1.0,
+        "height": np.ptp(rows) + 1.0,
+    }
+
+
+def test_joints_follow_scale_and_shift(client: TestClient, tiny_index: PoseIndex) -> None:
+    photo = photograph(tiny_index, 12, left=10, top=5)
+    large = Photo(
+        12,
+        cv2.resize(photo.frame, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST),
+        cv2.resize(photo.mask, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST),
+        (photo.joints_2d + 0.5) * 3 - 0.5,
+    )
+    best = ask(client, large)["persons"][0]["hypotheses"][0]
+    assert best["entry"] == 12
+    assert np.abs(points(best["joints_2d"]) - large.joints_2d).max() <= 2
+
+
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
+@pytest.mark.parametrize("n", [1, 7, 50])
+def test_hypotheses_are_ranked_distinct_and_finite(
+    client: TestClient, photo: Photo, n: int, evidence: str
+) -> None:
+    hypotheses = ask(client, photo, n=n, evidence=evidence)["persons"][0]["hypotheses"]
+    assert len(hypotheses) == n
+    assert [h["rank"] for h in hypotheses] == list(range(1, n + 1))
+    # An entry may come upright and rotated.
+    of_it = [(h["entry"], h["source"]["mirrored"], h["camera"]["roll_deg"]) for h in hypotheses]
+    assert len(set(of_it)) == n
+    distances = [h["distance"] for h in hypotheses]
+    assert distances == sorted(distances)
+    for hypothesis in hypotheses:
+        assert 0 <= hypothesis["confidence"] <= 1
+        assert len(hypothesis["joints_3d"]) == len(hypothesis["joints_2d"]) == 19
+        for point in hypothesis["joints_3d"] + hypothesis["joints_2d"]:
+            assert all(math.isfinite(value) for value in point.values())
+
+
+@pytest.mark.parametrize("name", ["native", "cmu19", "coco17", "h36m17"])
+def test_keypoint_sets_select_points_of_the_entry(
+    client: TestClient, photo: Photo, tiny_index: PoseIndex, name: str
+) -> None:
+    """The nearest is the photographed entry as it is, so its own points are known."""
+    answer = ask(client, photo, keypoints=name)
+    chosen = KEYPOINT_SETS[name]
+    assert answer["keypoints"] == {
+        "set": "native" if name == "cmu19" else name,
+        "names": list(chosen.names),
+        "bones": [{"parent": parent, "child": child} for parent, child in chosen.bones],
+    }
+    joints = answer["persons"][0]["hypotheses"][0]["joints_3d"]
+    own = tiny_index.entry(photo.entry).points_3d
+    # Human3.6M calls some by other names.
+    rows = {"spine": "chest", "thorax": "neck"} if name == "h36m17" else {}
+    for keypoint, joint in zip(chosen.names, joints, strict=True):
+        row = POINT_NAMES.index(rows.get(keypoint, keypoint))
+        assert [joint["x"], joint["y"], joint["z"]] == pytest.approx(own[row], abs=2e-3)
+
+
+def test_compact_joints_are_the_same_numbers(client: TestClient, photo: Photo) -> None:
+    for keypoints in ("native", "coco17", "h36m17"):
+        full, compact = (
+            ask(client, photo, keypoints=keypoints, joints=form)["persons"][0]["hypotheses"]
+            for form in ("full", "compact")
+        )
+        for one, other in zip(full, compact, strict=True):
+            for field in ("joints_3d", "joints_2d"):
+                numbers = [value for joint in one[field] for value in joint.values()]
+                assert other[f"{field}_flat"] == numbers
+                assert other[field] is one[f"{field}_flat"] is None
+
+
+def test_hypotheses_come_without_joints(client: TestClient, photo: Photo) -> None:
+    full, none = (ask(client, photo, joints=form) for form in ("full", "none"))
+    PoseResponse.model_validate(none)
+    joints = ("joints_3d", "joints_2d", "joints_3d_flat", "joints_2d_flat")
+    for one, other in zip(
+        full["persons"][0]["hypotheses"], none["persons"][0]["hypotheses"], strict=True
+    ):
+        assert [other[field] for field in joints] == [None] * 4
+        assert {**other, "joints_3d": one["joints_3d"], "joints_2d": one["joints_2d"]} == one
+
+
+def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) -> None:
+    mask = np.zeros((240, 320), np.uint8)
+    for label, left in ((1, 200), (2, 20), (3, 110)):
+        mask |= photograph(tiny_index, label, left).mask * label
+    files = {"frame": png(np.zeros((240, 320, 3), np.uint8)), "mask": png(mask)}
+    # By the silhouettes alone: what is read in a black frame is no pose.
+    persons = post(client, files, evidence="silhouette")["persons"]
+    for person, (number, left) in zip(persons, ((2, 20), (3, 110), (1, 200)), strict=True):
+        joints = points(person["hypotheses"][0]["joints_2d"])
+        expected = photograph(tiny_index, number, left).joints_2d
+        # Its pose, up to interpolation with near neighbours; the persons are 90 px apart.
+        assert np.linalg.norm(joints - expected, axis=1).mean() < 3
+    labels = decoded(client.post("/silhouette", files=files).content)
+    assert np.array_equal(labels, np.array([0, 3, 1, 2], np.uint8)[mask])
+
+
+STREET = WALKERS.read_bytes()
+BOXES = json.dumps([[135, 162, 40, 105]])
+
+
+def test_people_are_detected_with_keypoints(client: TestClient) -> None:
+    persons = post(client, {"frame": STREET})["persons"]
+    assert len(persons) >= 3
+    assert {person["source"] for person in persons} == {"detector"}
+    for person in persons:
+        assert 0 < person["detection_score"] <= 1
+        assert person["silhouette"]["segmenter"] == "network"
+        assert person["facing"]["evidence"] == "image"
+        seen, box = person["observed_keypoints"], person["box"]
+        assert len(seen) == 17
+        for name, keypoint in zip(COCO17.names, seen, strict=True):
+            if keypoint is None:
+                continue
+            assert keypoint["name"] == name
+            assert 0 < keypoint["score"] <= 1
+            assert abs(keypoint["x"] - box["x"] - box["width"] / 2) < box["width"]
+            assert abs(keypoint["y"] - box["y"] - box["height"] / 2) < 0.6 * box["height"]
+        assert sum(keypoint is not None for keypoint in seen) >= 12
+
+
+def test_all_landmarks_are_returned_on_request(client: TestClient) -> None:
+    coco, blaze = (
+        post(client, {"frame": STREET}, observed=observed)["persons"]
+        for observed in ("coco17", "blazepose33")
+    )
+    for few, all_of_them in zip(coco, blaze, strict=True):
+        seen = all_of_them.pop("observed_keypoints")
+        assert len(seen) == len(LANDMARK_NAMES) == 33
+        for name, landmark in zip(LANDMARK_NAMES, seen, strict=True):
+            assert landmark is None or landmark["name"] == name
+        by_name = dict(zip(LANDMARK_NAMES, seen, strict=True))
+        assert [by_name[name] for name in COCO17.names] == few.pop("observed_keypoints")
+        # Metres about the middle of the hips.
+        assert sum(by_name[f"{side}_hip"]["z"] for side in ("left", "right")) == pytest.approx(
+            0, abs=0.05
+        )
+        assert all(abs(landmark["z"]) < 1.2 for landmark in seen if landmark)
+        assert all_of_them == few, "the keypoint set of the photograph changes no pose"
+
+
+def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: Photo) -> None:
+    """By the silhouette alone, the photographed entry comes as it is."""
+    assert ask(client, photo)["persons"][0]["hypotheses"][0]["adjusted_mm"] == 0
+    names, compared = list(NATIVE.names), 0
+    for person in post(client, {"frame": STREET})["persons"]:
+        for hypothesis in person["hypotheses"]:
+            query = f"/index/entries/{hypothesis['entry']}"
+            entry = client.get(query).json()["joints_3d"]
+            own, moved = points(entry), points(hypothesis["joints_3d"])
+            pelvis = names.index("pelvis")
+            apart = np.linalg.norm(moved - moved[pelvis] - own + own[pelvis], axis=1).mean()
+            if not (hypothesis["source"]["mirrored"] or abs(hypothesis["camera"]["roll_deg"]) > 1):
+                # The reply has 19 of the 24 points that are averaged.
+                assert hypothesis["adjusted_mm"] == pytest.approx(1000 * apart, rel=0.25, abs=5)
+                compared += 1
+    assert compared >= 3
+
+
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
+def test_a_mask_may_come_without_its_photograph(
+    client: TestClient, photo: Photo, evidence: str
+) -> None:
+    """The answer is that of the silhouette alone, so no photograph has to leave the camera."""
+    alone = post(client, {"mask": photo.mask_png}, evidence=evidence)
+    assert alone["image"] == {"width": 320, "height": 240}
+    assert alone["persons"] == post(client, photo.files, evidence="silhouette")["persons"]
+    (person,) = alone["persons"]
+    assert person["source"] == person["silhouette"]["segmenter"] == "mask"
+    assert person["observed_keypoints"] is None
+    assert person["hypotheses"][0]["entry"] == photo.entry
+
+
+def test_pictures_of_a_mask_alone(client: TestClient, photo: Photo) -> None:
+    files = {"mask": photo.mask_png}
+    assert np.array_equal(decoded(client.post("/silhouette", files=files).content), photo.mask)
+    picture = decoded(client.post("/pose/overlay", files=files).content)
+    drawn = picture.any(axis=2)[: len(photo.mask)]  # Without the legend.
+    assert drawn[photo.mask == 1].mean() > 0.2
+    assert not drawn[:, :100].any()
+
+
+def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
+    frame = {"frame": STREET}
+    (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]
+    labels = client.post("/silhouette", files=frame, data={"boxes": BOXES}).content
+    (again,) = client.post("/pose", files={**frame, "mask": labels}).json()["persons"]
+    assert found["source"] == "boxes"
+    assert again["source"] == "mask"
+    assert again["silhouette"]["area_px"] == found["silhouette"]["area_px"]
+    # The keypoints are nearly the same, and so are the poses.
+    best, same = found["hypotheses"][0], again["hypotheses"][0]
+    assert again["facing"]["evidence"] == found["facing"]["evidence"] == "image"
+    apart = points(best["joints_2d"]) - points(same["joints_2d"])
+    assert np.linalg.norm(apart, axis=1).mean() < 8
+
+
+def test_a_difference_from_the_background_is_a_person(client: TestClient, photo: Photo) -> None:
+    rng = np.random.default_rng(photo.entry)
+    empty = rng.integers(170, 230, photo.frame.shape, np.uint8)
+    frame = np.where(photo.mask[..., None] == 1, photo.frame, empty)
+    files = {"frame": png(frame), "background": png(empty)}
+    (person,) = client.post("/pose", files=files).json()["persons"]
+    assert person["source"] == "background"
+    assert 0 <= person["detection_score"] <= 1
+    box = tight_box(photo)
+    assert all(abs(person["box"][side] - box[side]) < 12 for side in box)
+    given = {"boxes": json.dumps([[100, 20, 150, 200]])}
+    (boxed,) = client.post("/pose", files=files, data=given).json()["persons"]
+    assert boxed["source"] == "boxes"
+    assert boxed["silhouette"]["segmenter"] == "background"
+
+
+def test_an_empty_street_has_no_persons(client: TestClient) -> None:
+    frame = png(np.full((240, 320, 3), 200, np.uint8))
+    assert client.post("/pose", files={"frame": frame}).json()["persons"] == []
+    empty = png(np.zeros((240, 320), np.uint8))
+    answer = client.post("/pose", files={"frame": frame, "mask": empty}).json()
+    assert answer["persons"] == []
+    assert answer["image"] == {"width": 320, "height": 240}
+
+
+COLUMNS = np.arange(320)
+WALLS = {
+    "blank": np.full((240, 320, 3), 200, np.uint8),
+    "noise": np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8),
+    "ramp": np.tile(np.uint8(COLUMNS * 0.8)[None, :, None], (240, 1, 3)),
+    "stripes": np.tile(np.uint8(COLUMNS // 8 % 2 * 200)[None, :, None], (240, 1, 3)),
+}
+"""Pictures without people."""
+
+
+@pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60], [200, 100, 40, 40]])
+@pytest.mark.parametrize("wall", WALLS)
+def test_a_box_without_a_person_gets_low_confidence(
+    client: TestClient, wall: str, box: list[float]
+) -> None:
+    response = client.post(
+        "/pose", files={"frame": png(WALLS[wall])}, data={"boxes": json.dumps([box])}
+    )
+    assert response.status_code == 200
+    (person,) = PoseResponse.model_validate_json(response.content).persons
+    assert person.source == "boxes"
+    if person.silhouette is None:
+        assert person.posture is person.facing is None
+        assert person.hypotheses == []
+        return
+    assert person.posture is not None
+    assert person.posture.label == "unclear"
+    assert person.posture.probability < 0.5
+    assert all(hypothesis.confidence < 0.1 for hypothesis in person.hypotheses)
+
+
+def test_a_mask_without_a_person_gets_low_confidence(client: TestClient, photo: Photo) -> None:
+    person = post(client, {"frame": png(WALLS["blank"]), "mask": photo.mask_png})["persons"][0]
+    assert person["posture"]["label"] == "unclear"
+    assert all(hypothesis["confidence"] < 0.1 for hypothesis in person["hypotheses"])
+    # On a photograph of a person, the same mask has a high confidence in the same entry.
+    seen = post(client, photo.files)["persons"][0]
+    assert seen["posture"]["label"] == "standing"
+    assert seen["hypotheses"][0]["entry"] == photo.entry
+    assert seen["hypotheses"][0]["confidence"] > 0.9
+
+
+def overlay(client: TestClient, frame: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    files = {"frame": png(frame), "mask": png(mask)}
+    response = client.post("/pose/overlay", files=files, params={"evidence": "silhouette"})
+    assert response.headers["content-type"] == "image/png"
+    return decoded(response.content)
+
+
+def test_the_overlay_explains_its_colours_below_the_frame(client: TestClient, photo: Photo) -> None:
+    picture = overlay(client, photo.frame, photo.mask)
+    changed = (picture[:240] != photo.frame).any(axis=2)
+    assert changed[photo.mask == 1].mean() > 0.2
+    assert not changed[:, :100].any()
+    assert len(picture) >= 260
+    for _, colour, _ in LEGEND:
+        assert (picture[240:] == colour).all(axis=2).any()
+
+
+def test_the_overlay_numbers_people(client: TestClient, tiny_index: PoseIndex) -> None:
+    frame = np.full((240, 320, 3), 128, np.uint8)
+    masks = [photograph(tiny_index, 3, left, 40).mask for left in (20, 200)]
+    picture = overlay(client, frame, masks[0] + 2 * masks[1])
+    # The boxes are alike, the numbers above them are not.
+    top = int(masks[0].any(axis=1).argmax()) - 2
+    one, two = ((picture[:top, left : left + 48] != 128).any(axis=2) for left in (20, 200))
+    assert one.any()
+    assert two.any()
+    assert not np.array_equal(one, two)
+
+
+def test_the_overlay_draws_thin_lines_on_small_people(
+    client: TestClient, tiny_index: PoseIndex
+) -> None:
+    def drawn(height: int, width: int) -> int:
+        """Pixels drawn around a person of 128 pixels in a frame of this size."""
+        frame = np.full((height, width, 3), 128, np.uint8)
+        mask = np.zeros((height, width), np.uint8)
+        mask[60:188, 50:98] = tiny_index.silhouette(3)
+        return int((overlay(client, frame, mask)[50:198, 40:108] != 128).any(axis=2).sum())
+
+    assert drawn(1500, 2000) < 1.4 * drawn(240, 320)
+
+
+def test_timings_add_up(client: TestClient, photo: Photo) -> None:
+    timings = ask(client, photo)["timings_ms"]
+    total = timings.pop("total")
+    assert 0 < sum(timings.values()) <= total + 0.01

@@ -1,0 +1,253 @@
+"""Equal requests have equal answers; mirrored or rotated frames have such answers."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from numpy.typing import NDArray
+
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload
+from app.scheduling.executor import Executor
+from app.scheduling.job import Job
+from app.settings import Settings
+from app.vision.geometry import Box
+from index.skeleton import NATIVE
+from index.store import PoseIndex
+from tests.conftest import ROOT, WALKERS, Photo, photograph, png, running_server
+from tests.support.rotation import rotate_points
+from tests.support.service import Client
+
+STREET = WALKERS.read_bytes()
+MASKS = (ROOT / "tests" / "data" / "walkers-mask.png").read_bytes()
+BOTH = {"frame": STREET, "mask": MASKS}
+SENT = {"mask": {"mask": MASKS}, "both": BOTH, "frame": {"frame": STREET}}
+WALKER_PX = 70
+"""The three walkers of the street are taller, the two distant people smaller."""
+
+OTHER_SIDE = [
+    NATIVE.names.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
+    for name in NATIVE.names
+]
+PHOTOS = range(0, 96, 7)
+
+
+def older_processor() -> dict[str, str]:
+    """Environment in which the libraries choose the code for a processor without AVX."""
+    numpy_core = importlib.import_module("numpy._core._multiarray_umath")
+    return {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(
+            feature
+            for feature in numpy_core.__cpu_dispatch__
+            if numpy_core.__cpu_features__.get(feature)
+        ),
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "FAISS_OPT_LEVEL": "generic",
+        "OPENCV_CPU_DISABLE": "AVX,AVX2,FMA3,FP16",
+        "OPENCV_IPP": "disabled",
+    }
+
+
+@pytest.fixture(scope="module")
+def processors() -> Iterator[list[Client]]:
+    """Clients of servers over the shipped index, on this processor and as on an older one."""
+    with ExitStack() as stack:
+        servers = [
+            stack.enter_context(running_server(None, **environment))
+            for environment in ({}, older_processor())
+        ]
+        yield [
+            stack.enter_context(httpx.Client(base_url=server.url, timeout=60)) for server in servers
+        ]
+
+
+@pytest.fixture
+def shipped(processors: list[Client]) -> Client:
+    """A client of a service over the shipped index."""
+    return processors[0]
+
+
+def persons(
+    client: Client, files: dict[str, bytes], path: str = "/pose", **params: Any
+) -> list[dict[str, Any]]:
+    """The people of an answer, from left to right."""
+    response = client.post(path, files=files, params=params)
+    assert response.status_code == 200, response.text
+    answer: list[dict[str, Any]] = response.json()["persons"]
+    return sorted(answer, key=lambda person: person["box"]["x"])
+
+
+@pytest.mark.parametrize("media_type", ["image/jpeg", "IMAGE/JPEG", "image/png"])
+@pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
+def test_a_photograph_may_be_the_body(client: TestClient, path: str, media_type: str) -> None:
+    """Cameras and ``curl --data-binary`` send it so."""
+    raw = client.post(path, content=STREET, headers={"content-type": media_type})
+    form = client.post(path, files={"frame": STREET})
+    assert raw.status_code == form.status_code == 200
+    if path == "/pose":
+        assert raw.json()["persons"] == form.json()["persons"] != []
+    else:
+        assert raw.content == form.content
+
+
+@pytest.mark.parametrize("sent", SENT)
+@pytest.mark.parametrize("n", [1, 7, 30])
+def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str, n: int) -> None:
+    one, other = (persons(client, SENT[sent], n=n) for client in processors)
+    assert one
+    assert one == other
+
+
+def test_one_thread_and_two_give_the_same_answer(
+    settings: Settings, tiny_index: PoseIndex, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One for each pass of a network and one for the people of a frame, or two."""
+    answers = []
+    executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
+    for threads, job in ((1, Job()), (2, Job(parallel_map=executor.map))):
+        monkeypatch.setattr("app.estimation.estimator.available_cores", lambda t=threads: t)
+        estimator = Estimator.load(settings, tiny_index)
+        people = estimator.estimate(Upload(STREET), 7, job).persons
+        answers.append([(h.hypothesis.entry, h.distance, *h.points_2d.ravel())
+                        for person in people for h in person.hypotheses])  # fmt: skip
+    executor.shut_down()
+    assert len(answers[0]) >= 3 * 7
+    np.testing.assert_allclose(answers[0], answers[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
+@pytest.mark.parametrize("sent", SENT)
+@pytest.mark.parametrize("n", [1, 3, 7, 14])
+def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
+    shipped: Client, sent: str, evidence: str, n: int
+) -> None:
+    path = f"/cameras/{sent}-{evidence}-{n}"
+    options = {"n": n, "evidence": evidence}
+    alone = persons(shipped, SENT[sent], **options)
+    tracked = persons(shipped, SENT[sent], f"{path}/frames", **options)
+    shipped.delete(path)
+    for one, other in zip(alone, tracked, strict=True):
+        for name in ("source", "silhouette", "observed_keypoints", "hypotheses"):
+            assert one[name] == other[name], name
+        if sent == "frame" and evidence == "photograph":
+            # A tracked person has the box of the body, not the detector's.
+            assert Box(**one["box"]).iou(Box(**other["box"])) > 0.6
+        else:
+            assert one["box"] == other["box"]
+
+
+@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
+def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, evidence: str) -> None:
+    many = persons(client, {"frame": STREET}, n=14, evidence=evidence)
+    for n in (1, 2, 3, 7, 10):
+        for few, person in zip(
+            persons(client, {"frame": STREET}, n=n, evidence=evidence), many, strict=True
+        ):
+            # Nothing else depends on the count either.
+            assert few == {**person, "hypotheses": person["hypotheses"][:n]}
+
+
+def changed(image: bytes, change: Any) -> bytes:
+    pixels = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_UNCHANGED)
+    return png(np.ascontiguousarray(change(pixels)))
+
+
+def joints(hypothesis: dict[str, Any], axes: int) -> NDArray[np.float64]:
+    places = hypothesis[f"joints_{axes}d"]
+    return np.array([[joint[axis] for axis in "xyz"[:axes]] for joint in places])
+
+
+def apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(one - other, axis=1).mean())
+
+
+# By the silhouette alone only rounding differs; the networks are only nearly symmetric.
+@pytest.mark.parametrize(
+    ("sent", "heights", "metres"),
+    [("mask", 0.005, 0.01), ("both", 0.06, 0.15), ("frame", 0.06, 0.15)],
+)
+def test_a_mirrored_photograph_has_the_mirrored_answer(
+    shipped: Client, sent: str, heights: float, metres: float
+) -> None:
+    here = persons(shipped, SENT[sent])
+    width = 298
+    flipped = {name: changed(image, lambda p: p[:, ::-1]) for name, image in SENT[sent].items()}
+    there = persons(shipped, flipped)
+    assert len(here) == len(there)
+
+    def mirrored_middle(person: dict[str, Any]) -> float:
+        return float(width - 1 - person["box"]["x"] - person["box"]["width"] / 2)
+
+    for one in (one for one in here if one["box"]["height"] > WALKER_PX):
+        middle = one["box"]["x"] + one["box"]["width"] / 2
+        other = min(there, key=lambda person: abs(mirrored_middle(person) - middle))
+        assert abs(mirrored_middle(other) - middle) < 3
+        assert other["box"]["height"] == pytest.approx(one["box"]["height"], rel=0.05)
+        fronts = [person["facing"]["front_probability"] > 0.5 for person in (one, other)]
+        assert fronts[0] == fronts[1]
+        best, same = (person["hypotheses"][0] for person in (one, other))
+        picture = joints(same, 2)[OTHER_SIDE] * [-1, 1] + [width - 1, 0]
+        assert apart(joints(best, 2), picture) < heights * one["box"]["height"]
+        assert apart(joints(best, 3), joints(same, 3)[OTHER_SIDE] * [-1, 1, 1]) < metres
+        if sent == "mask":
+            assert same["entry"] == best["entry"]
+            assert same["source"]["mirrored"] != best["source"]["mirrored"]
+
+
+# A silhouette does not show which end is the head: upside down it has other poses.
+@pytest.mark.parametrize(
+    ("sent", "quarter_turns"), [("mask", 1), ("mask", 3), ("frame", 1), ("frame", 2), ("frame", 3)]
+)
+def test_a_rotated_photograph_has_the_rotated_answer(
+    shipped: Client, sent: str, quarter_turns: int
+) -> None:
+    """The seven hypotheses of a detected person include the best one of the upright person."""
+    here = persons(shipped, SENT[sent])
+    turned = {
+        name: changed(image, lambda p: np.rot90(p, quarter_turns))
+        for name, image in SENT[sent].items()
+    }
+    there = [one for one in persons(shipped, turned) if one["box"]["width"] > WALKER_PX
+             or one["box"]["height"] > WALKER_PX]  # fmt: skip
+    assert len(there) >= 2
+    for person in there:
+        gaps = [
+            apart(rotate_points(joints(one["hypotheses"][0], 2), (320, 298), quarter_turns),
+                  joints(hypothesis, 2)) / one["box"]["height"]
+            for one in here for hypothesis in person["hypotheses"]
+        ]  # fmt: skip
+        assert min(gaps) < 0.04
+
+
+@pytest.mark.parametrize("entry", PHOTOS)
+def test_other_people_in_the_frame_do_not_matter(
+    client: TestClient, tiny_index: PoseIndex, photo: Photo, entry: int
+) -> None:
+    other = photograph(tiny_index, entry, left=20)
+    (alone,) = persons(client, {"mask": png(other.mask)})
+    first, second = persons(client, {"mask": png(other.mask + 2 * photo.mask)})
+    assert first == alone
+    assert second["hypotheses"][0]["entry"] == photo.entry
+    assert json.dumps(first) != json.dumps(second)
+
+
+@pytest.mark.parametrize("entry", PHOTOS)
+def test_the_place_in_the_frame_does_not_matter(
+    client: TestClient, tiny_index: PoseIndex, entry: int
+) -> None:
+    (here,), (there,) = (
+        persons(client, {"mask": photograph(tiny_index, entry, *place).mask_png})
+        for place in ((150, 40), (33, 91))
+    )
+    for one, other in zip(here["hypotheses"], there["hypotheses"], strict=True):
+        for name in one.keys() - {"joints_2d"}:
+            assert one[name] == other[name], name

@@ -1,0 +1,201 @@
+"""Videos over HTTP: a line for each frame, and a last line that says why it is the last."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import httpx
+import pytest
+from fastapi.testclient import TestClient
+from starlette.types import Message
+
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame
+from app.http.request_state import request_state
+from app.routes import sequence
+from app.tracking.session import CameraSession
+from tests.conftest import Photo, Server, Serving, running_server
+from tests.support.service import check_problem, eventually, sample
+from tests.support.videos import noisy_frames, numbered_frames, write_video
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
+    """Twelve frames of a person who stands still, at 10 fps."""
+    return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 12)
+
+
+@pytest.fixture(scope="module")
+def long_video(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A thousand frames of nothing."""
+    path = tmp_path_factory.mktemp("video") / "v.avi"
+    return write_video(path, numbered_frames(2, 240, 320) * 500)
+
+
+def post(client: TestClient | httpx.Client, data: bytes, **query: Any) -> httpx.Response:
+    return client.post("/sequence", files={"video": data}, params=query)  # type: ignore[return-value]
+
+
+def parse(response: httpx.Response) -> tuple[list[SequenceFrame], SequenceEnd]:
+    assert response.status_code == 200, response.text
+    assert response.headers["content-type"] == "application/x-ndjson"
+    *frames, end = response.text.splitlines()
+    return [SequenceFrame.model_validate_json(line) for line in frames], (
+        SequenceEnd.model_validate_json(end)
+    )
+
+
+class TestLines:
+    def test_every_frame_has_a_line(self, client: TestClient, video: bytes) -> None:
+        frames, end = parse(post(client, video, n=2))
+        assert [frame.video_frame for frame in frames] == list(range(12))
+        assert [frame.frame_index for frame in frames] == list(range(12))
+        assert [frame.timestamp for frame in frames] == [pytest.approx(n / 10) for n in range(12)]
+        assert frames[0].image.width == 320
+        assert (end.reason, end.frames) == ("complete", 12)
+        assert "12 frames" in end.detail
+        listed = {person.track_id for frame in frames for person in frame.persons}
+        assert {track.track_id for track in end.tracks} == listed
+        assert end.events == [event for frame in frames for event in frame.events]
+        assert sample(client, "pose_sequences") == 0
+        assert sample(client, "pose_camera_sessions") == 0
+
+    def test_a_video_may_be_the_body(self, client: TestClient, video: bytes) -> None:
+        headers = {"content-type": "video/x-msvideo"}
+        raw = client.post("/sequence?stride=5&n=1", content=video, headers=headers)
+        frames, end = parse(raw)  # type: ignore[arg-type]
+        assert [frame.video_frame for frame in frames] == [0, 5, 10]
+        assert end.reason == "complete"
+
+    def test_max_frames_limits_the_frames(self, client: TestClient, video: bytes) -> None:
+        frames, end = parse(post(client, video, max_frames=3))
+        assert (len(frames), end.reason, end.frames) == (3, "max_frames", 3)
+        frames, end = parse(post(client, video, max_frames=12))
+        assert (len(frames), end.reason) == (12, "complete")
+        for number in (0, 10**6):
+            check_problem(post(client, video, max_frames=number), 422, "max_frames")
+
+    def test_a_truncated_video_ends_with_a_line(self, client: TestClient, tmp_path: Path) -> None:
+        data = write_video(tmp_path / "v.avi", noisy_frames(10))
+        frames, end = parse(post(client, data[: len(data) // 2]))
+        assert 0 < len(frames) < 10
+        assert (end.reason, end.frames) == ("broken", len(frames))
+        assert f"{len(frames)} of 10 frames" in end.detail
+
+    def test_a_video_that_takes_too_long_ends_with_a_line(
+        self, serving: Serving, long_video: bytes
+    ) -> None:
+        with serving(sequence_timeout_s=1.0) as client:
+            frames, end = parse(post(client, long_video))
+        assert (end.reason, end.frames) == ("timeout", len(frames))
+        assert len(frames) < 1000
+
+    def test_a_frame_that_takes_too_long_ends_the_video(
+        self, serving: Serving, video: bytes, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        process = CameraSession.process
+
+        def slow(
+            self: CameraSession, upload: Any, timestamp: Any, n: Any, job: Any, *_: Any
+        ) -> Any:
+            while timestamp:
+                job.checkpoint()
+            return process(self, upload, timestamp, n, job)
+
+        monkeypatch.setattr(CameraSession, "process", slow)
+        with serving(request_timeout_s=1.0) as client:
+            frames, end = parse(post(client, video))
+        assert (end.reason, len(frames)) == ("timeout", 1)
+
+
+class TestRefusals:
+    def test_a_video_with_too_many_pixels_is_refused(self, serving: Serving, video: bytes) -> None:
+        with serving(max_pixels=320 * 240 - 1) as client:
+            assert "320x240" in check_problem(post(client, video), 413, "video")
+
+    def test_a_video_with_too_many_bytes_is_refused(self, serving: Serving, video: bytes) -> None:
+        with serving(max_video_bytes=len(video) - 1) as client:
+            check_problem(post(client, video), 413)
+            parts = iter([video[:1000], video[1000:]])
+            headers = {"content-type": "video/avi"}
+            check_problem(client.post("/sequence", content=parts, headers=headers), 413)
+            assert sample(client, "pose_sequences") == 0
+
+    def test_a_video_may_be_larger_than_a_frame(self, serving: Serving, video: bytes) -> None:
+        with serving(max_upload_bytes=1024) as client:
+            assert parse(post(client, video, stride=6))[1].reason == "complete"
+
+    def test_a_file_that_is_not_a_video_is_counted(self, client: TestClient) -> None:
+        check_problem(post(client, b"?"), 400, "video")
+        assert sample(client, "pose_rejected_total", reason="undecodable") == 1
+        assert sample(client, "pose_sequences") == 0
+
+
+@pytest.fixture
+def narrow(index_path: Path) -> Iterator[Server]:
+    """A server for one video at a time."""
+    with running_server(index_path, POSE_MAX_SEQUENCES="1") as running:
+        yield running
+
+
+def test_lines_arrive_while_the_video_is_worked_on(
+    narrow: Server, long_video: bytes, photo: Photo
+) -> None:
+    """One more is refused meanwhile, frames are answered, and a hang-up ends it all."""
+    video = {"video": long_video}
+    with httpx.Client(base_url=narrow.url, timeout=30) as client:
+        with client.stream("POST", "/sequence", files=video) as response:
+            lines = response.iter_lines()
+            assert json.loads(next(lines))["type"] == "frame"
+            refused = client.post("/sequence", files=video)
+            assert "at most 1 videos" in check_problem(refused, 503)
+            assert client.post("/pose", files=photo.files).status_code == 200
+            assert sample(client, "pose_sequences") == 1
+        eventually(lambda: sample(client, "pose_sequences") == 0)
+        eventually(lambda: sample(client, "pose_in_flight") == 0)
+        assert sample(client, "pose_rejected_total", reason="too_many_sequences") == 1
+        # The process that decoded it has ended, too.
+        pid = narrow.process.pid
+        assert Path(f"/proc/{pid}/task/{pid}/children").read_text().split() == []
+
+
+def test_sigterm_ends_a_video_with_a_line(index_path: Path, long_video: bytes) -> None:
+    with (
+        running_server(index_path) as running,
+        httpx.stream(
+            "POST", f"{running.url}/sequence", files={"video": long_video}, timeout=30
+        ) as response,
+    ):
+        lines = response.iter_lines()
+        assert json.loads(next(lines))["type"] == "frame"
+        running.process.terminate()
+        *_, last = lines
+        end = SequenceEnd.model_validate_json(last)
+        assert end.reason == "shutdown"
+        assert 0 < end.frames < 1000
+
+
+@pytest.mark.anyio
+async def test_a_client_that_does_not_read_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sequence, "_UNREAD_S", 0.05)
+    closed = []
+
+    async def lines() -> AsyncIterator[bytes]:
+        try:
+            while True:
+                yield b"{}\n"
+        finally:
+            closed.append(True)
+
+    async def send(message: Message) -> None:
+        if message["type"] == "http.response.body":
+            await anyio.sleep_forever()
+
+    scope = {"type": "http", "asgi": {"spec_version": "2.3"}}
+    with anyio.fail_after(5):
+        await sequence.LineStream(lines())(scope, anyio.sleep_forever, send)
+    assert closed == [True]
+    assert request_state(scope).rejected_reason == "client_gone"

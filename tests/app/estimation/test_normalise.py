@@ -1,0 +1,192 @@
+"""People as they are matched, wide ones rotated to stand, and the way back to the frame."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from app.estimation.normalise import NormalisedPerson
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
+from descriptor.silhouette import is_wide, normalise, principal_axis_deg
+from index.search import rotate_clockwise
+from index.skeleton import LIMBS, POINT_NAMES
+
+SHAPE = (300, 300)
+CENTRE = np.array([149.5, 149.5])
+WIDE_DEG = pytest.mark.parametrize("angle", [-120.0, -90.0, -65.0, 70.0, 90.0, 115.0])
+ANY_DEG = pytest.mark.parametrize("angle", [-135.0, -90.0, -30.0, 0.0, 20.0, 90.0, 120.0, 180.0])
+
+
+def about_centre(angle: float) -> NDArray[np.float64]:
+    """Affine transform ``(2, 3)`` of the frame that rotates it clockwise about its middle."""
+    return cv2.getRotationMatrix2D(CENTRE.tolist(), -angle, 1.0)
+
+
+def moved(points: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    return points @ transform[:, :2].T + transform[:, 2]
+
+
+def wrapped(angle: float) -> float:
+    """The same angle from -180 up to 180 degrees."""
+    return (angle + 180) % 360 - 180
+
+
+def silhouette_of(mask: NDArray[np.generic], angle: float = 0.0) -> Silhouette:
+    """The silhouette of a mask of the frame that is rotated clockwise."""
+    rotated = cv2.warpAffine(mask.astype(np.float32), about_centre(angle), SHAPE[::-1])
+    silhouette = silhouette_from_mask(rotated >= 0.5, segmenter="mask", truncated=False)
+    assert silhouette is not None
+    return silhouette
+
+
+def standing() -> NDArray[np.bool_]:
+    """Somebody with one arm out, so that every turn of it looks different."""
+    mask = np.zeros(SHAPE, bool)
+    mask[90:210, 135:165] = True
+    mask[110:122, 165:190] = True
+    return mask
+
+
+def landmark(point: str) -> int:
+    """Row of the landmark of a point of the index."""
+    return LANDMARK_NAMES.index(point.replace("_toe", "_foot_index"))
+
+
+def seen(scores: float | NDArray[np.float64] = 0.5, angle: float = 0.0) -> Landmarks:
+    rng = np.random.default_rng(0)
+    places = rng.uniform((135, 90), (190, 210), (33, 2))
+    metres = rotate_clockwise(rng.normal(0, 0.3, (33, 3)), angle)
+    visibility = np.broadcast_to(scores, 33).astype(np.float64)
+    return Landmarks(moved(places, about_centre(angle)), visibility, metres)
+
+
+def person(angle: float = 0.0, landmarks: Landmarks | None = None) -> NormalisedPerson:
+    """`standing`, rotated clockwise in the frame."""
+    return NormalisedPerson.of(silhouette_of(standing(), angle), landmarks)
+
+
+def keypoints_in_frame(one: NormalisedPerson) -> NDArray[np.float64]:
+    keypoints = one.keypoints()
+    assert keypoints is not None
+    return one.points_in_frame(keypoints.positions)
+
+
+class TestWhoStands:
+    @pytest.mark.parametrize("angle", [-35.0, -10.0, 0.0, 30.0, 180.0])
+    def test_is_not_rotated(self, angle: float) -> None:
+        silhouette = silhouette_of(standing(), angle)
+        one = NormalisedPerson.of(silhouette, None)
+        assert one.roll_deg == 0
+        assert_array_equal(one.silhouette, normalise(silhouette.crop)[0])
+        assert one.to_frame[0, 0] == one.to_frame[1, 1]
+        assert one.to_frame[0, 1] == one.to_frame[1, 0] == 0
+
+
+class TestWhoIsWide:
+    @WIDE_DEG
+    def test_is_rotated_until_they_stand(self, angle: float) -> None:
+        one = person(angle)
+        assert abs(one.roll_deg) > 40
+        assert not is_wide(one.silhouette)
+        assert principal_axis_deg(one.silhouette) == pytest.approx(0, abs=3)
+        # Head or feet up, as large as who stands.
+        assert one.silhouette.any(axis=1).sum() > 100
+
+    @WIDE_DEG
+    def test_the_mirror_image_is_the_mirror_image(self, angle: float) -> None:
+        mask = silhouette_of(standing(), angle).mask(SHAPE)
+        one, other = (
+            NormalisedPerson.of(silhouette_of(m), None) for m in (mask, mask[:, ::-1].copy())
+        )
+        assert wrapped(one.roll_deg + other.roll_deg) == pytest.approx(0, abs=1e-6)
+        assert (one.silhouette != other.silhouette[:, ::-1]).mean() < 0.02
+
+
+@ANY_DEG
+def test_keypoints_come_back_to_the_frame(angle: float) -> None:
+    observed = seen(angle=angle)
+    one = person(angle, observed)
+    keypoints = one.keypoints()
+    assert keypoints is not None
+    rows = [landmark(POINT_NAMES[row]) for row in keypoints.rows]
+    assert_allclose(keypoints_in_frame(one), observed.positions[rows], atol=1e-9)
+    assert_array_equal(keypoints.scores, observed.visibility[rows])
+    # In depth they are turned with the silhouette.
+    limbs = observed.metres[[LANDMARK_NAMES.index(name) for name in LIMBS]]
+    assert keypoints.limbs_3d is not None
+    assert_allclose(rotate_clockwise(keypoints.limbs_3d, -one.roll_deg), limbs, atol=1e-9)
+
+
+@given(
+    angle=st.floats(-180, 180),
+    points=st.lists(st.tuples(st.floats(-50, 100), st.floats(-50, 200)), min_size=2, max_size=4),
+)
+def test_the_way_to_the_frame_is_a_rotation_and_a_scale(
+    angle: float, points: list[tuple[float, float]]
+) -> None:
+    one = person(angle)
+    scale = np.sqrt(np.linalg.det(one.to_frame[:, :2]))
+    places = np.array(points)
+    expected = scale * (places - places[0])
+    turn = np.deg2rad(one.roll_deg)
+    # The roll undone: counterclockwise, y down.
+    expected = expected @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    in_frame = one.points_in_frame(places)
+    assert_allclose(in_frame - in_frame[0], expected, atol=1e-6)
+
+
+@ANY_DEG
+def test_pixels_of_the_silhouette_lie_on_it_in_the_frame(angle: float) -> None:
+    silhouette = silhouette_of(standing(), angle)
+    one = NormalisedPerson.of(silhouette, None)
+    pixels = np.argwhere(one.silhouette)[:, ::-1].astype(float)
+    x, y = np.rint(one.points_in_frame(pixels)).astype(int).T
+    mask = silhouette.mask(SHAPE)
+    assert mask[y.clip(0, 299), x.clip(0, 299)].mean() > 0.97
+    # All of it.
+    area = one.silhouette.sum() * np.linalg.det(one.to_frame[:, :2])
+    assert area == pytest.approx(mask.sum(), rel=0.03)
+
+
+def test_limbs_nose_and_toes_are_compared_and_what_is_not_seen_is_not() -> None:
+    compared = {*LIMBS, "nose", "left_toe", "right_toe"}
+    keypoints = person(landmarks=seen()).keypoints()
+    assert keypoints is not None
+    assert {POINT_NAMES[row] for row in keypoints.rows} == compared
+    scores = np.full(33, 0.9)
+    scores[landmark("left_wrist")] = 0.01
+    fewer = person(landmarks=seen(scores)).keypoints()
+    assert fewer is not None
+    assert {POINT_NAMES[row] for row in fewer.rows} == compared - {"left_wrist"}
+    place = {POINT_NAMES[row]: p for row, p in zip(fewer.rows, fewer.positions, strict=True)}
+    for row, position in zip(keypoints.rows, keypoints.positions, strict=True):
+        if POINT_NAMES[row] in place:
+            assert_allclose(place[POINT_NAMES[row]], position)
+
+
+@pytest.mark.parametrize("visible", [0, 3])
+def test_a_few_landmarks_are_none(visible: int) -> None:
+    scores = np.zeros(33)
+    scores[[landmark(name) for name in LIMBS[:visible]]] = 0.9
+    assert person(landmarks=seen(scores)).keypoints() is None
+    # The face tells nothing that an index could be compared with.
+    scores[1:7] = 0.9
+    assert person(landmarks=seen(scores)).keypoints() is None
+    assert person().keypoints() is None
+
+
+def test_who_shows_neither_ankle_or_no_head_is_not_whole() -> None:
+    assert person().whole and person(landmarks=seen(0.9)).whole
+    for hidden in (("left_ankle", "right_ankle"), ("nose", "left_ear", "right_ear")):
+        scores = np.full(33, 0.9)
+        scores[[landmark(name) for name in hidden]] = 0.05
+        assert not person(landmarks=seen(scores)).whole
+    # From the side one leg hides the other.
+    scores = np.full(33, 0.9)
+    scores[landmark("left_ankle")] = 0.05
+    assert person(landmarks=seen(scores)).whole

@@ -1,0 +1,160 @@
+"""Requests that are refused before a byte of the body is read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+from starlette.responses import PlainTextResponse
+from starlette.types import Message, Receive, Scope, Send
+
+from app.http.admission import AdmissionMiddleware, UploadLimits
+from app.http.errors import ProblemError
+from app.http.identity import Caller, Identity
+from app.scheduling.queue import OverloadedError
+
+
+def scope_of(
+    method: str = "POST", path: str = "/pose", headers: Any = (), caller: str = ""
+) -> Scope:
+    identity = Identity(Caller(None, caller), None, None, True)
+    return {"type": "http", "method": method, "path": path, "headers": headers,
+            "state": {"identity": identity}}  # fmt: skip
+
+
+async def answer(
+    middleware: AdmissionMiddleware,
+    method: str = "POST",
+    headers: dict[bytes, bytes] | None = None,
+    path: str = "/pose",
+    caller: str = "",
+) -> tuple[int, dict[bytes, bytes], int]:
+    """Status and headers of the answer, and how many messages of the body were read."""
+    sent: list[Message] = []
+    read = 0
+
+    async def receive() -> Message:
+        nonlocal read
+        read += 1
+        return {"type": "http.request", "body": b"x", "more_body": False}
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    fields = list((headers or {}).items())
+    await middleware(scope_of(method, path, fields, caller), receive, send)
+    return sent[0]["status"], dict(sent[0]["headers"]), read
+
+
+async def reading(scope: Scope, receive: Receive, send: Send) -> None:
+    response = PlainTextResponse("done")
+    try:
+        await receive()
+    except ProblemError:  # As the framework does if a body cannot be read.
+        response = PlainTextResponse("cannot be read", 400)
+    await response(scope, receive, send)
+
+
+def refuse(scope: Scope, identity: Identity) -> None:
+    raise OverloadedError("the service is working to capacity", retry_after_s=7)
+
+
+def admission(
+    *, full: bool = False, max_open: int = 4, timeout_s: float = 1
+) -> AdmissionMiddleware:
+    return AdmissionMiddleware(
+        reading,
+        check=refuse if full else lambda scope, identity: None,
+        limits=UploadLimits(100, timeout_s),
+        limits_of_paths={"/sequence": UploadLimits(1000, timeout_s)},
+        max_open=max_open,
+    )
+
+
+def length(size: int) -> dict[bytes, bytes]:
+    return {b"content-length": str(size).encode()}
+
+
+@pytest.mark.parametrize(
+    ("options", "asked", "expected"),
+    [
+        ({"full": True}, ("POST",), (503, b"7", 0)),
+        ({"max_open": 0}, ("POST",), (503, b"1", 0)),
+        ({}, ("POST", length(101)), (413, None, 0)),
+        # Videos have limits of their own.
+        ({}, ("POST", length(1001), "/sequence"), (413, None, 0)),
+        ({}, ("POST", length(101), "/sequence"), (200, None, 1)),
+        ({}, ("POST",), (200, None, 1)),
+        ({"full": True}, ("GET",), (200, None, 1)),
+    ],
+)
+def test_excess_is_refused_unread(
+    options: dict[str, Any], asked: tuple[Any, ...], expected: tuple[int, bytes | None, int]
+) -> None:
+    status, headers, read = anyio.run(answer, admission(**options), *asked)
+    assert (status, headers.get(b"retry-after"), read) == expected
+
+
+def test_one_caller_cannot_take_all_places() -> None:
+    stalled = StalledUploads(max_open=4)
+
+    async def ask() -> None:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(4):
+                tasks.start_soon(stalled.stall)
+            await anyio.wait_all_tasks_blocked()
+            assert stalled.statuses == [503]
+            assert (await answer(stalled.admission, caller="another"))[0] == 200
+            tasks.cancel_scope.cancel()
+
+    anyio.run(ask)
+
+
+class StalledUploads:
+    """Requests whose bodies never arrive, where there is room for some."""
+
+    def __init__(self, max_open: int = 2) -> None:
+        self.admission = admission(max_open=max_open, timeout_s=30)
+        self.statuses: list[int] = []
+
+    async def stall(self) -> None:
+        async def send(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                self.statuses.append(message["status"])
+
+        await self.admission(scope_of(), anyio.sleep_forever, send)
+
+
+def test_stalled_uploads_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    stalled = StalledUploads()
+
+    async def ask() -> None:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(2):
+                tasks.start_soon(stalled.stall)
+            await anyio.wait_all_tasks_blocked()
+            monkeypatch.setattr("app.http.admission.STALLED_S", 60.0)
+            assert (await answer(stalled.admission))[0] == 503  # They have only just begun.
+            monkeypatch.setattr("app.http.admission.STALLED_S", 0.0)
+            for _ in range(3):
+                assert (await answer(stalled.admission))[0] == 200
+                await anyio.wait_all_tasks_blocked()
+            assert stalled.statuses == [408] * len(stalled.statuses) != []
+            tasks.cancel_scope.cancel()
+
+    anyio.run(ask)
+
+
+def test_a_stalled_upload_is_aborted_after_the_grace_period(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("app.http.admission.GRACE_S", 0.05)
+    stalled = StalledUploads()
+
+    async def ask() -> None:
+        with anyio.fail_after(5):
+            await stalled.stall()
+
+    anyio.run(ask)
+    assert stalled.statuses == [408]

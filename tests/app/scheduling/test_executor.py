@@ -1,0 +1,291 @@
+"""The executor bounds concurrent work, is fair to frames, and drops abandoned ones."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import queue
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import anyio
+import pytest
+from anyio import to_thread
+
+from app.http.request_state import request_id
+from app.scheduling.executor import Executor
+from app.scheduling.job import BusyError, ClientGoneError, DeadlineError, Job
+from app.scheduling.queue import OverloadedError, Sender, ShutdownError, SupersededError
+
+pytestmark = pytest.mark.anyio
+
+
+def executor_of(frames: int, max_wait_s: float = 60, timeout_s: float = 60) -> Executor:
+    return Executor(frames, max_wait_s, timeout_s)
+
+
+async def run(
+    executor: Executor,
+    work: Callable[[Job], Any],
+    until_gone: Callable[[], Any] = anyio.sleep_forever,
+    **options: Any,
+) -> Any:
+    return await executor.run(work, until_gone, sender=Sender("anyone"), **options)
+
+
+def until_cancelled(job: Job) -> None:
+    while True:
+        job.checkpoint()
+        time.sleep(0.005)
+
+
+class Picture:
+    """An object that can be weakly referenced."""
+
+
+class TestFrames:
+    async def test_results_and_errors_pass_through(self) -> None:
+        executor = executor_of(1)
+        assert await run(executor, lambda _: 42) == 42
+        with pytest.raises(KeyError, match="lost"):
+            await run(executor, lambda _: {}["lost"])
+        assert executor.queue.in_flight == 0
+
+    async def test_the_number_of_concurrent_frames_is_bounded(self) -> None:
+        executor = executor_of(2)
+        lock = threading.Lock()
+        running, most = 0, 0
+
+        def work(_: Job) -> None:
+            nonlocal running, most
+            with lock:
+                running += 1
+                most = max(most, running)
+            executor.map(time.sleep, [0.005] * 3)
+            with lock:
+                running -= 1
+
+        async with anyio.create_task_group() as tasks:
+            for _ in range(10):
+                tasks.start_soon(run, executor, work)
+        assert most == 2
+        executor.shut_down()
+
+    async def test_a_frame_is_dropped_when_its_client_disconnects(self) -> None:
+        executor = executor_of(1)
+        release, done = threading.Event(), []
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(run, executor, lambda _: release.wait(10))
+            await anyio.wait_all_tasks_blocked()
+            with pytest.raises(ClientGoneError):
+                await run(executor, lambda _: done.append(1), lambda: anyio.sleep(0.02))
+            assert executor.queue.in_flight == 1
+            release.set()
+        assert done == []
+        with anyio.fail_after(10), pytest.raises(ClientGoneError):
+            await run(executor, until_cancelled, lambda: anyio.sleep(0.05))
+
+    async def test_the_deadline_covers_work_and_waiting(self) -> None:
+        executor = executor_of(1, timeout_s=0.1)
+        outcomes = []
+
+        async def frame() -> None:
+            with pytest.raises(BusyError) as caught:
+                await run(executor, until_cancelled)
+            outcomes.append(type(caught.value))
+
+        with anyio.fail_after(10):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(frame)
+                tasks.start_soon(frame)
+        assert set(outcomes) == {DeadlineError, OverloadedError}
+        assert executor.queue.in_flight == 0
+
+    async def test_a_newer_frame_supersedes_the_waiting_one(self) -> None:
+        executor = executor_of(1)
+        let_go, outcomes = threading.Event(), list[str]()
+
+        async def frame(name: str) -> None:
+            try:
+                await run(executor, lambda _: let_go.wait(10), camera="yard")
+                outcomes.append(name)
+            except SupersededError as error:
+                outcomes.append(f"{name} {error.reason}")
+
+        async with anyio.create_task_group() as tasks:
+            for name in ("first", "second", "third"):
+                tasks.start_soon(frame, name)
+                await anyio.wait_all_tasks_blocked()
+            let_go.set()
+        assert outcomes == ["second superseded", "first", "third"]
+
+    async def test_a_cancelled_request_cancels_its_work(self) -> None:
+        executor = executor_of(1)
+        begun, cancelled = threading.Event(), threading.Event()
+
+        def work(job: Job) -> None:
+            begun.set()
+            with pytest.raises(ClientGoneError):
+                until_cancelled(job)
+            cancelled.set()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(run, executor, work)
+            await to_thread.run_sync(begun.wait, 10)
+            tasks.cancel_scope.cancel()
+        assert await to_thread.run_sync(cancelled.wait, 10)
+        assert executor.queue.in_flight == 0
+
+    @pytest.mark.parametrize("divided", [False, True])
+    async def test_a_failed_frame_is_not_kept_in_memory(self, divided: bool) -> None:
+        executor = executor_of(1)
+
+        def fail(picture: Picture) -> None:
+            raise ValueError(picture)
+
+        async def frame(picture: Picture) -> None:
+            with contextlib.suppress(ValueError):
+                if divided:
+                    executor.map(fail, [picture] * 2)
+                else:
+                    await run(executor, lambda _: fail(picture))
+
+        picture = Picture()
+        kept = weakref.ref(picture)
+        gc.disable()
+        try:
+            await frame(picture)
+            del picture
+            await anyio.wait_all_tasks_blocked()
+            assert kept() is None
+        finally:
+            gc.enable()
+
+
+class TestParts:
+    @pytest.mark.parametrize("frames", [1, 3])
+    def test_results_are_in_the_order_of_the_parts(self, frames: int) -> None:
+        executor = executor_of(frames)
+        assert executor.map(lambda item: item**2, range(20)) == [i**2 for i in range(20)]
+        assert executor.map(str, []) == []
+
+    def test_parts_are_worked_on_in_parallel(self) -> None:
+        meeting = threading.Barrier(3, timeout=10)
+        # Each waits for the others: serial execution would deadlock.
+        assert sorted(executor_of(3).map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
+
+    @pytest.mark.parametrize("frames", [1, 2])
+    def test_the_first_failure_is_raised_and_no_further_part_begins(self, frames: int) -> None:
+        begun: list[int] = []
+
+        def part(item: int) -> None:
+            begun.append(item)
+            raise ValueError(item)
+
+        with pytest.raises(ValueError, match=r"\d"):
+            executor_of(frames).map(part, range(9))
+        assert 1 <= len(begun) <= frames
+
+    async def test_a_new_frame_waits_for_no_part_of_another(self) -> None:
+        executor = executor_of(2)
+        begun: queue.Queue[str] = queue.Queue()
+        crowd = [f"person {number}" for number in range(4)]
+        end = {name: threading.Event() for name in (*crowd, "mask")}
+
+        def work(name: str) -> None:
+            begun.put(name)
+            assert end[name].wait(10)
+
+        async def next_begun() -> str:
+            return await to_thread.run_sync(lambda: begun.get(timeout=10))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(run, executor, lambda _: executor.map(work, crowd))
+            assert {await next_begun(), await next_begun()} == {"person 0", "person 1"}
+            tasks.start_soon(run, executor, lambda _: work("mask"))
+            assert await next_begun() == "mask"
+            for event in end.values():
+                event.set()
+
+    async def test_helpers_serve_every_divided_frame(self) -> None:
+        executor = executor_of(3)
+        helped = {name: threading.Event() for name in "ab"}
+
+        def frame(name: str) -> None:
+            own = threading.get_ident()
+
+            def part(_: int) -> None:
+                if threading.get_ident() == own:
+                    # The frame's own thread takes one part; helpers have to take the others.
+                    assert helped[name].wait(10)
+                helped[name].set()
+
+            executor.map(part, range(5))
+
+        async with anyio.create_task_group() as tasks:
+            for name in helped:
+                tasks.start_soon(run, executor, lambda _, name=name: frame(name))
+
+    async def test_frames_and_parts_inherit_the_request_id(self) -> None:
+        executor = executor_of(2)
+        meeting = threading.Barrier(2, timeout=10)  # Needs two threads.
+
+        def part(_: int) -> str:
+            meeting.wait()
+            return request_id.get()
+
+        request_id.set("mine")
+        assert await run(executor, lambda _: request_id.get()) == "mine"
+        assert await run(executor, lambda _: executor.map(part, range(4))) == ["mine"] * 4
+
+
+class TestReentry:
+    """Calls that could wait for themselves raise instead."""
+
+    async def test_a_frame_cannot_start_another(self) -> None:
+        executor = executor_of(1)
+
+        def work(_: Job) -> None:
+            asyncio.run(run(executor, lambda _: None))
+
+        with pytest.raises(RuntimeError, match="not by another frame"):
+            await run(executor, work)
+
+    @pytest.mark.parametrize("frames", [1, 2])
+    async def test_a_part_cannot_be_divided(self, frames: int) -> None:
+        executor = executor_of(frames)
+        divide = partial(executor.map, lambda _: executor.map(str, range(2)), range(4))
+        with pytest.raises(RuntimeError, match="not to be divided"):
+            divide()
+        with pytest.raises(RuntimeError, match="not to be divided"):
+            await run(executor, lambda _: divide())
+
+
+async def test_shutting_down_cancels_running_and_drops_waiting_frames() -> None:
+    executor = executor_of(2)
+    begun = threading.Semaphore(0)
+    outcomes: list[str] = []
+
+    def part(job: Job) -> None:
+        begun.release()
+        until_cancelled(job)
+
+    async def frame() -> None:
+        try:
+            await run(executor, lambda job: executor.map(part, [job] * 9))
+        except (ClientGoneError, ShutdownError) as error:
+            outcomes.append(type(error).__name__)
+
+    async with anyio.create_task_group() as tasks:
+        for _ in range(3):
+            tasks.start_soon(frame)
+        for _ in range(2):
+            assert await to_thread.run_sync(lambda: begun.acquire(timeout=10))
+        executor.shut_down()
+    assert len(outcomes) == 3
+    assert set(outcomes) == {"ClientGoneError", "ShutdownError"}

@@ -1,0 +1,69 @@
+"""The velocity over the ground, recovered from projections of people who move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.tracking.ground_motion import STILL, GroundMotion, GroundVelocity, ground_path
+from app.vision.geometry import Box
+from index.skeleton import camera_rotation
+
+DISTANCE_M, FOCAL_PX = 12.0, 1200.0
+
+
+def walk(
+    elevation_deg: float, velocity: tuple[float, float], seconds: float = 1.0
+) -> GroundVelocity:
+    """The velocity measured of a person who moves right and away, by their projected centre."""
+    rotation = camera_rotation(0.0, elevation_deg)
+    motion, found = GroundMotion(), STILL
+    for timestamp in np.arange(0, seconds + 1e-9, 0.1):
+        # World axes: x to the right of the picture, z towards the camera.
+        right, away = (timestamp - seconds) * np.array(velocity)
+        x, y, z = rotation @ np.array([right, 0.0, -away]) + np.array([0.0, 0.0, DISTANCE_M])
+        px_per_m = FOCAL_PX / z
+        found = motion.update(
+            timestamp, Box(x * px_per_m - 20, y * px_per_m - 80, 40, 160), px_per_m, elevation_deg
+        )
+    return found
+
+
+@pytest.mark.parametrize("elevation_deg", [10.0, 25.0, 45.0])
+@pytest.mark.parametrize(
+    "velocity", [(1.2, 0.0), (-1.2, 0.0), (0.0, 1.2), (0.0, -1.2), (0.8, -0.8)]
+)
+def test_recovers_the_velocity(elevation_deg: float, velocity: tuple[float, float]) -> None:
+    found = walk(elevation_deg, velocity)
+    assert found.right == pytest.approx(velocity[0], abs=0.2)
+    assert found.away == pytest.approx(velocity[1], abs=0.25)
+
+
+def test_standing_still_has_no_speed() -> None:
+    assert walk(20.0, (0.0, 0.0)).speed == pytest.approx(0.0, abs=1e-9)
+
+
+def test_seen_from_below_people_sink_as_they_move_away() -> None:
+    found = walk(-20.0, (0.0, 1.0))
+    assert found.away == pytest.approx(1.0, abs=0.25)
+
+
+def test_two_frames_give_no_velocity() -> None:
+    assert walk(20.0, (5.0, 0.0), seconds=0.1) == STILL
+
+
+def test_only_the_last_second_counts() -> None:
+    motion = GroundMotion()
+    for frame in range(60):
+        x = 20.0 * frame if frame < 30 else 600.0
+        found = motion.update(frame / 10, Box(x, 0, 40, 160), 100.0, 20.0)
+    assert found.speed == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("elevation_deg", "metres"), [(30.0, 1.0), (0.0, 0.5 / 0.35)])
+def test_a_path_goes_down_the_picture_towards_the_camera(
+    elevation_deg: float, metres: float
+) -> None:
+    """Seen from low, no farther than the floor of the sine allows."""
+    path = ground_path(np.array([[0.0, 0.0], [80.0, 40.0]]), 80.0, elevation_deg)
+    np.testing.assert_allclose(path[1], [1.0, metres])

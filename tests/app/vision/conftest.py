@@ -1,0 +1,74 @@
+"""What the tests of vision share: a small street scene, and the networks that ship."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
+from app.vision.detector import NetworkDetector
+from app.vision.geometry import Box, PersonWindow
+from app.vision.models import network_path
+from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.person_reader import PersonReader
+from tests.conftest import WALKERS
+
+PLACES, SIDES, ROLLS = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
+PERSON_WINDOWS = st.builds(PersonWindow, PLACES, PLACES, SIDES, ROLLS)
+
+
+def moved(box: Box, x: float, y: float) -> Box:
+    return Box(box.x + x, box.y + y, box.width, box.height)
+
+
+@pytest.fixture(scope="session")
+def street() -> NDArray[np.uint8]:
+    """298x320 crop of a street scene with three walkers and two people far away."""
+    return cv2.imread(str(WALKERS))
+
+
+@pytest.fixture(scope="session")
+def walkers() -> list[Box]:
+    """The three walkers of `street`, marked by hand."""
+    return [Box(28, 43, 32, 76), Box(135, 162, 40, 105), Box(227, 147, 40, 104)]
+
+
+@pytest.fixture(scope="session")
+def far_walkers() -> list[Box]:
+    """The two people at the upper edge of `street`, marked by hand."""
+    return [Box(207, 0, 24, 55), Box(232, 0, 24, 57)]
+
+
+@pytest.fixture(scope="session")
+def movenet() -> MoveNet:
+    return MoveNet(network_path("movenet"))
+
+
+@pytest.fixture(scope="session")
+def reader(movenet: MoveNet) -> KeypointReader:
+    return KeypointReader(movenet)
+
+
+@pytest.fixture(scope="session")
+def landmark_network() -> LandmarkNetwork:
+    return LandmarkNetwork(network_path("pose_landmarks"))
+
+
+@pytest.fixture(scope="session")
+def body_detector() -> BlazePoseDetector:
+    return BlazePoseDetector(network_path("pose_detection"))
+
+
+@pytest.fixture(scope="session")
+def detector(
+    movenet: MoveNet, body_detector: BlazePoseDetector, landmark_network: LandmarkNetwork
+) -> NetworkDetector:
+    return NetworkDetector(movenet, body_detector, landmark_network)
+
+
+@pytest.fixture(scope="session")
+def person_reader(landmark_network: LandmarkNetwork, reader: KeypointReader) -> PersonReader:
+    return PersonReader(landmark_network, reader)

@@ -1,0 +1,115 @@
+"""The networks that ship: the files are those of models.json, or the service does not start."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.vision import models
+from app.vision.models import (
+    FITTED,
+    FOLDER,
+    MODELS,
+    check_networks,
+    fitted_constants,
+    network_path,
+    write_fitted,
+)
+from app.vision.tflite import NetworkError
+from tests.conftest import ROOT
+from tests.support.ports import free_ports
+
+DOCUMENT = json.loads(MODELS.read_text())
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A copy of the folder, used in its place."""
+    copy = tmp_path / "models"
+    shutil.copytree(FOLDER, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(models, "FOLDER", copy)
+    monkeypatch.setattr(models, "MODELS", copy / MODELS.name)
+    monkeypatch.setattr(models, "FITTED", copy / FITTED.name)
+    fitted_constants.cache_clear()
+    yield copy
+    fitted_constants.cache_clear()
+
+
+def test_every_file_is_listed_with_its_hash() -> None:
+    shipped = {path.name for path in FOLDER.iterdir() if path.suffix not in (".py", ".json", "")}
+    assert shipped == {model["file"] for model in DOCUMENT.values()}
+    for model in DOCUMENT.values():
+        content = (FOLDER / model["file"]).read_bytes()
+        assert model["sha256"] == hashlib.sha256(content).hexdigest()
+
+
+@pytest.mark.parametrize("name", DOCUMENT)
+def test_origin_and_conversion_of_a_network_are_given(name: str) -> None:
+    model = DOCUMENT[name]
+    assert set(model) == {"file", "sha256", "what", "source", "license", "made_by"}
+    assert model["license"] == "Apache-2.0"
+    assert (ROOT / model["made_by"]).is_file()
+    assert network_path(name) == FOLDER / model["file"]
+
+
+def spoil(file: Path, how: str) -> None:
+    content = bytearray(file.read_bytes())
+    if how == "missing":
+        file.unlink()
+        return
+    if how == "altered":
+        content[len(content) // 2] ^= 1
+    file.write_bytes(content[: 1000 if how == "truncated" else None])
+
+
+@pytest.mark.parametrize("how", ["missing", "altered", "truncated"])
+@pytest.mark.parametrize("name", DOCUMENT)
+def test_altered_file_is_refused_in_one_sentence(folder: Path, name: str, how: str) -> None:
+    check_networks()
+    spoil(folder / DOCUMENT[name]["file"], how)
+    for check in (check_networks, lambda: network_path(name)):
+        with pytest.raises(NetworkError) as caught:
+            check()
+        assert DOCUMENT[name]["file"] in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("how", ["missing", "altered"])
+def test_service_does_not_start_with_an_altered_file(tmp_path: Path, how: str) -> None:
+    for package in ("app", "descriptor", "index"):
+        ignored = shutil.ignore_patterns("__pycache__", "data", "build")
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignored)
+    file = DOCUMENT["movenet"]["file"]
+    spoil(tmp_path / "app" / "vision" / "models" / file, how)
+    ended = subprocess.run(
+        [sys.executable, "-m", "app"],
+        cwd=tmp_path,
+        env={**os.environ, "PORT": str(free_ports(1)[0])},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert ended.returncode == 1
+    assert ended.stdout == ""
+    assert file in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_fitted_constants_are_replaced_by_part(folder: Path) -> None:
+    for part in json.loads(FITTED.read_text()).values():
+        assert set(part) == {"command", "data", "constants"}
+    before = fitted_constants("confidence")
+    write_fitted("detection", "a command", "some data", {"network": 1.5})
+    assert fitted_constants("detection") == {"network": 1.5}
+    assert fitted_constants("confidence") == before
+    written = json.loads((folder / FITTED.name).read_text())
+    assert written["detection"]["command"] == "a command"

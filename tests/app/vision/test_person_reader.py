@@ -1,0 +1,168 @@
+"""Reading one person: the right one of several windows, fused with MoveNet's keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from app.vision.blazepose import PoseReading
+from app.vision.geometry import WINDOW_SCALE, Box, PersonWindow
+from app.vision.parameters import DEFAULTS
+from app.vision.people import (
+    COCO_LANDMARKS,
+    COCO_NAMES,
+    LANDMARK_NAMES,
+    ObservedKeypoints,
+    coco_rows,
+)
+from app.vision.person_reader import (
+    PersonReader,
+    attenuate_visibility_at_border,
+    fuse,
+    reading_quality,
+    trunk_roll_deg,
+    window_beyond_border,
+)
+
+
+@pytest.fixture(scope="module")
+def readings(
+    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
+) -> list[PoseReading]:
+    return [person_reader.read(street, box) for box in walkers]
+
+
+def moved(reading: PoseReading, x: float, y: float) -> PoseReading:
+    landmarks = reading.landmarks
+    return replace(
+        reading, landmarks=replace(landmarks, positions=landmarks.positions + np.array([x, y]))
+    )
+
+
+def test_right_one_of_several_windows_is_chosen(
+    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    """Not that of asphalt, of a neighbour, or of the person upside down."""
+    height = walkers[2].height
+    expected = person_reader.read(street, walkers[2])
+    for wrong in ((Box(100, 200, 30, 80),), (walkers[0],), (walkers[2], 180.0)):
+        window = PersonWindow.about_box(*wrong)
+        found = person_reader.read(street, walkers[2], None, [window])
+        apart = found.landmarks.positions - expected.landmarks.positions
+        assert np.linalg.norm(apart, axis=1).mean() < 0.05 * height
+
+
+def test_agreement_presence_and_little_drift_are_good(readings: list[PoseReading]) -> None:
+    reading = readings[2]
+    same = reading.landmarks.keypoints()
+    sure = ObservedKeypoints(same.positions, np.ones(17))
+    assert reading_quality(reading, sure) > reading_quality(moved(reading, 10, 0), sure)
+    assert reading_quality(reading, sure) > reading_quality(replace(reading, presence=0.1), sure)
+    window = reading.window
+    drifting = replace(reading, window=PersonWindow(window.x + 50, window.y, window.side))
+    assert reading_quality(reading, sure) > reading_quality(drifting, sure)
+    # Keypoints without a score count neither for it nor against it.
+    unsure = ObservedKeypoints(same.positions + 500, np.zeros(17))
+    assert reading_quality(reading, unsure) == pytest.approx(reading_quality(reading, None))
+
+
+@given(
+    seed=st.integers(0, 9999), x=st.floats(-60, 60), y=st.floats(-60, 60),
+    score=st.floats(0, 1), row=st.integers(0, 16),
+)  # fmt: skip
+def test_fusing_moves_landmarks_towards_agreeing_keypoints_only(
+    readings: list[PoseReading], seed: int, x: float, y: float, score: float, row: int
+) -> None:
+    reading = readings[seed % len(readings)]
+    before = reading.landmarks
+    keypoints = ObservedKeypoints(before.keypoints().positions.copy(), np.full(17, score))
+    keypoints.positions[row] += (x, y)
+    after = fuse(reading, keypoints).landmarks
+    change = after.positions - before.positions
+    others = np.setdiff1d(np.arange(33), COCO_LANDMARKS[row])
+    assert_allclose(change[others], 0, atol=1e-12)
+    size = reading.next_window.side / 2.5
+    far = np.hypot(x, y) / size
+    wanted = np.array([x, y])
+    share = float(change[COCO_LANDMARKS[row]] @ wanted / max(float(wanted @ wanted), 1e-12))
+    assert -1e-9 <= share < 1
+    if far > DEFAULTS.reading.agreement_distance + 1e-9 or score == 0:
+        assert_allclose(change, 0, atol=1e-12)
+    elif far < DEFAULTS.reading.agreement_distance - 1e-9 and score > 0.01 and far > 1e-3:
+        assert share > 0
+    assert_array_equal(after.visibility, before.visibility)
+    assert_array_equal(after.metres, before.metres)
+
+
+def leaning(angle_deg: float, *unseen: str) -> ObservedKeypoints:
+    """A trunk rotated clockwise about the middle of the hips, everything else in one place."""
+    angle = np.deg2rad(angle_deg)
+    up, across = np.array([np.sin(angle), -np.cos(angle)]), np.array([np.cos(angle), np.sin(angle)])
+    positions = np.full((17, 2), 100.0)
+    for i, name in enumerate(COCO_NAMES):
+        side = 8 * (1 if name.startswith("left") else -1)
+        if name.endswith("hip"):
+            positions[i] += side * across
+        if name.endswith("shoulder"):
+            positions[i] += 40 * up + side * across
+    scores = np.array([0.01 if name in unseen else 0.8 for name in COCO_NAMES])
+    return ObservedKeypoints(positions, scores)
+
+
+@given(angle=st.floats(-179, 179))
+def test_roll_is_the_rotation_of_the_trunk(angle: float) -> None:
+    assert trunk_roll_deg(leaning(angle)) == pytest.approx(angle, abs=1e-6)
+
+
+@pytest.mark.parametrize("part", ["hip", "shoulder"])
+def test_roll_is_unknown_without_both_ends_of_the_trunk(part: str) -> None:
+    assert trunk_roll_deg(leaning(90, f"left_{part}", f"right_{part}")) is None
+    assert trunk_roll_deg(leaning(90, f"left_{part}")) is not None
+    assert trunk_roll_deg(None) is None
+
+
+def test_cut_off_person_is_read_as_part_of_a_whole_body(
+    person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    """Without head and shoulders in the frame, the legs stay in place."""
+    walker = walkers[1]
+    whole = person_reader.read(street, walker).landmarks
+    top = round(walker.y + 0.35 * walker.height)
+    box = Box(walker.x, -0.5, walker.width, walker.bottom - top)
+    reading = person_reader.read(street[top:].copy(), box)
+    landmarks = attenuate_visibility_at_border(reading, street[top:].shape)
+    legs = [i for i, name in enumerate(LANDMARK_NAMES) if name.endswith(("knee", "ankle"))]
+    apart = landmarks.positions[legs] + [0, top] - whole.positions[legs]
+    assert np.linalg.norm(apart, axis=1).max() < 0.1 * walker.height
+    assert landmarks.visibility[legs].min() > 0.5
+    head = [i for i, name in enumerate(LANDMARK_NAMES) if "eye" in name or name == "nose"]
+    assert landmarks.visibility[head].max() < 0.5
+
+
+def test_window_of_a_whole_person_is_not_extended(walkers: list[Box]) -> None:
+    seen = ObservedKeypoints(np.full((17, 2), 50.0), np.ones(17))
+    at_border = Box(-0.5, -0.5, 50, 100)
+    assert window_beyond_border(seen, at_border, (200, 200, 3)) == []
+    assert window_beyond_border(None, at_border, (200, 200, 3)) == []
+    assert window_beyond_border(seen, Box(60, 60, 40, 80), (200, 200, 3)) == []
+
+
+@pytest.mark.parametrize(("unseen", "radius"), [("ankle", 1.7 * 50), ("nose", 80)])
+def test_window_reaches_beyond_the_border_to_the_unseen_end(unseen: str, radius: float) -> None:
+    """From the hips: as far as the trunk suggests, or as far as the feet on the other side."""
+    heights = {"nose": 20, "shoulder": 40, "hip": 90, "ankle": 170}
+    positions, scores = np.full((17, 2), 60.0), np.full(17, 0.9)
+    for part, y in heights.items():
+        positions[coco_rows(part), 1] = y
+    scores[coco_rows(unseen)] = 0
+    (window,) = window_beyond_border(
+        ObservedKeypoints(positions, scores), Box(40, -0.5, 40, 180), (180, 200, 3)
+    )
+    assert (window.x, window.y, window.roll_deg) == (60, 90, 0)
+    assert window.side == pytest.approx(2 * WINDOW_SCALE * radius)

@@ -1,0 +1,62 @@
+"""The learned descriptor: reproducible, and better at telling poses apart than chance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+
+from descriptor.descriptor import DiagonalDescriptor
+from index.build.body import Avatar
+from index.build.descriptor_learning import Recipe, learn_descriptor, measure_scatter, view_joints
+from index.build.poses import Poses
+from index.build.simulate import Simulation, simulate
+from index.skeleton import JOINTS
+
+
+def test_same_simulation_same_projection(simulation: Simulation) -> None:
+    one, other = (learn_descriptor(simulation, 3) for _ in range(2))
+    assert_array_equal(one.projection, other.projection)
+    assert one.dimension == 48
+    assert np.isfinite(one.projection).all()
+
+
+def test_directions_scatter_alike_within_and_are_ordered_by_what_they_tell(
+    simulation: Simulation,
+) -> None:
+    # eigh(total, within) scales every direction to unit within-scatter, so the variance over
+    # all silhouettes is what a direction tells, strongest first. Equal seeds, equal anchors.
+    # Mirror images count as silhouettes.
+    descriptor = learn_descriptor(simulation, 3)
+    vectors = simulation.describe(descriptor)
+    spread = np.concatenate([vectors, descriptor.mirror(vectors)]).var(axis=0)
+    assert (np.diff(spread) <= 1e-3 * spread[:-1]).all()
+    assert spread[0] > 5 * spread[-1]
+
+
+def test_finds_poses_of_another_body_better_than_the_papers(
+    poses: Poses, avatars: list[Avatar]
+) -> None:
+    """Learned on one half of the frames, asked with the other half on other views."""
+    even, odd = poses.take(np.arange(0, 48, 2)), poses.take(np.arange(1, 48, 2))
+    known = simulate(even, avatars, bodies=2, views=10, seed=1)
+    asked = simulate(odd, avatars, bodies=1, views=4, seed=2)
+    learned = learn_descriptor(known, 0)
+
+    def error_m(describe: DiagonalDescriptor | object) -> float:
+        index, queries = known.describe(describe), asked.describe(describe)  # type: ignore[arg-type]
+        apart = ((queries[:, None] - index[None]) ** 2).sum(axis=-1)
+        best = apart.argmin(axis=1)
+        there, here = view_joints(known)[0][best], view_joints(asked)[0]
+        assert there.shape[1] == JOINTS
+        return float(np.linalg.norm(there - here, axis=-1).mean())
+
+    assert error_m(learned) < error_m(DiagonalDescriptor())
+
+
+def test_scatter_of_lower_orders_is_a_part_of_that_of_higher_ones(simulation: Simulation) -> None:
+    regions = (0.25, 0.75)
+    few = measure_scatter(simulation, 3, Recipe(6, 4, p2=regions))
+    part = measure_scatter(simulation, 3, Recipe(10, 8, p2=regions)).below(6, 4)
+    assert part.recipe == few.recipe
+    assert_allclose(part.total, few.total, atol=1e-4 * np.abs(few.total).max())
+    assert_allclose(part.within, few.within, atol=1e-4 * np.abs(few.within).max())

@@ -1,0 +1,45 @@
+"""Views: within their ranges, around the body, crowding towards eye level."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from index.build.views import DISTANCES_M, ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
+
+
+@pytest.mark.parametrize("elevations_deg", [ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG])
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 40))
+def test_within_the_documented_ranges(
+    elevations_deg: tuple[float, float], seed: int, count: int
+) -> None:
+    views = sample_views(count, np.random.default_rng(seed), elevations_deg)
+    assert len(views) == count
+    assert ((views["azimuth_deg"] >= 0) & (views["azimuth_deg"] <= 360)).all()
+    low, high = elevations_deg
+    assert ((views["elevation_deg"] >= low) & (views["elevation_deg"] <= high)).all()
+    near, far = DISTANCES_M
+    inside = (views["distance"] >= near * 0.999) & (views["distance"] <= far * 1.001)
+    assert inside.all()
+
+
+@given(seed=st.integers(0, 999), count=st.integers(2, 24))
+def test_views_of_a_pose_surround_it(seed: int, count: int) -> None:
+    azimuths = np.sort(sample_views(count, np.random.default_rng(seed))["azimuth_deg"])
+    gaps = np.diff(np.append(azimuths, azimuths[0] + 360))
+    # One in each stratum of 360 / count: neighbours are at most two strata apart.
+    assert gaps.max() <= 2 * 360 / count + 1e-3
+
+
+def test_bodies_near_the_ground_are_looked_down_on() -> None:
+    assert GROUND_ELEVATIONS_DEG[0] > 0
+    ground, usual = (
+        sample_views(2000, np.random.default_rng(0), elevations_deg)
+        for elevations_deg in (GROUND_ELEVATIONS_DEG, ELEVATIONS_DEG)
+    )
+    assert (ground["elevation_deg"] > usual["elevation_deg"]).all()
+    for other in ("azimuth_deg", "roll_deg", "distance"):
+        assert_array_equal(ground[other], usual[other])

@@ -1,0 +1,211 @@
+"""The network that tells where joints may be: distributions, and what skeletons make of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from index.network import (
+    AXES,
+    BINS,
+    Distributions,
+    JointNetwork,
+    Layer,
+    joint_positions,
+    log_softmax,
+    network_input,
+)
+from index.skeleton import JOINTS, mirror_3d, mirror_normalised
+from index.store import PoseIndex
+from tests.index.networks import random_network
+
+
+@pytest.fixture(scope="module")
+def network() -> JointNetwork:
+    return random_network(0)
+
+
+def certain(columns: int, rows: int, depths: int) -> Distributions:
+    """Every joint in the same bin, almost surely."""
+    logits = np.zeros((JOINTS, BINS))
+    start = 0
+    for axis, at in zip(AXES, (columns, rows, depths), strict=True):
+        logits[:, start + at] = 12
+        start += axis.bins
+    return Distributions(log_softmax(logits))
+
+
+def joints(columns: float, rows: float, depths: float, count: int = 1) -> NDArray[np.float64]:
+    """Every joint at the same place, counted in bins."""
+    places = zip(AXES, (columns, rows, depths), strict=True)
+    return np.tile([axis.first + axis.step * at for axis, at in places], (count, JOINTS, 1))
+
+
+def test_probabilities_of_each_axis_sum_to_one(network: JointNetwork, toy_index: PoseIndex) -> None:
+    seen = network.distributions(toy_index.silhouette(3)).log_probabilities
+    assert seen.shape == (JOINTS, BINS)
+    ends = np.cumsum([axis.bins for axis in AXES])[:-1]
+    for part in np.split(np.exp(seen.astype(np.float64)), ends, axis=1):
+        assert_allclose(part.sum(axis=1), 1, rtol=1e-5)
+
+
+def test_convolutions_are_sums_over_windows(network: JointNetwork, toy_index: PoseIndex) -> None:
+    """The same layers, written as plain sums over the pixels of each window, twice as precise.
+
+    Not a bit differs: whatever the order of its sums, a processor gives this.
+    """
+    silhouette = toy_index.silhouette(3)
+    planes, mirrored = network_input(np.stack([silhouette, silhouette[:, ::-1]]))
+    expected = summed(network, planes).mean(summed(network, mirrored).mirrored())
+    seen = network.distributions(silhouette)
+    assert_array_equal(seen.log_probabilities, expected.log_probabilities)
+
+
+def summed(network: JointNetwork, planes: NDArray[np.float32]) -> Distributions:
+    values = np.rint(127 * planes).astype(np.float64)
+    *convolutions, hidden, output = network.layers
+    for layer, (size, stride) in zip(convolutions, ((5, 2), (3, 2), (3, 2), (3, 1)), strict=True):
+        margin = size // 2
+        padded = np.pad(values, ((margin, margin), (margin, margin), (0, 0)))
+        weights = layer.weights.reshape(size, size, values.shape[2], -1).astype(np.float64)
+        rows, columns = -(-values.shape[0] // stride), -(-values.shape[1] // stride)
+        sums = sum(
+            padded[y : y + stride * rows : stride, x : x + stride * columns : stride]
+            @ weights[y, x]
+            for y in range(size)
+            for x in range(size)
+        )
+        values = whole(scaled(layer, sums))
+    sums = values.ravel() @ hidden.weights.astype(np.float64)
+    sums = whole(scaled(hidden, sums)) @ output.weights.astype(np.float64)
+    return Distributions(log_softmax(scaled(output, sums).reshape(JOINTS, BINS)))
+
+
+def scaled(layer: Layer, sums: NDArray[np.float64]) -> NDArray[np.float32]:
+    return sums.astype(np.float32) * layer.factors + layer.offsets
+
+
+def whole(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    return np.rint(values).clip(0, 127).astype(np.float64)
+
+
+def test_a_mirror_image_is_seen_as_the_mirror_image(
+    network: JointNetwork, toy_index: PoseIndex
+) -> None:
+    silhouette = toy_index.silhouette(3)
+    silhouette[60:71, 21:28] = 1  # Not of whole blocks of four, as an index stores them.
+    seen, other = (network.distributions(s) for s in (silhouette, silhouette[:, ::-1]))
+    assert_allclose(other.log_probabilities, seen.mirrored().log_probabilities, rtol=1e-12)
+
+
+def test_mirrored_skeletons_are_as_likely_in_the_mirror(
+    network: JointNetwork, toy_index: PoseIndex
+) -> None:
+    seen = network.distributions(toy_index.silhouette(3))
+    points_3d, points_2d = toy_index.points(np.arange(20))
+    mirrored = joint_positions(mirror_3d(points_3d), mirror_normalised(points_2d))
+    assert_allclose(
+        seen.mirrored().log_likelihood(mirrored),
+        seen.log_likelihood(joint_positions(points_3d, points_2d)),
+        atol=1e-5,
+    )
+
+
+class TestPosteriorMeans:
+    def test_normal_distributions_meet_between_their_means_by_their_variances(self) -> None:
+        """In closed form: the product of two normal distributions."""
+        logits = np.zeros((JOINTS, BINS), np.float32)
+        start = 0
+        for axis in AXES:
+            apart = np.arange(axis.bins) - axis.bins / 2
+            logits[:, start : start + axis.bins] = -(apart**2) / (2 * 1.5**2)
+            start += axis.bins
+        prior = joints(14, 38, 15)
+        steps = np.array([axis.step for axis in AXES])
+        means = Distributions(log_softmax(logits)).posterior_means(prior, tuple(2 * steps))
+        share = 2**2 / (2**2 + 1.5**2)
+        expected = prior + share * (joints(16, 36, 16) - prior)
+        assert_allclose(means, expected, atol=2e-3)
+
+    def test_who_sees_nothing_moves_nothing(self) -> None:
+        blank = Distributions(log_softmax(np.zeros((JOINTS, BINS), np.float32)))
+        prior = joints(14.3, 38.6, 15.2)
+        assert_allclose(blank.posterior_means(prior, (3.0, 3.0, 0.1)), prior, atol=2e-2)
+
+    def test_another_way_to_see_a_joint_does_not_draw_it_across(self) -> None:
+        logits = np.zeros((JOINTS, BINS), np.float32)
+        logits[:, 10], logits[:, 20] = 8, 10
+        seen = Distributions(log_softmax(logits))
+        means = seen.posterior_means(joints(10.5, 40, 16), (3.0, 3.0, 0.04))
+        assert_allclose(means[..., 0], AXES[0].first + AXES[0].step * 10, atol=0.2)
+
+
+def test_sees_what_most_of_four_pixels_show(toy_index: PoseIndex) -> None:
+    silhouette = toy_index.silhouette(3)
+    doubled = np.repeat(np.repeat(silhouette[::2, ::2], 2, axis=0), 2, axis=1)
+    assert_array_equal(network_input(doubled[None])[0, ..., 0], silhouette[::2, ::2])
+
+
+def test_the_likeliest_place_is_where_the_network_sees_the_joints() -> None:
+    seen = certain(10, 40, 16)
+    (there,) = seen.log_likelihood(joints(10, 40, 16))
+    assert there == pytest.approx(seen.peak(), abs=1e-6)
+    for other in ((12, 40, 16), (10, 43, 16), (10, 40, 11)):
+        assert seen.log_likelihood(joints(*other))[0] < there - 1
+
+
+def test_likelihood_is_continuous_between_bins() -> None:
+    seen = certain(10, 40, 16)
+    values = [seen.log_likelihood(joints(c, 40, 16))[0] for c in np.linspace(10, 11, 11)]
+    steps = np.diff(values)
+    assert_allclose(steps, steps[0], rtol=1e-3)
+
+
+def test_places_beyond_the_bins_count_as_the_last_ones() -> None:
+    seen = certain(0, 71, 31)
+    ends, beyond = joints(0, 71, 31), joints(-20, 200, 90)
+    assert_allclose(seen.log_likelihood(ends), seen.log_likelihood(beyond), rtol=1e-6)
+
+
+def test_expected_errors_are_distances_where_the_network_is_certain() -> None:
+    seen = certain(10, 40, 16)
+    # Three and four bins of 2 pixels.
+    assert seen.expected_errors(joints(13, 44, 20)) == pytest.approx(10, abs=0.1)
+
+
+def test_expected_errors_are_those_of_many_draws(
+    network: JointNetwork, toy_index: PoseIndex
+) -> None:
+    seen, generator = network.distributions(toy_index.silhouette(3)), np.random.default_rng(2)
+    place = joints(14, 38, 15)
+    columns, rows = (
+        np.stack([generator.choice(axis.middles, 20_000, p=p / p.sum()) for p in np.exp(part)])
+        for axis, part in zip(AXES[:2], seen.by_axis()[:2], strict=True)
+    )
+    squares = (columns - place[0, :, :1]) ** 2 + (rows - place[0, :, 1:2]) ** 2
+    drawn = np.sqrt(squares.mean(axis=1)).mean()
+    assert seen.expected_errors(place) == pytest.approx(drawn, rel=0.01)
+
+
+def test_layers_survive_storing(network: JointNetwork) -> None:
+    back = JointNetwork.restore(network.arrays())
+    for ours, theirs in zip(back.layers, network.layers, strict=True):
+        for name, values in vars(theirs).items():
+            assert_array_equal(getattr(ours, name), values)
+
+
+def test_layers_of_other_shapes_are_refused(network: JointNetwork) -> None:
+    with pytest.raises(ValueError, match="expected layers of shapes"):
+        JointNetwork(network.layers[1:])
+    with pytest.raises(ValueError, match="expected factors and offsets of shape"):
+        JointNetwork.restore({**network.arrays(), "offsets1": np.zeros(3, np.float32)})
+
+
+def test_sums_that_might_not_be_exact_are_refused() -> None:
+    weights, ones = np.full((1100, 2), 127, np.float32), np.ones(2, np.float32)
+    with pytest.raises(ValueError, match="expected sums below 16777216, got up to 17741900"):
+        Layer(weights, ones, ones)
+    weights[::2] *= -1
+    Layer(weights, ones, ones)

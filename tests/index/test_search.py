@@ -1,0 +1,66 @@
+"""The exact search: that of brute force, whatever the queries, also where vectors are bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from index.search import STEPS, ExactNeighbours, scale_factor
+
+LARGEST = 127 / float(STEPS)
+K = 20
+
+
+def in_steps(count: int, dimension: int, spread: float, seed: int = 0) -> NDArray[np.float32]:
+    """Vectors whose values are multiples of a step and fit into a byte."""
+    values = np.random.default_rng(seed).normal(0, spread, (count, dimension))
+    return (np.rint(values * STEPS) / STEPS).clip(-LARGEST, LARGEST).astype(np.float32)
+
+
+def brute_force(
+    vectors: NDArray[np.float32], queries: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    squared = ((queries[:, None].astype(np.float64) - vectors) ** 2).sum(axis=-1)
+    order = np.argsort(squared, axis=1, kind="stable")[:, :K]
+    return np.take_along_axis(squared, order, axis=1), order
+
+
+# FAISS has code of its own for multiples of 16.
+@pytest.mark.parametrize("dimension", [12, 16, 48])
+@pytest.mark.parametrize("spread", [0.5, 4.0, 12.0])
+class TestBytes:
+    def test_queries_in_steps_are_compared_exactly(self, dimension: int, spread: float) -> None:
+        vectors, queries = (in_steps(n, dimension, spread, seed=n) for n in (900, 9))
+        assert scale_factor(vectors) == STEPS
+        squared, numbers = ExactNeighbours(vectors).search(queries, K)
+        expected, _ = brute_force(vectors, queries)
+        assert_array_equal(squared, expected)
+        found = ((queries[:, None] - vectors[numbers]) ** 2).sum(axis=-1)
+        assert_array_equal(found, squared)
+
+    def test_others_are_rounded_to_steps(self, dimension: int, spread: float) -> None:
+        vectors = in_steps(900, dimension, spread)
+        queries = np.random.default_rng(1).normal(0, spread, (9, dimension)).astype(np.float32)
+        rounded = (np.rint(queries * STEPS) / STEPS).clip(-LARGEST, LARGEST)
+        ours, theirs = (ExactNeighbours(vectors).search(q, K) for q in (queries, rounded))
+        for one, other in zip(ours, theirs, strict=True):
+            assert_array_equal(one, other)
+
+    def test_what_is_too_large_for_a_byte_is_far_away(self, dimension: int, spread: float) -> None:
+        ends = np.full((2, dimension), LARGEST, np.float32)
+        ends[1] *= -1
+        vectors = np.concatenate([in_steps(900, dimension, spread), ends])
+        _, numbers = ExactNeighbours(vectors).search(ends * np.float32(1.3), 1)
+        assert_array_equal(numbers[:, 0], [900, 901])
+
+
+def test_floats_are_compared_as_they_are() -> None:
+    rng = np.random.default_rng(0)
+    vectors, queries = (rng.normal(0, 3, (n, 16)).astype(np.float32) for n in (400, 7))
+    assert scale_factor(vectors) == 1
+    squared, numbers = ExactNeighbours(vectors).search(queries, K)
+    expected, order = brute_force(vectors, queries)
+    assert_array_equal(numbers, order)
+    assert_allclose(squared, expected, rtol=1e-4)

@@ -1,0 +1,262 @@
+"""Videos and the webcam on the debug page: a camera session, played and shown over time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import cv2
+import httpx
+import pytest
+
+from index.skeleton import NATIVE
+from tests.conftest import WALKERS, Photo, Server
+from tests.support.videos import numbered_frames, write_video
+from tests.system.test_page import overflows
+
+Answer = dict[str, Any]
+BONES = [{"parent": parent, "child": child} for parent, child in NATIVE.bones]
+
+
+def skeleton(shift: float) -> Answer:
+    joints = range(len(NATIVE.names))
+    return {
+        "joints_2d": [{"x": 20 + j + shift, "y": 5 + 2 * j} for j in joints],
+        "joints_3d": [{"x": j / 20, "y": shift, "z": 0.0} for j in joints],
+    }
+
+
+def person(track_id: int, **changed: object) -> Answer:
+    return {
+        "track_id": track_id,
+        "box": {"x": 10.0, "y": 4.0, "width": 20.0, "height": 40.0},
+        "posture": {"label": "walking", "probability": 0.93},
+        "action": {"label": "walk", "probability": 0.81},
+        "facing": {"front_probability": 0.04, "evidence": "motion"},
+        "pose": skeleton(0),
+        "hypotheses": [skeleton(8)],
+    } | changed
+
+
+def answer(number: int, timestamp: float) -> Answer:
+    """A possible answer to a frame: person 7 falls on the third one."""
+    fall = {"event": "fell", "state": "instant", "track_id": 7, "probability": 0.9}
+    return {
+        "image": {"width": 64, "height": 48},
+        "keypoints": {"set": "native", "names": NATIVE.names, "bones": BONES},
+        "frame_index": number,
+        "timestamp": timestamp,
+        "reset": None,
+        "persons": [person(7, action=None), person(3)],
+        "events": [fall | {"timestamp": timestamp}] if number == 2 else [],
+        "timings_ms": {"total": 12.0},
+    }
+
+
+class Cameras:
+    """Camera sessions that refuse some requests, and forget the session at one frame."""
+
+    def __init__(
+        self,
+        page: Any,
+        problems: dict[int, tuple[int, dict[str, str]]] | None = None,
+        forgetful_at: int = -1,
+    ) -> None:
+        self.requests: list[Any] = []
+        self.forgotten: list[str] = []
+        self._problems, self._forgetful_at = problems or {}, forgetful_at
+        self._frames = 0
+        page.route("**/cameras/**", self._handle)
+
+    def _handle(self, route: Any) -> None:
+        request = route.request
+        if request.method == "DELETE":
+            self.forgotten.append(request.url)
+            route.fulfill(status=204)
+            return
+        self.requests.append(request)
+        problem = self._problems.get(len(self.requests) - 1)
+        if problem:
+            status, headers = problem
+            route.fulfill(status=status, headers=headers, json={"detail": "not now"})
+            return
+        if len(self.requests) - 1 == self._forgetful_at:
+            self._frames = 0
+        session = "warm" if self._frames else "new"
+        content = answer(self._frames, self.timestamps()[-1])
+        self._frames += 1
+        route.fulfill(json=content, headers={"X-Session": session})
+
+    def timestamps(self) -> list[float]:
+        queries = [parse_qs(urlsplit(request.url).query) for request in self.requests]
+        return [float(query["timestamp"][0]) for query in queries]
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> str:
+    """A video of two seconds, which browsers play."""
+    write_video(tmp_path / "clip.webm", numbered_frames(20), codec="VP80")
+    return str(tmp_path / "clip.webm")
+
+
+def play(page: Any, file: str) -> None:
+    page.set_input_files("#file", file)
+    page.get_by_text("The end, after").wait_for()
+
+
+def test_a_video_is_played_as_a_separate_session(page: Any, clip: str) -> None:
+    cameras = Cameras(page)
+    play(page, clip)
+    times = cameras.timestamps()
+    assert len(times) > 5
+    assert times == sorted(set(times))
+    assert times[-1] <= 2
+    (camera,) = {urlsplit(request.url).path.split("/")[2] for request in cameras.requests}
+    assert re.fullmatch("page-[0-9a-f]{12}", camera)
+    assert {request.headers["content-type"] for request in cameras.requests} == {"image/jpeg"}
+    assert [url.split("/")[-1] for url in cameras.forgotten] == [camera]
+
+
+def test_people_events_and_postures_are_shown(page: Any, clip: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    assert not overflows(page)
+    rows = [re.split(r"\s{2,}|[\t\n]+", row) for row in page.locator("#crowd tr").all_inner_texts()]
+    shown = [[cell.replace("\xa0", " ") for cell in row] for row in rows]
+    assert shown == [
+        ["3", "walking 93 %", "walk 81 %", "away 96 %"],
+        ["7", "walking 93 %", "\u2013", "away 96 %"],
+    ]
+    events = page.locator("#events li")
+    assert events.count() == 1
+    assert "7 fell" in events.inner_text()
+    legend = page.locator("#timeline-legend").inner_text()
+    assert "walking" in legend
+    assert "fell" in legend
+    assert "sitting" not in legend
+
+
+def test_raw_and_smoothed_skeletons_differ(page: Any, clip: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    pictures = set()
+    for choice in ("smoothed", "raw", "both"):
+        page.locator(f"[value={choice}]").check()
+        pictures.add(page.locator("#live").evaluate("c => c.toDataURL()"))
+    assert len(pictures) == 3
+    assert page.locator("#alone").is_visible()
+
+
+def test_a_row_selects_the_skeleton_in_3d(page: Any, clip: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    assert page.locator("#crowd input").first.is_checked()
+    before = page.locator("#live").evaluate("c => c.toDataURL()")
+    page.locator("#crowd input").nth(1).check()
+    assert page.locator("#live").evaluate("c => c.toDataURL()") != before
+
+
+def test_a_frame_is_sent_again_to_a_busy_service(page: Any, clip: str) -> None:
+    cameras = Cameras(page, {3: (503, {"Retry-After": "1"})})
+    page.set_input_files("#file", clip)
+    page.get_by_text("Not now. Trying again").wait_for()
+    page.get_by_text("The end, after").wait_for()
+    times = cameras.timestamps()
+    assert times[4] - times[3] < 0.5
+    assert page.locator("#note").is_hidden()
+    assert page.locator("#message").is_hidden()
+
+
+def test_a_forgotten_camera_is_reported(page: Any, clip: str) -> None:
+    Cameras(page, forgetful_at=5)
+    play(page, clip)
+    assert "numbered anew" in page.locator("#note").inner_text()
+    assert page.locator("#events li").count() == 1
+
+
+def test_a_missing_key_restarts_the_video(page: Any, clip: str) -> None:
+    cameras = Cameras(page, {0: (401, {})})
+    page.set_input_files("#file", clip)
+    page.locator("#key").fill("secret")
+    page.locator("#key").press("Enter")
+    page.get_by_text("The end, after").wait_for()
+    assert cameras.requests[1].headers["x-api-key"] == "secret"
+    assert page.locator("#message").is_hidden()
+
+
+def test_an_unplayable_video_gets_a_command_for_the_service(page: Any, tmp_path: Path) -> None:
+    Cameras(page)
+    write_video(tmp_path / "clip.avi", numbered_frames(5))
+    page.set_input_files("#file", str(tmp_path / "clip.avi"))
+    page.get_by_text("cannot play clip.avi").wait_for()
+    assert "curl -N -F 'video=@clip.avi'" in page.locator("#message").inner_text()
+    assert not overflows(page)
+
+
+def test_a_photograph_ends_the_video(page: Any, clip: str, photo: Photo, tmp_path: Path) -> None:
+    cameras = Cameras(page)
+    page.set_input_files("#file", clip)
+    page.locator("#crowd tr").first.wait_for()
+    (tmp_path / "street.png").write_bytes(photo.frame_png)
+    (tmp_path / "street_mask.png").write_bytes(photo.mask_png)
+    page.set_input_files("#file", [str(tmp_path / "street.png"), str(tmp_path / "street_mask.png")])
+    page.locator("#hypotheses .card").first.wait_for()
+    assert page.locator("#session").is_hidden()
+    assert len(cameras.forgotten) == 1
+    page.set_input_files("#file", clip)
+    page.locator("#session").wait_for()
+    assert page.locator("#result").is_hidden()
+
+
+def test_a_pause_stops_the_frames(page: Any, clip: str) -> None:
+    cameras = Cameras(page)
+    page.set_input_files("#file", clip)
+    page.locator("#crowd tr").first.wait_for()
+    page.locator("#hold").click()
+    page.wait_for_timeout(300)
+    sent = len(cameras.requests)
+    page.wait_for_timeout(300)
+    assert len(cameras.requests) == sent
+    page.locator("#hold").click()
+    page.get_by_text("The end, after").wait_for()
+    assert len(cameras.requests) > sent
+    page.locator("#hold").get_by_text("Play again").click()
+    page.get_by_role("button", name="Pause").wait_for()
+
+
+def test_the_webcam_is_a_session_until_it_is_stopped(page: Any) -> None:
+    cameras = Cameras(page)
+    page.get_by_role("button", name="Use the webcam").click()
+    page.locator("#events li").wait_for()
+    page.get_by_role("button", name="Stop the webcam").click()
+    page.get_by_role("button", name="Use the webcam").wait_for()
+    assert len(cameras.forgotten) == 1
+    times = cameras.timestamps()
+    assert times == sorted(set(times))
+
+
+def walkers(tmp_path: Path) -> str:
+    frame = cv2.imread(str(WALKERS))
+    write_video(tmp_path / "walkers.webm", [frame] * 20, codec="VP80")
+    return str(tmp_path / "walkers.webm")
+
+
+def wait_for_cameras(server: Server, wanted: Callable[[list[str]], bool], page: Any) -> None:
+    for _ in range(100):
+        listed = httpx.get(f"{server.url}/cameras").json()["cameras"]
+        if wanted([camera["camera_id"] for camera in listed]):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"expected other cameras, got {listed}")
+
+
+def test_closing_the_page_ends_the_session(page: Any, server: Server, tmp_path: Path) -> None:
+    page.set_input_files("#file", walkers(tmp_path))
+    page.locator("#crowd tr").first.wait_for()
+    assert page.locator("#message").is_hidden()
+    wait_for_cameras(server, lambda names: [name[:5] for name in names] == ["page-"], page)
+    page.goto("about:blank")
+    wait_for_cameras(server, lambda names: not names, page)

@@ -1,0 +1,102 @@
+"""``pip install .`` serves what a checkout does, from an empty folder."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.serving.runtime import VERSION
+from app.vision.models import MODELS
+from index import DEFAULT_PATH
+from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
+
+pytestmark = pytest.mark.slow
+
+
+def run(*command: str | Path) -> str:
+    """Run a program; return what it writes."""
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"  # A build leaves files beside what it builds.
+    source.mkdir()
+    for file in ("LICENSE", "NOTICE", "pyproject.toml"):
+        shutil.copy(ROOT / file, source)
+    for package in ("app", "descriptor", "index"):
+        shutil.copytree(ROOT / package, source / package)
+    run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", folder, source)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The service as a fresh environment has it, started in an empty folder."""
+    folder = tmp_path_factory.mktemp("installed")
+    run(sys.executable, "-m", "venv", folder / "venv")
+    python = folder / "venv" / "bin" / "python"
+    run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel)
+    empty = folder / "empty"
+    empty.mkdir()
+    server = start_server(None, empty, python)
+    try:
+        wait_until(f"{server.url}/readyz")
+        yield server
+    finally:
+        server.stop()
+    assert not any(empty.iterdir())
+
+
+@pytest.fixture(scope="module")
+def checkout() -> Iterator[Server]:
+    server = start_server(None)
+    try:
+        wait_until(f"{server.url}/readyz")
+        yield server
+    finally:
+        server.stop()
+
+
+def test_the_wheel_holds_exactly_what_serving_needs(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
+        assert "License-Expression: Apache-2.0" in archive.read(metadata).decode()
+    licences = {name.rsplit("/", 1)[1] for name in names if ".dist-info/licenses/" in name}
+    assert licences == {"LICENSE", "NOTICE"}
+    networks = {model["file"] for model in json.loads(MODELS.read_text()).values()}
+    needed = {f"app/vision/models/{file}" for file in (*networks, "models.json", "fitted.json")}
+    needed.add("app/tracking/models/actions.json")
+    needed |= {f"index/data/{path.name}" for path in DEFAULT_PATH.iterdir()}
+    needed |= {f"app/static/{path.name}" for path in (ROOT / "app" / "static").iterdir()}
+    assert needed <= names
+    folders = {name.split("/")[0] for name in names if ".dist-info/" not in name}
+    assert folders == {"app", "descriptor", "index"}
+    assert not any(name.startswith("index/build/") for name in names)
+
+
+def test_the_wheel_serves_like_a_checkout(installed: Server, checkout: Server) -> None:
+    for path in ("/", "/static/page.js", "/docs", "/index", "/index/entries/7"):
+        there, here = (httpx.get(server.url + path) for server in (installed, checkout))
+        assert there.status_code == 200
+        assert there.content == here.content
+    assert httpx.get(f"{installed.url}/openapi.json").json()["info"]["version"] == VERSION
+    there, here = (
+        httpx.post(f"{server.url}/pose", files={"frame": WALKERS.read_bytes()}, timeout=30).json()
+        for server in (installed, checkout)
+    )
+    assert len(here["persons"]) >= 3
+    assert there["persons"] == here["persons"]
