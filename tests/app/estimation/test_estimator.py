@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scripts.experiments.rotation import rotate_box, rotate_points
 
 from app.estimation import finder
 from app.estimation.estimator import Estimator, network_threads
@@ -21,6 +20,7 @@ from index.posture import LOW
 from index.search import rotate_clockwise
 from tests.conftest import WALKERS, Photo, png
 from tests.support.jobs import ShortJob
+from tests.support.rotation import rotate_box, rotate_points
 
 WALKER = Box(135, 162, 40, 105)
 

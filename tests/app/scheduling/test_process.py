@@ -82,8 +82,9 @@ def test_affinity_limits_the_cores(host: Host, monkeypatch: pytest.MonkeyPatch) 
 EXPORT = """
 import sys, cv2
 before = sys.getswitchinterval(), cv2.getNumThreads()
-from scripts.export_openapi import render
-assert render()
+from app.main import create_app
+from app.settings import Settings
+assert create_app(Settings()).openapi()
 assert (sys.getswitchinterval(), cv2.getNumThreads()) == before
 """
 

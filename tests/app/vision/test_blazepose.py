@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
-from scripts.experiments.rotation import rotate_points
 
 from app.vision.blazepose import (
     ANCHOR_GRIDS,
@@ -21,6 +20,7 @@ from app.vision.blazepose import (
 )
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
+from tests.support.rotation import rotate_points
 
 LIMBS = [
     row
