@@ -30,8 +30,8 @@ from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
+from index import DEFAULT_PATH
 from index.skeleton import NATIVE
-from index.store import DEFAULT_PATH
 from scripts.datasets import read_frames, read_pose2sim, read_vtest, rotate_box
 from scripts.helpers import find_people, place_entry
 from scripts.load.server import ServerProcess

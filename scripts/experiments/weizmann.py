@@ -33,7 +33,7 @@ from app.settings import Settings
 from app.tracking.session import CameraSession
 from descriptor.descriptor import Arrays, Descriptor, DiagonalDescriptor
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.experiments.paper_data import nearest
 from scripts.metrics import confusion
 

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import load_index, save_index
 from index.build.builder import Plan, build, split_by_clip
 from index.build.motion import Segment, read_manifest
 from index.reranker import RankingModel, load_reranker
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import PoseIndex
 
 ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground whose actions have too few clips for one to be held out of each."""

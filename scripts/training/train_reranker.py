@@ -11,12 +11,12 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.build.joint_training import Course
 from index.build.motion import read_manifest
 from index.build.reranker import train_reranker
 from index.reranker import save_reranker
-from index.store import DEFAULT_PATH
 from scripts.results import SHARED
 from scripts.training.held_out import hold_out
 
