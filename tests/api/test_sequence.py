@@ -16,7 +16,6 @@ from starlette.types import Message
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame
 from app.http.request_state import request_state
 from app.routes import sequence
-from app.tracking.session import CameraSession
 from tests.conftest import Photo, Server, Serving, running_server
 from tests.support.service import check_problem, eventually, sample
 from tests.support.videos import noisy_frames, numbered_frames, write_video
@@ -92,23 +91,6 @@ class TestLines:
             frames, end = parse(post(client, long_video))
         assert (end.reason, end.frames) == ("timeout", len(frames))
         assert len(frames) < 1000
-
-    def test_a_frame_that_takes_too_long_ends_the_video(
-        self, serving: Serving, video: bytes, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        process = CameraSession.process
-
-        def slow(
-            self: CameraSession, upload: Any, timestamp: Any, n: Any, job: Any, *_: Any
-        ) -> Any:
-            while timestamp:
-                job.checkpoint()
-            return process(self, upload, timestamp, n, job)
-
-        monkeypatch.setattr(CameraSession, "process", slow)
-        with serving(request_timeout_s=1.0) as client:
-            frames, end = parse(post(client, video))
-        assert (end.reason, len(frames)) == ("timeout", 1)
 
 
 class TestRefusals:
