@@ -13,14 +13,13 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.folders import replacing
+from index.files import ArtefactError, npy_bytes, read_array, read_bytes, replacing
 from index.reranker import FILES as RERANKER_FILES
 from index.reranker import RankingModel, load_reranker, reranker_files
 from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
 FORMAT_VERSION = 4
 MANIFEST = "manifest.json"
@@ -222,7 +221,7 @@ def _restore(
         for name, array in files.items()
         if name.startswith("descriptor-")
     }
-    flat = faiss.deserialize_index(np.asarray(files["descriptors.faiss"], np.uint8))
+    flat = faiss.deserialize_index(np.frombuffer(files["descriptors.faiss"], np.uint8))
     if type(flat) is not faiss.IndexFlatL2:
         raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
     vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).reshape(flat.ntotal, flat.d)

@@ -22,8 +22,8 @@ import grpc
 import numpy as np
 from numpy.typing import NDArray
 
+from index.files import ArtefactError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 
 with warnings.catch_warnings():
     # That pkg_resources, which it imports, is deprecated.

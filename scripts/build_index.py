@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from index.artefact import check_replaceable, save_index
-from index.build.builder import CMU_ATTRIBUTION, Plan, build
+from index.build.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
 from index.build.garments import GarmentError
 from index.build.motion import MotionError
 from index.build.shard_files import ShardError
-from index.build.workers import Threads, Workers, WorkersError
-from index.folders import staging
+from index.files import staging
 from index.store import DEFAULT_PATH
 
 
@@ -62,13 +62,11 @@ def main() -> int:
         shards = (
             nullcontext(arguments.shards) if arguments.shards else staging(arguments.out.resolve())
         )
-        with _workers(arguments.scheduler) as workers:
-            index = build(
-                arguments.mocap, arguments.garments, plan, name=name, attribution=attribution,
-                workers=workers, shards=shards, progress=True, say=print,
-            )  # fmt: skip
+        spec = IndexSpec(name, arguments.mocap, arguments.garments, plan, attribution)
+        with _executor(arguments.scheduler) as executor:
+            index = build(spec, executor=executor, shards=shards, progress=True, log=print)
         version = save_index(index, arguments.out)
-    except (MotionError, GarmentError, ShardError, WorkersError, ValueError, OSError) as error:
+    except (MotionError, GarmentError, ShardError, ValueError, OSError) as error:
         print(f"build_index: {error}", file=sys.stderr)
         return 1
     print(f"{len(index)} entries in {arguments.out}, {version}")
@@ -89,14 +87,14 @@ def check_apart(out: Path, others: Mapping[str, Path | None]) -> None:
             )
 
 
-def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:
+def _executor(scheduler: str | None) -> AbstractContextManager[Executor | None]:
     if scheduler is None:
-        return nullcontext(Threads())
+        return nullcontext()
     try:
-        from index.build.cluster import Cluster
+        from index.build.cluster import cluster_executor
     except ModuleNotFoundError as error:
-        raise WorkersError(f"--scheduler needs the extra cluster ({error})") from error
-    return Cluster(scheduler)
+        raise ShardError(f"--scheduler needs the extra cluster ({error})") from error
+    return cluster_executor(scheduler)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,11 @@ from pathlib import Path
 from tqdm import tqdm
 
 from index.artefact import load_index
+from index.files import ArtefactError
 from index.milvus import Milvus, publish, remove_older
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import DEFAULT_PATH
-from index.verified_files import ArtefactError
 
 TIMEOUT_S = 120.0
 """Milvus stores and indexes what was written within one call."""

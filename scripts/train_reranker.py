@@ -14,13 +14,14 @@ import sys
 from pathlib import Path
 
 from index.artefact import load_index
+from index.build.builder import IndexSpec
 from index.build.garments import GarmentError
-from index.build.joint_training import Course
+from index.build.joint_training import TrainingConfig
 from index.build.motion import MotionError, read_manifest
 from index.build.reranker import train_reranker
+from index.build.splits import hold_out
 from index.reranker import save_reranker
 from index.store import DEFAULT_PATH
-from scripts.experiments.strict import hold_out
 
 
 def main() -> int:
@@ -30,19 +31,17 @@ def main() -> int:
     add("--mocap", type=Path, default=Path("../shared/mocap"), help="what the index was built from")
     add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
     add("--index", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
-    add("--passes", type=float, default=Course.passes, help="over the silhouettes")
-    add("--seed", type=int, default=Course.seed)
+    add("--passes", type=float, default=TrainingConfig.passes, help="over the silhouettes")
+    add("--seed", type=int, default=TrainingConfig.seed)
     arguments = parser.parse_args()
     try:
         kept, _ = hold_out(read_manifest(arguments.mocap))
         reranker = train_reranker(
             load_index(arguments.index, reranked=False),
-            arguments.mocap,
-            arguments.garments,
-            kept,
-            Course(passes=arguments.passes, seed=arguments.seed),
+            IndexSpec("", arguments.mocap, arguments.garments, segments=tuple(kept)),
+            TrainingConfig(passes=arguments.passes, seed=arguments.seed),
             progress=True,
-            say=lambda line: print(line, flush=True),
+            log=lambda line: print(line, flush=True),
         )
         save_reranker(reranker, arguments.index)
     except (MotionError, GarmentError, ValueError, OSError) as error:

@@ -27,10 +27,10 @@ from app.serving.milvus import (
 from app.serving.runtime import Runtime
 from app.serving.version import VERSION
 from app.vision.tflite import NetworkError
+from index.files import ArtefactError
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 
 T = TypeVar("T")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -182,6 +183,28 @@ def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calib
     model.fit(trial.features[offered], trial.right[offered])
     weights = tuple(float(w) for w in model.coef_[0])
     return Calibration(weights, float(model.intercept_[0]), features)
+
+
+def calibrate(
+    index: PoseIndex,
+    queries: Queries,
+    features: tuple[str, ...] = FEATURES,
+    *,
+    progress: bool = False,
+    log: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """Fit the confidence on an index's answers to silhouettes of clips and bodies that it lacks."""
+    trial = run_trial(index, queries, progress=progress)
+    calibration = fit_calibration(trial, features)
+    confidence = calibration.probability(trial.features.reshape(-1, len(features)))
+    log(
+        f"Confidence fitted on {len(queries)} silhouettes that were held out, "
+        "every second one degraded: "
+        f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
+        f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
+        f"{expected_calibration_error(confidence, trial.right):.3f}."
+    )
+    return calibration
 
 
 def expected_calibration_error(

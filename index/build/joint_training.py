@@ -50,7 +50,7 @@ _BLOCK = 4096
 
 
 @dataclass(frozen=True)
-class Course:
+class TrainingConfig:
     """How the network is trained.
 
     Parameters
@@ -76,10 +76,10 @@ class Course:
 def train(
     index: PoseIndex,
     rows: NDArray[np.integer],
-    course: Course,
+    config: TrainingConfig,
     *,
     start: nn.Sequential | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
     every: int = 500,
 ) -> nn.Sequential:
     """Train on some entries of an index, their mirror images and degraded versions.
@@ -89,10 +89,10 @@ def train(
     index : PoseIndex
     rows : (R,) int array
         The entries.
-    course : Course
+    config : TrainingConfig
     start : torch.nn.Sequential, optional
         Trained already, on other silhouettes or fewer; by default one of random weights.
-    say : callable
+    log : callable
         Takes a line about the progress.
     every : int
         Steps between two lines.
@@ -103,21 +103,21 @@ def train(
         For :func:`in_whole_numbers`.
     """
     torch.set_num_threads(1)
-    torch.manual_seed(course.seed)
-    generator = np.random.default_rng(course.seed)
+    torch.manual_seed(config.seed)
+    generator = np.random.default_rng(config.seed)
     examples = Examples.of(index, rows, generator)
     layers = _layers() if start is None else copy.deepcopy(start)
     layers = layers.to(memory_format=torch.channels_last)
-    steps = max(1, round(course.passes * len(examples) / course.batch))
-    optimiser = torch.optim.AdamW(layers.parameters(), lr=course.rate, weight_decay=course.decay)
+    steps = max(1, round(config.passes * len(examples) / config.batch))
+    optimiser = torch.optim.AdamW(layers.parameters(), lr=config.rate, weight_decay=config.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, course.rate, total_steps=steps, pct_start=0.05
+        optimiser, config.rate, total_steps=steps, pct_start=0.05
     )
     order, lost = np.empty(0, np.int64), 0.0
     for step in range(1, steps + 1):
-        if len(order) < course.batch:
+        if len(order) < config.batch:
             order = np.concatenate([order, generator.permutation(len(examples))])
-        batch, order = order[: course.batch], order[course.batch :]
+        batch, order = order[: config.batch], order[config.batch :]
         planes, truth = examples.take(batch, generator)
         # 32 bits take half as long again; 16 would where the processor has to emulate them.
         with torch.autocast("cpu", torch.bfloat16, torch.cpu._is_avx512_bf16_supported()):
@@ -130,7 +130,7 @@ def train(
         schedule.step()
         lost += loss.item()
         if step % every == 0 or step == steps:
-            say(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
+            log(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
             lost = 0.0
     return layers
 

@@ -69,7 +69,7 @@ _NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
 
 @dataclass(frozen=True)
 class Shard:
-    """Posed bodies to draw; the same shard and avatars give the same bytes anywhere.
+    """Posed bodies to render; the same shard and avatars give the same bytes anywhere.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class Shard:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class RenderedShard:
     """The silhouettes of a shard.
 
     Parameters
@@ -115,8 +115,8 @@ class Drawn:
     skeletons: NDArray[np.float16]
 
 
-def draw(shard: Shard, avatars: Sequence[Avatar]) -> Drawn:
-    """Draw every body of a shard from its views."""
+def render_bodies(shard: Shard, avatars: Sequence[Avatar]) -> RenderedShard:
+    """Render every body of a shard from its views."""
     views = shard.views
     bits = np.empty((len(shard) * views, HEIGHT * WIDTH // 8), np.uint8)
     entries = np.zeros(len(shard) * views, ENTRY_DTYPE)
@@ -145,7 +145,7 @@ def draw(shard: Shard, avatars: Sequence[Avatar]) -> Drawn:
                 number, *_draw_view(avatar, vertices, points[0], camera, silhouettes[view])
             )  # fmt: skip
         bits[row * views : (row + 1) * views] = pack(silhouettes)
-    return Drawn(bits, entries, skeletons)
+    return RenderedShard(bits, entries, skeletons)
 
 
 def most_foreshortened(

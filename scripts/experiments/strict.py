@@ -1,7 +1,7 @@
 """The simulation experiment: bodies, clips and views that the index never saw.
 
 The index is built as the shipped one is, but without the held-out clips
-(:func:`index.build.builder.split_by_clip`, and :data:`ALSO_HELD_OUT`); descriptor and confidence
+(:func:`index.build.splits.hold_out`); descriptor and confidence
 are fitted on what remains; the network that re-ranks is the shipped one, which knows none of these
 clips either. Queries are frames spread evenly over the held-out clips, on the bodies
 of ``HELD_OUT_AVATARS``, each from one random view of the hemisphere: of upright motion, of clips
@@ -11,7 +11,6 @@ near the ground, and of both laid down.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,17 +19,12 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
 from index.artefact import load_index, save_index
-from index.build.builder import (
-    Asked,
-    Plan,
-    build,
-    simulate_queries,
-    split_by_clip,
-)
+from index.build.builder import IndexSpec, QueryCounts, build, simulate_queries
 from index.build.calibrate import Queries, Trial, expected_calibration_error, run_trial
-from index.build.garments import HELD_OUT_AVATARS, make_avatars
-from index.build.motion import Segment, read_manifest
+from index.build.garments import make_avatars
+from index.build.motion import read_manifest
 from index.build.simulate import Simulation
+from index.build.splits import HELD_OUT_AVATARS, hold_out
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.posture import LOW, POSTURES, classify
 from index.skeleton import BODY_UP, JOINT_NAMES, LIMBS
@@ -38,10 +32,7 @@ from index.store import PoseIndex
 from scripts.experiments.report import confusion, plot_reliability, reliability, table, write
 from scripts.experiments.strict_ranking import shipped_reranker, steps
 
-ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
-"""Clips near the ground whose actions have too few clips for one to be held out of each."""
-
-ASKED = Asked(upright=4000, near_ground=2000, laid_down=1200)
+ASKED = QueryCounts(upright=4000, near_ground=2000, laid_down=1200)
 """So many that a share of upright people is known to 0.8 points (one standard deviation)."""
 
 QUERY_SEED = 99
@@ -156,17 +147,12 @@ def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
         return load_index(folder)
     motion, garments = shared / "mocap", shared / "garments"
     kept, _ = hold_out(read_manifest(motion))
-    index = build(motion, garments, Plan(), name="strict", segments=kept, progress=True, say=print)
+    index = build(
+        IndexSpec("strict", motion, garments, segments=tuple(kept)), progress=True, log=print
+    )
     if folder is not None:
         save_index(index, folder)
     return index
-
-
-def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]:
-    """The segments that the index may know, and those it is asked for."""
-    kept, _ = split_by_clip(segments)
-    clips = {s.clip for s in kept}.difference(ALSO_HELD_OUT)
-    return [s for s in segments if s.clip in clips], [s for s in segments if s.clip not in clips]
 
 
 def true_postures(queries: Simulation) -> NDArray[np.int64]:

@@ -26,17 +26,23 @@ from app.scheduling.process import available_cores
 from app.tracking.smoothing import STATES, PoseSmoother, Smoothed
 from app.vision.geometry import Silhouette
 from index.build.body import Phenotype
-from index.build.builder import Plan, build, split_by_clip
+from index.build.builder import IndexSpec, build
 from index.build.calibrate import expected_calibration_error
-from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
+from index.build.garments import Wardrobe, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
+from index.build.splits import (
+    CALIBRATION_AVATARS,
+    HELD_OUT_AVATARS,
+    hold_out,
+    split_by_clip,
+)
 from index.confidence import RIGHT_BELOW_PX
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.experiments.report import table, write
 from scripts.experiments.sequences import FPS, Filmed, film
-from scripts.experiments.strict import hold_out, strict_index
+from scripts.experiments.strict import strict_index
 from scripts.experiments.strict_ranking import shipped_reranker
 
 COMMAND = "python -m scripts.evaluate tracking"
@@ -255,7 +261,8 @@ def fit(shared: Path) -> None:
     kept, _ = hold_out(read_manifest(shared / "mocap"))
     known, asked = split_by_clip(kept, position=TUNING_POSITION)
     index = build(
-        shared / "mocap", shared / "garments", Plan(), name="tuning", segments=known, progress=True
+        IndexSpec("tuning", shared / "mocap", shared / "garments", segments=tuple(known)),
+        progress=True,
     )
     sequences = film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)
     features, right = [], []

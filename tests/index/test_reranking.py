@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from index.artefact import load_index, save_index
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
+from index.files import ArtefactError
 from index.keypoints import Keypoints
 from index.matching import match
 from index.modes import find_modes
@@ -33,7 +34,6 @@ from index.reranker import (
 )
 from index.skeleton import JOINT_NAMES, JOINTS, NATIVE, pixels_per_metre
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 from tests.index.networks import random_network
 
 ROOT = Path(__file__).resolve().parents[2]
