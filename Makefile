@@ -54,31 +54,32 @@ format: $(DEV)/.stamp
 # One thread for the linear algebra: with more, sums are added in another order, and the same
 # inputs no longer give the same bytes. The rasteriser still takes all cores.
 index: $(BUILD)/.stamp
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts.build_index \
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts build \
 	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments --name cmu-dressed --attribution cmu \
 	  $(ARGS)
 
 # One thread, for the same reason.
 reranker: $(BUILD)/.stamp
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts.train_reranker \
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts train-reranker \
 	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments $(ARGS)
 
 evaluate: $(BUILD)/.stamp
-	$(BUILD)/bin/python -m scripts.evaluate --shared $(SHARED) $(ARGS)
+	$(BUILD)/bin/python -m scripts evaluate --shared $(SHARED) $(ARGS)
 
 bench: $(DEV)/.stamp
-	$(DEV)/bin/python -m scripts.load.benchmark --shared $(SHARED) $(ARGS)
+	$(DEV)/bin/python -m scripts bench --shared $(SHARED) $(ARGS)
 
 openapi: $(DEV)/.stamp
-	$(DEV)/bin/python -m scripts.export_openapi
+	$(DEV)/bin/python -m scripts openapi
 
 # The newest versions that pyproject.toml allows, to be tested before they are committed. What the
 # extra build needs besides is pinned there.
 constraints:
 	@$(PYTHON) -m venv --clear $(NEWEST)
-	$(NEWEST)/bin/pip install --quiet --disable-pip-version-check --dry-run --report $(NEWEST)/report.json \
+	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check \
 	  -e '.[browser,cluster,contract,evaluate,milvus,test]'
-	$(NEWEST)/bin/python -m scripts.constraints < $(NEWEST)/report.json > $@.txt
+	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip) > $@.new
+	mv $@.new $@.txt
 
 $(RUN)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(RUN) with what serving needs, from PyPI (about 20 s)"

@@ -192,7 +192,7 @@ class Milvus:
         except (ValueError, KeyError, TypeError, AttributeError):
             raise ArtefactError(
                 f"the collection {collection} at {self._server} holds no index: "
-                "scripts/publish_index.py did not make it"
+                "scripts/publish.py did not make it"
             ) from None
         if dimensions != [contents.dimension]:
             raise ArtefactError(

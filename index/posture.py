@@ -24,6 +24,9 @@ POSTURES: tuple[Posture, ...] = get_args(Posture)
 UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
 """Postures of straight bodies on their legs: neither low nor bending."""
 
+ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
+"""Postures in which the trunk rests on the ground or on a bed, or is carried on all fours."""
+
 LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
 """Postures in which the legs do not stand."""
 

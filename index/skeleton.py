@@ -264,26 +264,30 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
     return plane
 
 
-def with_bone_lengths_of(
-    skeleton: NDArray[np.float64], points: NDArray[np.float64]
+def bone_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths ``(..., 18)`` of the bones of skeletons ``(..., 24, D)``, as in ``NATIVE.bones``."""
+    return _bones(points)[0]
+
+
+def with_bone_lengths(
+    points: NDArray[np.float64], lengths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Reset the bone lengths of skeletons to those of others, keeping the directions.
+    """Set the bone lengths of skeletons, keeping the directions.
 
     Averaging skeletons shortens their bones.
 
     Parameters
     ----------
-    skeleton : (..., 24, 3) array
-        Source of the lengths.
     points : (..., 24, 3) array
         Source of the directions.
+    lengths : (..., 18) array
+        In the order of ``NATIVE.bones``.
 
     Returns
     -------
     (..., 24, 3) float64 array
         Pelvis at the origin; the face moves with the head.
     """
-    lengths, _ = _bones(skeleton)
     current, bones = _bones(points)
     bones = bones * (lengths / np.maximum(current, 1e-6))[..., None]
     joints = _PATHS @ bones
@@ -291,12 +295,29 @@ def with_bone_lengths_of(
     return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
 
 
-def pixels_per_metre(
-    points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
+def with_bone_lengths_of(
+    skeleton: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares."""
-    metres = points_3d[:, :JOINTS, :2] - points_3d[:, :JOINTS, :2].mean(axis=1, keepdims=True)
-    pixels = points_normalised[:, :JOINTS]
+    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of others, ``skeleton``."""
+    return with_bone_lengths(points, bone_lengths(skeleton))
+
+
+def pixels_per_metre(
+    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], points: int = JOINTS
+) -> NDArray[np.float64]:
+    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares.
+
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Camera axes, metres.
+    points_2d : (M, 24, 2) float64 array
+        Pixels.
+    points : int
+        How many of the points count; by default the joints.
+    """
+    metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
+    pixels = points_2d[:, :points]
     pixels = pixels - pixels.mean(axis=1, keepdims=True)
     return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))
 

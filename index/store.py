@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
+from index import DEFAULT_PATH as DEFAULT_PATH
 from index.confidence import Calibration
 from index.reranker import RankingModel
 from index.search import (
@@ -23,8 +23,6 @@ from index.search import (
 )
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
-
-DEFAULT_PATH = Path(__file__).parent / "data"
 
 SKELETON_DTYPE = np.dtype(
     [("clip", "<u2"), ("frame", "<u4"), ("subject", "<u2"), ("action", "<u2"), ("speed", "<f2")]

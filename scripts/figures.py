@@ -1,6 +1,6 @@
 """Keep the figures that documents quote equal to the results that measured them.
 
-    python -m scripts.figures [--check]
+    python -m scripts figures [--check]
 
 A quoted number is followed by a comment with its key: ``63.0<!-- simulation.low.right_at_1 -->``
 is ``figures.low.right_at_1`` of ``docs/results/simulation.json``. The command rewrites such
@@ -13,8 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -85,11 +84,11 @@ def _figures(file: Path) -> object:
     return json.loads(file.read_text())["figures"]
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; 1 where ``--check`` finds a figure that differs."""
     parser = argparse.ArgumentParser(description="Write measured figures into the documents.")
     parser.add_argument("--check", action="store_true", help="only say what would change")
-    check = parser.parse_args().check
+    check = parser.parse_args(arguments).check
     changed = False
     for document in documents():
         before = document.read_text()
@@ -100,7 +99,3 @@ def main() -> int:
         if not check and after != before:
             document.write_text(after)
     return 1 if check and changed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -24,7 +24,7 @@ from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
 from app.settings import Settings
-from app.vision.blazepose import LandmarkNetwork, PoseDetection
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
 from app.vision.detector import Detector, HogDetector, NetworkDetector
 from app.vision.geometry import Box
 from app.vision.models import network_path
@@ -64,13 +64,13 @@ def load_networks(settings: Settings) -> tuple[Detector, PersonReader]:
     """
     threads, copies = network_threads(available_cores(), settings.concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet = MoveNet(network_path("movenet"), **share)
+    movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
     landmarks = LandmarkNetwork(network_path("pose_landmarks"), **share)
     reader = PersonReader(landmarks, KeypointReader(movenet))
     smallest = settings.min_person_px
     if settings.detector == "hog":
         return HogDetector(min_person_px=smallest), reader
-    pose_detection = PoseDetection(network_path("pose_detection"), **share)
+    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     return NetworkDetector(movenet, pose_detection, landmarks, min_person_px=smallest), reader
 
 

@@ -12,10 +12,11 @@ from app.estimation.results import ObservedPerson, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
-from app.vision.blazepose import Reading
+from app.vision.blazepose import PoseReading
 from app.vision.detector import Detector, smallest_person_px
-from app.vision.geometry import Box, Detection, Silhouette
+from app.vision.geometry import Box
 from app.vision.images import LabelImage
+from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import end_beyond_border
@@ -82,7 +83,9 @@ class PeopleFinder:
             for found in self.detector.detect(frame)[: self.max_persons]
         )
 
-    def read(self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job) -> list[Reading]:
+    def read(
+        self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job
+    ) -> list[PoseReading]:
         """Read each person of a frame."""
         return job.map(
             lambda one: self.reader.read(frame, one.box, one.keypoints, one.windows), found
@@ -98,7 +101,7 @@ class PeopleFinder:
         job: Job,
     ) -> list[ObservedPerson]:
         boxes = [one.box for one in found]
-        readings: Sequence[Reading | None] = [None] * len(found)
+        readings: Sequence[PoseReading | None] = [None] * len(found)
         if reads or background is None:
             with job.stage("keypoints"):
                 read = self.read(frame, found, job)
@@ -143,7 +146,7 @@ def observed(
     source: Source,
     score: float | None,
     silhouette: Silhouette | None,
-    reading: Reading | None,
+    reading: PoseReading | None,
 ) -> ObservedPerson:
     """What is seen of a person; landmarks show truncation that the silhouette may not show."""
     if reading is None:
@@ -156,7 +159,7 @@ def observed(
     )
 
 
-def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
+def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:
     """Rows of readings that are not of the same body as one before them."""
     kept: list[int] = []
     for row, reading in enumerate(readings):
@@ -165,7 +168,7 @@ def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
     return kept
 
 
-def _apart(first: Reading, second: Reading) -> float:
+def _apart(first: PoseReading, second: PoseReading) -> float:
     """Mean distance between the landmarks of two readings, in sizes of the body."""
     offsets = first.landmarks.positions - second.landmarks.positions
     weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.geometry import transform_points
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.keypoints import Keypoints
 from index.rotations import rotate_silhouette
@@ -88,7 +89,7 @@ class NormalisedPerson:
         positions = self.landmarks.positions[_COMPARED][used]
         return Keypoints(
             tuple(_ROWS[i] for i in used),
-            _transformed(positions, to_normalised),
+            transform_points(to_normalised, positions),
             np.minimum(scores[used], 1.0),
             rotate_clockwise(self.landmarks.metres[_LIMBS], self.roll_deg),
             self.landmarks.visibility[_LIMBS],
@@ -96,10 +97,4 @@ class NormalisedPerson:
 
     def points_in_frame(self, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points ``(..., 2)`` of the normalised frame in pixels of the frame."""
-        return _transformed(points_normalised, self.to_frame)
-
-
-def _transformed(
-    points: NDArray[np.floating], transform: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    return np.asarray(points @ transform[:, :2].T + transform[:, 2])
+        return transform_points(self.to_frame, points_normalised)

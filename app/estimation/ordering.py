@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing, azimuth_deg, faces_camera, front_share
-from app.vision.models import fitted
+from app.vision.models import fitted_constants
 from app.vision.odds import sigmoid
 from index.matching import Hypothesis
 from index.ranking import DISTANCE_WEIGHT
@@ -107,7 +107,7 @@ def fused_confidences(
     adjusted_m : (N,) float64 array
         How far the hypotheses were moved from their entries.
     """
-    constants = fitted("confidence")
+    constants = fitted_constants("confidence")
     agreement = -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
     odds = (
         constants["slope"] * agreement + constants["adjusted_m"] * adjusted_m + constants["offset"]

@@ -14,18 +14,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import LANDMARK_NAMES, Landmarks
-from app.vision.models import fitted
+from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
-from index.posture import POSTURES, UPRIGHT, Posture
-
-GROUNDED: tuple[Posture, ...] = ("lying", "crawling")
-"""Postures of a trunk that is not carried by legs or by a seat."""
+from app.vision.people import LANDMARK_NAMES, Landmarks
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
 
 GROUPS: tuple[tuple[Posture, ...], ...] = (
-    GROUNDED,
+    ON_THE_GROUND,
     UPRIGHT,
-    tuple(posture for posture in POSTURES if posture not in (*GROUNDED, *UPRIGHT)),
+    tuple(posture for posture in POSTURES if posture not in (*ON_THE_GROUND, *UPRIGHT)),
 )
 """Postures on the ground, on straight legs, and between the two."""
 
@@ -41,7 +38,7 @@ SEAT_UPRIGHT, SEATED = 0.85, 0.8
 than crouch or kneel, and how often they do: of simulated bodies, 78 %."""
 
 _LEAST_SHARE = 0.02
-_GROUNDED, _UPRIGHT, _BETWEEN = (
+_ON_THE_GROUND, _UPRIGHT, _BETWEEN = (
     np.array([posture in group for posture in POSTURES]) for group in GROUPS
 )
 _LYING = np.array([posture == "lying" for posture in POSTURES])
@@ -135,7 +132,7 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
     group = next(group for group in GROUPS if POSTURES[best] in group)
     in_group = float(shares[[POSTURES.index(posture) for posture in group]].sum())
     probability = presence * group_probability(in_group)
-    if group is not GROUNDED:
+    if group is not ON_THE_GROUND:
         probability *= float(shares[best]) / in_group
     label = POSTURES[best] if probability >= CLEAR_FROM else "unclear"
     return EstimatedPosture(label, probability, shares)
@@ -143,7 +140,7 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
 
 def group_probability(share: float) -> float:
     """Probability that the group of the likeliest posture is right, by the group's share."""
-    constants = fitted("posture")
+    constants = fitted_constants("posture")
     return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
 
 
@@ -183,7 +180,8 @@ def bent_probability(landmarks: Landmarks) -> float:
 def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
     """Votes ``(10,)``, scaled so that those for the ground have this probability."""
     # Where all hypotheses lie and the landmarks do not, it stays open what they do.
-    lying, others = _within(votes, _GROUNDED, _LYING), _within(votes, ~_GROUNDED, _BETWEEN)
+    lying = _within(votes, _ON_THE_GROUND, _LYING)
+    others = _within(votes, ~_ON_THE_GROUND, _BETWEEN)
     return np.asarray(probability * lying + (1 - probability) * others)
 
 
@@ -201,7 +199,7 @@ def _within(
 
 def grounded_probability(landmarks: Landmarks) -> float:
     """Probability that a person lies or is on all fours."""
-    constants = fitted("grounded")
+    constants = fitted_constants("grounded")
     features = (body_features(landmarks) - constants["means"]) / constants["scales"]
     odds = float(features @ np.array(constants["weights"]) + constants["offset"])
     return probability_of(odds)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
 from app.estimation.posture import EstimatedPosture
-from app.vision.geometry import Box, Landmarks, PersonWindow, Silhouette
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Landmarks, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
 

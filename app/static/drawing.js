@@ -1,5 +1,5 @@
-// Drawing on canvases: the photograph with what was found, and skeletons in two and three
-// dimensions. Nothing here knows the service.
+// Drawing on canvases: the photograph with the people found in it, and skeletons in two and three
+// dimensions; independent of the service.
 
 export const PEOPLE = [
   "#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4",
@@ -10,7 +10,7 @@ const SIDES = { left: "#ff8a3c", right: "#3c9dff", middle: "#9fb3b8" };
 
 const OBSERVED = "#ffffff";
 
-/** Skeletons of a single frame, beside smoothed ones. */
+/** Colour of a single frame's skeletons beside smoothed ones. */
 const RAW = "#ffffff";
 
 export const personColour = (number) => PEOPLE[number % PEOPLE.length];
@@ -31,14 +31,14 @@ function bones(keypoints) {
 /** Probability below which a keypoint, or a whole pose, is drawn as unsure. */
 const SURE = 0.5;
 
-/** Whether a person's bone between two keypoints is unsure: the pose is, or an end is hardly seen. */
+/** Whether a bone is unsure: the whole pose is, or one end is hardly visible. */
 function isUnsure({ confidence }, observed) {
   const hidden = new Set((observed ?? []).filter((point) => point?.score < SURE).map(({ name }) => name));
   return (...ends) => confidence < SURE || ends.some((name) => hidden.has(name));
 }
 
-/** A skeleton flat on a canvas; `place` takes a joint to canvas pixels; `plain` is a colour for all
- * bones; bones are dashed where `unsure` says so of the names of their ends. */
+/** Draw a skeleton; `place` maps a joint to canvas pixels; `plain` is one colour for all bones;
+ * `unsure` returns, for the names of a bone's ends, whether it is dashed. */
 export function drawFlat(context, joints, keypoints, place, width, plain = null, unsure = () => false) {
   context.lineCap = "round";
   for (const pass of ["edge", "bone"]) {
@@ -57,7 +57,7 @@ export function drawFlat(context, joints, keypoints, place, width, plain = null,
   context.setLineDash([]);
 }
 
-/** Run lengths out of the string that pycocotools writes. */
+/** Decode run lengths from pycocotools' string. */
 function runLengths(counts) {
   const lengths = [];
   let number = 0, shift = 0;
@@ -73,7 +73,7 @@ function runLengths(counts) {
   return lengths;
 }
 
-/** The silhouettes of an answer, each in its person's colour, on a canvas of the answer's size. */
+/** Draw the silhouettes of an answer in their persons' colours, on a canvas of the frame's size. */
 export function tint({ image: { width, height }, persons }) {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
@@ -85,7 +85,7 @@ export function tint({ image: { width, height }, persons }) {
     let start = 0;
     runLengths(silhouette?.rle?.counts ?? "").forEach((length, run) => {
       const end = start + length;
-      // Inside and outside in turns, down the columns.
+      // Alternately outside and inside, down the columns.
       for (let at = start; run % 2 && at < end; at += 1) {
         pixels[(at % height) * width + Math.floor(at / height)] = colour;
       }
@@ -96,7 +96,7 @@ export function tint({ image: { width, height }, persons }) {
   return canvas;
 }
 
-/** Keypoints that the photograph shows. */
+/** Draw the keypoints observed in the photograph. */
 function drawObserved(context, keypoints, radius) {
   context.fillStyle = OBSERVED;
   context.strokeStyle = "rgb(0 0 0 / 0.75)";
@@ -136,8 +136,8 @@ function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, s
   });
 }
 
-/** Text about a person above the box, or inside where the frame ends or another label is.
- * @param labels Those that were drawn before, to which this one is added. */
+/** Write a label above a person's box, or inside it at the edge of the frame or over another label.
+ * @param labels The labels drawn before; this one is added. */
 function drawLabel(context, { x, y }, text, colour, line, labels) {
   context.font = `700 ${line * 9}px system-ui, sans-serif`;
   context.lineJoin = "round";
@@ -164,11 +164,11 @@ function drawBox(context, { x, y, width, height }, colour, line) {
 
 const fromCorners = ({ x, y }) => [x + 0.5, y + 0.5];
 
-/** How wide bones are that can be seen, but do not hide somebody small. */
+/** Width of bones: visible, but not hiding a small person. */
 const boneWidth = (box, line) => Math.max(Math.min(2 * line, box.height / 30), box.height / 70);
 
-/** Where a canvas shows an image that it holds whole: pixels of the screen for one of the image,
- * and the edges of the image. */
+/** Placement of an image that fits into a canvas: screen pixels per image pixel, and the image's
+ * edges. */
 export function fitted(canvas, { width, height }) {
   const scale = Math.min(canvas.clientWidth / width, canvas.clientHeight / height) || 1;
   return {
@@ -178,10 +178,10 @@ export function fitted(canvas, { width, height }) {
   };
 }
 
-/** The whole photograph with what was found in it. */
+/** Draw the whole photograph with the people found in it. */
 export function drawStage(canvas, scene) {
   const { width, height } = scene.answer.image;
-  // More pixels than the photograph was sent with show nothing, and some telephones have no room.
+  // More pixels than were sent show nothing, and some phones lack the memory.
   const scale = scene.photo ? Math.min(1, scene.photo.width / width) : 1;
   const size = { width: Math.round(width * scale), height: Math.round(height * scale) };
   if (canvas.width !== size.width || canvas.height !== size.height) Object.assign(canvas, size);
@@ -190,7 +190,7 @@ export function drawStage(canvas, scene) {
   drawLayers(context, scene, 1.6 / fitted(canvas, scene.answer.image).scale);
 }
 
-/** A frame of a camera with its tracks: boxes, and smoothed skeletons, those of the frame or both. */
+/** Draw a camera's frame with its tracks: boxes, and skeletons smoothed, of the frame, or both. */
 export function drawTracks(canvas, { photo, answer, shown, chosen }) {
   const { width, height } = answer.image;
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -198,7 +198,7 @@ export function drawTracks(canvas, { photo, answer, shown, chosen }) {
   context.drawImage(photo, 0, 0, width, height);
   const line = 1.6 / fitted(canvas, answer.image).scale;
   for (const { box, track_id: id, pose, hypotheses, source, observed_keypoints: observed } of answer.persons) {
-    // Who is hidden at present is only expected there.
+    // A hidden person is only predicted there.
     context.globalAlpha = source === "track" ? 0.4 : 1;
     const bone = boneWidth(box, line);
     if (shown.boxes) drawBox(context, box, personColour(id - 1), id === chosen ? 2 * line : line);
@@ -215,7 +215,7 @@ export function drawTracks(canvas, { photo, answer, shown, chosen }) {
   }
 }
 
-/** The chosen person, filling the canvas: in a street they are small. */
+/** Draw the chosen person, filling the canvas: people in a street are small. */
 export function drawCloseUp(canvas, scene) {
   const context = canvas.getContext("2d");
   context.resetTransform();
@@ -229,7 +229,7 @@ export function drawCloseUp(canvas, scene) {
   drawLayers(context, scene, 2.5 / scale);
 }
 
-/** A skeleton in a small card, upright and filling it. */
+/** Draw a skeleton upright, filling a small card. */
 export function drawThumbnail(canvas, joints, keypoints) {
   const known = joints.filter(Boolean);
   const xs = known.map((p) => p.x), ys = known.map((p) => p.y);
@@ -243,7 +243,7 @@ export function drawThumbnail(canvas, joints, keypoints) {
   drawFlat(context, joints, keypoints, place, 4);
 }
 
-/** A skeleton in space that can be turned. */
+/** A skeleton in 3D that the user can rotate. */
 export class Solid {
   constructor(canvas) {
     this.canvas = canvas;

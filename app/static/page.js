@@ -1,4 +1,4 @@
-// The debug page: a photograph or a video in, what the service made of it out.
+// The debug page: shows the service's answer to a photograph or a video.
 
 import {
   drawCloseUp, drawStage, drawThumbnail, fitted, personColour, Solid, tint,
@@ -12,9 +12,9 @@ import { SessionView } from "./session_view.js";
 const $ = (id) => document.getElementById(id);
 const solid = new Solid($("solid"));
 
-// All that is shown: what was sent, what came back, and what is chosen of it.
+// Everything on show: the upload, the answer, and the current choice.
 const state = { upload: null, bitmap: null, answer: null, silhouettes: null, person: 0, hypothesis: 0 };
-// The upload last asked about, and how to stop asking.
+// The upload of the last request, and the means to abort it.
 let latest = null;
 let asking = null;
 
@@ -37,20 +37,20 @@ function complain(error) {
   }
 }
 
-/** What is worth knowing and no error. */
+/** Show notes that are not errors. */
 function tell(notes) {
   const texts = notes.filter(Boolean);
   $("note").hidden = !texts.length;
   $("note").textContent = texts.join(" ");
 }
 
-/** Put the number of hypotheses within its limits; returns what to tell of that. */
+/** Clamp the number of hypotheses to its limits; returns a note if it has changed. */
 function limitCount() {
   const { value, min, max, defaultValue } = $("count");
   const count = value ? Math.min(Number(max), Math.max(Number(min), Math.round(Number(value)))) : defaultValue;
   $("count").value = count;
   return value && Number(value) !== Number(count)
-    ? `${min} to ${max} hypotheses can be asked for: ${count} instead of ${value}.` : "";
+    ? `The number of hypotheses is ${min} to ${max}: ${count} instead of ${value}.` : "";
 }
 
 async function showIndex() {
@@ -71,7 +71,7 @@ async function untilReady() {
   while (!await showIndex()) await new Promise((wake) => setTimeout(wake, 500));
 }
 
-/** Ask the service about a photograph, perhaps with a mask, and show what it says. */
+/** Send a photograph, perhaps with a mask, and show the answer. */
 async function ask(upload) {
   asking?.abort();
   asking = new AbortController();
@@ -92,7 +92,7 @@ async function ask(upload) {
     show(upload, bitmap, answered, original);
     $("curl").textContent = curlCommand(upload, chosen);
     if (!answered.persons.length) {
-      notes.push("Nobody was found in this photograph. A second file, named …mask…, can say where people are.");
+      notes.push("Nobody was found in this photograph. A second file, named …mask…, can mark the people.");
     }
     tell(notes);
     working(false);
@@ -102,11 +102,11 @@ async function ask(upload) {
     working(false);
     complain(error);
     setStale(true);
-    if (state.answer) tell([...notes, "Below is still the answer before this."]);
+    if (state.answer) tell([...notes, "Below is still the answer before this one."]);
   }
 }
 
-/** Show the session of a video rather than a photograph, or the other way round. */
+/** Switch between a video's session and a photograph. */
 function showFilm(whether) {
   $("count-label").hidden = whether;
   if (!whether) {
@@ -126,10 +126,10 @@ function working(whether) {
   $("busy").hidden = !whether;
 }
 
-/** Show an answer, in pixels of the photograph even if that was sent smaller. */
+/** Show an answer in pixels of the photograph, even if a smaller copy was sent. */
 function show(upload, bitmap, answered, original) {
   const silhouettes = tint(answered);
-  // As the command shown gives it, which asks for no silhouettes.
+  // As the displayed command would return it, which requests no silhouettes.
   for (const { silhouette } of answered.persons) if (silhouette) silhouette.rle = null;
   const answer = original ? inPixelsOf(original, answered) : answered;
   Object.assign(state, { upload, bitmap, answer, silhouettes, person: largest(answer.persons), hypothesis: 0 });
@@ -140,26 +140,26 @@ function show(upload, bitmap, answered, original) {
   showPersons();
 }
 
-/** Whether what is shown is not what was asked for last: dimmed, and out of reach. */
+/** Mark the shown answer as out of date: dimmed and inert. */
 function setStale(stale) {
   $("result").classList.toggle("stale", stale);
   $("result").inert = stale;
 }
 
-/** On a narrow screen the result begins below what fits. */
+/** Scroll to the result, which starts below the fold on a narrow screen. */
 function bringIntoView(result) {
   if (!matchMedia("(max-width: 44rem)").matches) return;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
   ($("note").hidden ? result : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
 }
 
-/** Who to look at first: whoever stands nearest to the camera. */
+/** The person to select first: the one nearest to the camera. */
 function largest(persons) {
   const heights = persons.map(({ box }) => box.height);
   return Math.max(0, heights.indexOf(Math.max(...heights)));
 }
 
-/** A group of radio buttons: arrow keys, focus and screen readers come with them. */
+/** A group of radio buttons, which bring arrow keys, focus and screen readers along. */
 function choices(fieldset, name, items, content, chosen, choose) {
   const list = document.createElement("div");
   list.className = "list";
@@ -229,7 +229,7 @@ function card(hypothesis) {
   return box;
 }
 
-/** The entry's silhouette as the hypothesis means it: mirrored, and turned as far as the person leans. */
+/** The entry's silhouette as the hypothesis uses it: mirrored, and rotated as the person leans. */
 async function drawEntry(canvas, { entry, source, camera }) {
   const key = $("key").value;
   const [blob, own] = await Promise.all([entrySilhouette(entry, key), describeEntry(entry, key)]);
@@ -242,13 +242,13 @@ async function drawEntry(canvas, { entry, source, camera }) {
   context.drawImage(picture, -picture.width / 2, -picture.height / 2);
 }
 
-const FACING_FROM = { image: "from the photograph", none: "a silhouette cannot tell" };
+const FACING_FROM = { image: "from the photograph", none: "a silhouette cannot show it" };
 
 const FOUND_BY = {
   detector: "the detector", mask: "your mask", boxes: "your boxes", background: "the difference to your background",
 };
 
-/** What is measured of a person, as pairs of term and text. */
+/** Measurements of a person, as pairs of term and text. */
 function measured({ box, source, detection_score: score, silhouette, observed_keypoints: seen, facing, posture }) {
   const towards = facing.front_probability >= 0.5;
   const sure = towards ? facing.front_probability : 1 - facing.front_probability;
@@ -266,11 +266,11 @@ function measured({ box, source, detection_score: score, silhouette, observed_ke
 
 const HEIGHTS = [[-3, "from below"], [10, "level"], [30, "from slightly above"], [55, "from above"]];
 
-/** How high a camera hangs, in words. */
+/** A camera's elevation in words. */
 const height = (degrees) =>
   `${(HEIGHTS.find(([most]) => degrees < most) ?? [, "from high above"])[1]} (${Math.round(degrees)}°)`;
 
-/** What a hypothesis says, and where it comes from. */
+/** A hypothesis and its source, as pairs of term and text. */
 function supposed({ confidence, reprojection_error_px: error, posture, entry, source, camera }) {
   const around = ((Math.round(camera.azimuth_deg) + 180) % 360) - 180;
   const side = around > 0 ? "the person’s left" : "the person’s right";
@@ -322,7 +322,7 @@ function draw() {
     },
   };
   drawStage($("stage"), scene);
-  // Close up there is nobody else to be told from.
+  // In the close-up, there is no other person to distinguish.
   drawCloseUp($("close-up"), { ...scene, shown: { ...scene.shown, boxes: false, numbers: false } });
 }
 
@@ -331,7 +331,7 @@ async function copy(text, what) {
     await navigator.clipboard.writeText(text);
     $("copied").textContent = `${what} copied`;
   } catch {
-    // Browsers give pages without TLS no clipboard: select it, for Ctrl+C.
+    // Pages without TLS have no clipboard: select the text for Ctrl+C.
     getSelection().selectAllChildren($("curl"));
     $("copied").textContent = "press Ctrl+C";
   }
@@ -346,7 +346,7 @@ const leftOut = (files, shown) => {
     ? `One photograph or video at a time: ${shown[0].name} is shown, ${names.join(", ")} left out.` : "";
 };
 
-/** What was dropped, pasted or chosen: a video, or a photograph and what other files are named for. */
+/** Sort the dropped, pasted or chosen files: a video, or a photograph with a mask or background. */
 function take(files) {
   if (!files.length) return;
   const video = [...files].find(isVideo);
@@ -365,7 +365,7 @@ function take(files) {
       ? "A photograph of people is missing beside the mask or background." : "That is neither a picture nor a video."));
     return;
   }
-  // A mask says where people are, and leaves a background nothing to say.
+  // A mask marks the people, so a background adds nothing.
   const background = mask ? undefined : plate;
   ask({ frame, mask, background, note: leftOut(files, [frame, mask, background]) });
 }
@@ -437,7 +437,7 @@ $("straight").addEventListener("click", () => {
 $("copy-curl").addEventListener("click", () => copy($("curl").textContent, "Command"));
 $("copy-json").addEventListener("click", () => copy(JSON.stringify(state.answer, null, 2), "Answer"));
 
-// Turning shows the depth; who asked for less motion turns it by hand.
+// Rotation shows depth; with reduced motion, the user rotates by hand.
 $("spin").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 requestAnimationFrame(function step() {
   if ($("spin").checked && state.answer) solid.turn(0.012, 0);

@@ -1,18 +1,18 @@
-// A video or a webcam as a camera session: its frames go to the service one after another, at the
-// pace at which they are answered.
+// A video or a webcam as a camera session: frames go to the service one after the other, as fast as
+// it answers.
 
 import { forgetCamera, trackFrame } from "./service.js";
 
-/** The service looks for people in no more pixels than this. */
+/** The service detects people in no more pixels than this. */
 const LONGEST_PX = 1280;
 
-/** A file is slowed down so that at least this many frames of each of its seconds are sent. */
+/** A file plays slowly enough to send at least this many frames of each of its seconds. */
 const LEAST_FPS = 8;
 const SLOWEST = 0.1;
 
 const RETRY_S = 1;
 
-/** Answers that a later attempt may improve: no answer at all, too slow, too much to do. */
+/** Statuses worth a retry: no answer, too slow, overloaded. */
 const PASSING = [0, 408, 429, 502, 503, 504];
 
 const newCameraId = () => "page-"
@@ -32,7 +32,7 @@ export class Session {
   /**
    * @param video The element that plays; its source is set.
    * @param live Whether it is a webcam, which cannot be slowed down.
-   * @param options Returns what to ask for, and the API key.
+   * @param options Returns the query and the API key.
    */
   constructor(video, { live, options }) {
     this.#video = video;
@@ -41,11 +41,11 @@ export class Session {
     this.camera = newCameraId();
   }
 
-  /** Play and yield `{answer, photo, seconds}` of each frame or `{trouble}` that may pass; throws
-   * what does not pass. */
+  /** Play, and yield `{answer, photo, seconds}` for each frame or `{trouble}` for a temporary error;
+   * throws permanent errors. */
   async* answers() {
     const { signal } = this.#leaving;
-    // Two in turns: one is on show while the other is on its way.
+    // Two canvases in turn: one is on show while the other is being sent.
     const shots = [new OffscreenCanvas(1, 1), new OffscreenCanvas(1, 1)];
     const wake = () => this.#wake();
     const look = () => this.#playOrPause();
@@ -80,18 +80,18 @@ export class Session {
     return this.#held;
   }
 
-  /** Stop at a frame for a while, or go on. */
+  /** Pause at a frame, or go on. */
   hold(whether) {
     this.#held = whether;
     this.#playOrPause();
   }
 
-  /** Frames answered in a second of the clock on the wall. */
+  /** Answered frames per second. */
   get framesPerSecond() {
     return this.#interval ? 1 / this.#interval : 0;
   }
 
-  /** End it, and have the service forget it. */
+  /** End the session here and at the service. */
   stop() {
     if (this.#leaving.signal.aborted) return;
     this.#leaving.abort();
@@ -100,11 +100,11 @@ export class Session {
     forgetCamera(this.camera, this.#options().key);
   }
 
-  /** Know the time of the frame on show, in seconds. */
+  /** Watch the time of the frame on show, in seconds. */
   #watch() {
     const note = (_, frame) => {
       if (this.#leaving.signal.aborted) return;
-      // Webcams count from anywhere, and some not at all.
+      // Webcams start at any time, and some have no clock.
       this.#newest = this.live ? (performance.now() - this.#started) / 1000
         : frame?.mediaTime ?? this.#video.currentTime;
       this.#wake();
@@ -114,7 +114,7 @@ export class Session {
     note();
   }
 
-  /** Wait for a frame that has not been sent; false at the end. */
+  /** Wait for a frame that has not been sent yet; false at the end. */
   async #nextFrame() {
     while (!this.#leaving.signal.aborted) {
       if (this.#newest > this.#sent && !this.#held) return true;

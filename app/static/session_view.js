@@ -1,4 +1,4 @@
-// What a camera session shows: the film with its tracks, who is in it, events, and the timeline.
+// The view of a camera session: the video with its tracks, the people, events, and the timeline.
 
 import { drawTracks, fitted, personColour, Solid } from "./drawing.js";
 import { videoCommand } from "./service.js";
@@ -37,7 +37,7 @@ export class SessionView {
   #asked = null;
   #told = null;
 
-  /** @param page What the page lends: `options()`, `complain(error)`, `tell(notes)` and
+  /** @param page Functions of the page: `options()`, `complain(error)`, `tell(notes)` and
    * `bringIntoView(element)`. */
   constructor(page) {
     this.#page = page;
@@ -68,9 +68,9 @@ export class SessionView {
   async playWebcam() {
     this.stop();
     this.#file = null;
-    // Browsers know no webcams on pages that came without TLS.
+    // Browsers offer no webcams to pages without TLS.
     if (!navigator.mediaDevices) {
-      this.#page.complain(new Error("Browsers lend the webcam only to pages over HTTPS or on localhost."));
+      this.#page.complain(new Error("Browsers allow the webcam only on pages over HTTPS or on localhost."));
       return;
     }
     const asked = this.#asked = {};
@@ -83,22 +83,22 @@ export class SessionView {
       return;
     }
     if (asked !== this.#asked) {
-      // Meanwhile something else was chosen.
+      // The user has chosen something else meanwhile.
       stream.getTracks().forEach((track) => track.stop());
       return;
     }
     this.#video.srcObject = stream;
-    await this.#play(true, "The camera has to stand still.", "Webcam");
+    await this.#play(true, "The camera must not move.", "Webcam");
   }
 
-  /** Once more with another API key, if the service wanted one. */
+  /** Try again with another API key if the service required one. */
   async again() {
     if (!this.#refused) return;
     if (this.#file) await this.playFile(this.#file);
     else await this.playWebcam();
   }
 
-  /** Stop what plays, and leave what was seen. */
+  /** Stop playing and keep the view. */
   stop() {
     this.#session?.stop();
     this.#session = this.#asked = null;
@@ -143,7 +143,7 @@ export class SessionView {
       this.stop();
       this.#refused = error.status === 401;
       if (!this.#shown) {
-        // There is nothing to see, and nothing to play again, but with another key.
+        // There is nothing to show or to play again, except with another key.
         $("session").hidden = true;
         if (!this.#refused) this.#file = null;
         this.#showButtons();
@@ -153,7 +153,7 @@ export class SessionView {
     this.stop();
   }
 
-  /** Say it once: a screen reader would say it again with each frame. */
+  /** Show a note once: a screen reader would repeat it with each frame. */
   #tell(text) {
     if (text !== this.#told) this.#page.tell([text]);
     this.#told = text;
@@ -170,7 +170,7 @@ export class SessionView {
     $("crowd").replaceChildren();
     $("events").replaceChildren();
     this.#shown = this.#chosen = null;
-    // Not known before it plays, nor of a webcam, nor of what a browser has recorded.
+    // Unknown before it plays, for a webcam, and for a browser's recordings.
     const { duration } = this.#video;
     this.#timeline.clear(Number.isFinite(duration) ? duration : null);
   }
@@ -179,7 +179,7 @@ export class SessionView {
     const session = this.#session;
     const afresh = answer.session === "new" && this.#shown;
     if (afresh) this.#restarted = "The service had forgotten this camera: people are numbered anew.";
-    if (answer.reset) this.#restarted = `People are followed anew: ${answer.reset}.`;
+    if (answer.reset) this.#restarted = `Tracking starts anew: ${answer.reset}.`;
     if (answer.session === "new") this.#begin();
     this.#tell(`${note} ${this.#restarted}`.trim());
     const first = !this.#shown;
@@ -227,7 +227,7 @@ export class SessionView {
     head.append(label);
     row.append(head, ...["posture", "action", "faces"].map(() => document.createElement("td")));
     this.#rows.set(id, row);
-    // In the order of their numbers, which stay, rather than of their places, which do not.
+    // Ordered by number, which stays the same, rather than by place.
     const after = [...this.#rows].filter(([other]) => other > id).sort(([a], [b]) => a - b)[0];
     $("crowd").insertBefore(row, after?.[1] ?? null);
   }
@@ -289,5 +289,5 @@ export class SessionView {
   }
 }
 
-/** A message as a sentence of its own. */
+/** Turn a message into a sentence. */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.`;

@@ -10,10 +10,10 @@ const POSTURES = {
 
 const MARKS = { entered: "+", left: "×", fell: "▼", lying: "■", arms_raised: "▲" };
 
-/** Unseen for longer, somebody's posture is not known. */
+/** Seconds without a sighting after which a posture is unknown. */
 const GAP_S = 1;
 
-/** What is shown of something without an end, and at least of anything. */
+/** Seconds on show of a video without an end, and the minimum for any video. */
 const WINDOW_S = 120, LEAST_S = 10;
 
 const ROW_PX = 20, AXIS_PX = 22, LEFT_PX = 44, RIGHT_PX = 10;
@@ -41,7 +41,7 @@ export class Timeline {
     this.#legend = legend;
   }
 
-  /** Begin anew; `duration` in seconds, null if it has no end. */
+  /** Start over; `duration` in seconds, null if there is no end. */
   clear(duration) {
     this.#tracks.clear();
     this.#now = 0;
@@ -143,7 +143,7 @@ export class Timeline {
     }
   }
 
-  /** What the colours and marks on show mean. */
+  /** The legend of the colours and marks on show. */
   #explain(rows) {
     const labels = new Set(rows.flatMap(({ spans }) => spans.map(({ label }) => label)));
     const events = new Set(rows.flatMap((row) => row.events.map(({ event }) => event)));

@@ -16,11 +16,14 @@ from index.skeleton import (
     POINT_NAMES,
     POINTS,
     KeypointSet,
+    bone_lengths,
     camera_rotation,
     exchange_sides,
     mirror_3d,
     mirror_normalised,
+    pixels_per_metre,
     project,
+    with_bone_lengths,
 )
 
 LEFT, UP, FRONT = np.eye(3)
@@ -172,3 +175,27 @@ def test_exchanging_sides_moves_names_not_points() -> None:
     assert_array_equal(exchanged[:, left], points[:, right])
     assert_array_equal(exchanged[:, head], points[:, head])
     assert_array_equal(exchange_sides(exchanged), points)
+
+
+@given(seed=st.integers(0, 999))
+def test_bone_lengths_are_set_as_if_bone_by_bone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, lengths = rng.normal(size=(POINTS, 3)), rng.uniform(0.1, 1, len(NATIVE.bones))
+    points -= points[0]
+    expected, head = points.copy(), POINT_NAMES.index("head")
+    for (parent, child), length in zip(NATIVE.bones, lengths, strict=True):
+        bone = points[child] - points[parent]
+        expected[child] = expected[parent] + bone * length / np.linalg.norm(bone)
+    expected[JOINTS:] += expected[head] - points[head]
+    found = with_bone_lengths(points, lengths)
+    assert_allclose(found, expected, atol=1e-12)
+    assert_allclose(bone_lengths(found), lengths, atol=1e-12)
+
+
+@pytest.mark.parametrize("points", [JOINTS, POINTS])
+def test_the_scale_of_a_projection_is_found_from_joints_or_all_points(points: int) -> None:
+    points_3d = np.random.default_rng(0).normal(size=(3, POINTS, 3))
+    scales = np.array([20.0, 80.0, 300.0])
+    points_2d = scales[:, None, None] * points_3d[..., :2] + (5.0, 9.0)
+    points_2d[:, points:] = 1e6
+    assert_allclose(pixels_per_metre(points_3d, points_2d, points), scales)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,19 +32,13 @@ def test_an_input_is_no_output(tmp_path: Path) -> None:
 def test_the_input_survives(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    main: Callable[[], int | None],
+    main: Callable[[list[str]], None],
     name: str,
     options: list[str],
 ) -> None:
     content = WALKERS.read_bytes()
     (tmp_path / name).write_bytes(content)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["command", name, *options])
-    try:
-        status = main()
-    except SystemExit as ended:
-        status = ended.code  # type: ignore[assignment]
-    assert status
-    assert "expected another place" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="expected another place"):
+        main([name, *options])
     assert (tmp_path / name).read_bytes() == content

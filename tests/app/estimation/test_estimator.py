@@ -13,13 +13,14 @@ from app.estimation.results import ObservedPerson, Person, Scene
 from app.estimation.upload import Upload
 from app.scheduling.job import DeadlineError, Job
 from app.settings import Settings
-from app.vision.geometry import Box, Landmarks, silhouette_from_mask
+from app.vision.geometry import Box
+from app.vision.people import Landmarks, silhouette_from_mask
 from app.vision.person_reader import PersonReader
 from index.posture import LOW
 from index.search import rotate_clockwise
-from scripts.experiments.rotation import rotate_box, rotate_points
 from tests.conftest import WALKERS, Photo, png
 from tests.support.jobs import ShortJob
+from tests.support.rotation import rotate_box, rotate_points
 
 WALKER = Box(135, 162, 40, 105)
 

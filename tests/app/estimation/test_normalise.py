@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from app.estimation.normalise import NormalisedPerson
-from app.vision.geometry import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.search import rotate_clockwise
 from index.skeleton import LIMBS, POINT_NAMES

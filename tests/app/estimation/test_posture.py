@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from app.estimation.facing import azimuth_deg
 from app.estimation.posture import (
     CLEAR_FROM,
-    GROUNDED,
     body_features,
     estimate_posture,
     grounded_probability,
@@ -21,8 +20,8 @@ from app.estimation.posture import (
     with_bent_legs,
     with_grounded,
 )
-from app.vision.geometry import LANDMARK_NAMES, Landmarks
-from index.posture import POSTURES, UPRIGHT
+from app.vision.people import LANDMARK_NAMES, Landmarks
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT
 from index.search import rotate_clockwise
 from index.skeleton import camera_rotation
 
@@ -74,8 +73,8 @@ def test_landmarks_decide_how_much_lies_and_votes_what_else(
     votes = vote_posture(POSTURES, weights)
     shares = with_grounded(votes, probability)
     assert shares.sum() == pytest.approx(1)
-    assert share(shares, *GROUNDED) == pytest.approx(probability)
-    order = [i for i, name in enumerate(POSTURES) if name not in GROUNDED]
+    assert share(shares, *ON_THE_GROUND) == pytest.approx(probability)
+    order = [i for i, name in enumerate(POSTURES) if name not in ON_THE_GROUND]
     if votes[order].sum() > 0.02 and probability < 1:
         assert_allclose(
             shares[order] / shares[order].sum(), votes[order] / votes[order].sum(), atol=1e-9
@@ -120,7 +119,7 @@ def test_only_who_bends_both_knees_does_not_stand(weights: list[float]) -> None:
     shares = with_bent_legs(votes, both, 1.0)
     assert shares.sum() == pytest.approx(1) and (shares >= 0).all()
     assert share(shares, *UPRIGHT) < 1e-3
-    assert share(shares, *GROUNDED) == pytest.approx(share(votes, *GROUNDED))
+    assert share(shares, *ON_THE_GROUND) == pytest.approx(share(votes, *ON_THE_GROUND))
 
 
 def with_shanks_level(landmarks: Landmarks) -> Landmarks:

@@ -49,6 +49,7 @@ def person_of(
     *,
     elevation_deg: float = 10.0,
     postures: Sequence[Posture] | None = None,
+    action: str = "walk",
 ) -> Person:
     """A person whose hypotheses are these poses, with the box about a point of the frame."""
     hypotheses = []
@@ -58,7 +59,7 @@ def person_of(
             confidence=confidence, points_3d=pose, points_normalised=np.zeros((POINTS, 2)),
             posture=postures[entry] if postures else "standing",
         )  # fmt: skip
-        label = Label(entry, "walk", "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
+        label = Label(entry, action, "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
         points_2d = np.array(centre) + PX_PER_M * pose[:, :2]
         hypotheses.append(ProjectedHypothesis(hypothesis, 1.0, confidence, label, points_2d))
     height = 1.7 * PX_PER_M

@@ -209,7 +209,7 @@ def small_mocap(shared: Path, tmp_path: Path) -> Path:
 
 
 def build(mocap: Path, out: Path, hash_seed: str = "0") -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "scripts.build_index", "--mocap", mocap, "--out", out,
+    command = [sys.executable, "-m", "scripts", "build", "--mocap", mocap, "--out", out,
                "--entries", "480", "--bodies", "1", "--views", "4"]  # fmt: skip
     return subprocess.Popen(
         list(map(str, command)), cwd=ROOT, text=True, stdout=subprocess.PIPE,

@@ -23,9 +23,9 @@ from index.build.body import Avatar
 from index.build.poses import Poses
 from index.build.shard_files import ShardError
 from index.build.simulate import Simulation, bounded_map, simulate
-from scripts.load.server import free_ports
 from tests.conftest import ROOT
 from tests.index.build.test_simulate import assert_same
+from tests.support.ports import free_ports
 
 distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
 from index.build import cluster as module  # noqa: E402
@@ -112,12 +112,12 @@ def test_says_that_no_worker_joined() -> None:
 def test_an_unreachable_scheduler_ends_the_command_in_a_sentence(tmp_path: Path) -> None:
     address = f"tcp://127.0.0.1:{free_ports(1)[0]}"
     built = subprocess.run(
-        [sys.executable, "-m", "scripts.build_index", "--scheduler", address,
+        [sys.executable, "-m", "scripts", "build", "--scheduler", address,
          "--out", str(tmp_path / "out" / "index")],
         cwd=ROOT, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert built.returncode == 1
-    assert built.stderr == f"build_index: no Dask scheduler answers at {address}\n"
+    assert built.stderr == f"build: no Dask scheduler answers at {address}\n"
     assert list(tmp_path.iterdir()) == []
 
 
