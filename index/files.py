@@ -80,7 +80,7 @@ def read_bytes(file: Path, sha256: str) -> bytes:
 def staging(path: Path) -> Iterator[Path]:
     """Make a folder beside ``path`` for the time of a build.
 
-    It is removed at the end; that of a killed build is removed by the next build of the same path.
+    It is removed at the end. The next build of the same path removes that of a killed build.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _clear_leftovers(path)
@@ -98,9 +98,9 @@ def staging(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield an empty folder that takes the place of ``path`` once it is filled.
+    """Yield an empty folder that replaces ``path`` at the end.
 
-    Whatever fails on the way, the old folder stays or is put back.
+    If anything fails, the old folder stays or is put back.
     """
     with staging(path) as folder:
         new = folder / _NEW
@@ -123,7 +123,7 @@ def lock(folder: Path) -> int | None:
 
 
 def _clear_leftovers(path: Path) -> None:
-    """Remove staging folders of killed builds; running builds hold a lock on theirs."""
+    """Remove staging folders of killed builds; running builds have locked theirs."""
     for folder in path.parent.glob(f".{glob.escape(path.name)}-*"):
         if _is_staging_of(folder, path) and (held := lock(folder)) is not None:
             _clear(folder, path)

@@ -200,7 +200,7 @@ Wardrobe = tuple[str, ...]
 def make_avatars(
     wanted: Iterable[tuple[Phenotype, Wardrobe]], garments: Path | None
 ) -> list[Avatar]:
-    """Bodies in their clothes; unclothed where no garments folder is given.
+    """Make dressed avatars; unclothed ones if no garments folder is given.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Training what re-ranks the hypotheses of an index, and fitting its confidence."""
+"""Training the network that re-ranks the hypotheses of an index, and fitting its confidence."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from index.network import JointNetwork, network_input
 from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
 
-SHOWN = 400
-"""Silhouettes that show how large values become within the network."""
+SCALE_SAMPLE = 400
+"""Number of silhouettes that show how large values become within the network."""
 
-FINISH = 0.2
+FINISHING_SHARE = 0.2
 """Passes over all silhouettes, as a share of those without the clips kept for the confidence."""
 
 
@@ -79,7 +79,7 @@ def train_reranker(
     reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
     everything = entries_of(index, segments)
     log(f"Going on with {len(everything):,} silhouettes.")
-    finish = replace(config, passes=FINISH * config.passes, rate=config.rate / 2)
+    finish = replace(config, passes=FINISHING_SHARE * config.passes, rate=config.rate / 2)
     layers = train(index, everything, finish, start=layers, log=log)
     training: dict[str, Any] = {
         "index": index.version,
@@ -94,8 +94,8 @@ def train_reranker(
 
 
 def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
-    """What was trained, in whole numbers whose steps some of the entries show."""
-    some = rows[:: max(1, len(rows) // SHOWN)]
+    """The trained network in whole numbers, scaled to the values of some of the entries."""
+    some = rows[:: max(1, len(rows) // SCALE_SAMPLE)]
     return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 
@@ -107,7 +107,7 @@ def calibrated(
     progress: bool = False,
     log: Callable[[str], None] = lambda _: None,
 ) -> RankingModel:
-    """Fit the confidence of what a network re-ranks, as the index builder does without one."""
+    """A network with the confidence that is fitted to its ranking of an index's answers."""
     asked = replace(index, reranker=RankingModel.of(network))
     calibration = calibrate(asked, queries, RERANKING_FEATURES, progress=progress, log=log)
     return RankingModel(network, calibration)
