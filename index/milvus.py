@@ -106,7 +106,7 @@ class Collection:
     aliases: tuple[str, ...]
 
 
-class _Client(MilvusClient):
+class _Client(MilvusClient):  # type: ignore[misc]
     """MilvusClient that connects when it is first used.
 
     The public one of pymilvus 2.4 waits for the server in its constructor, takes no options of
