@@ -3,4 +3,4 @@
 from pathlib import Path
 
 DEFAULT_PATH = Path(__file__).parent / "data"
-"""Folder of the index that ships."""
+"""Folder of the index that the package ships."""

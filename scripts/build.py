@@ -8,11 +8,11 @@ from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import check_replaceable, save_index
 from index.build.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
 from index.build.shard_files import ShardError
 from index.files import staging
-from index.store import DEFAULT_PATH
 from scripts.results import SHARED
 
 

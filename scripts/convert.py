@@ -187,6 +187,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("source", type=Path, help="movenet-multipose.json, or mediapipe's wheel")
     parser.add_argument("--out", type=Path, default=WEIGHTS)
     options = parser.parse_args(arguments)
+    if options.source.resolve().parent == options.out.resolve():
+        parser.error(f"--out: expected another folder than that of {options.source}")
     options.out.mkdir(parents=True, exist_ok=True)
     for name, content in converters[options.network](options.source).items():
         check_outputs((options.out / name,), (options.source,))

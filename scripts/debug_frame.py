@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
-from app.estimation.estimator import Estimator
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.crops import sample_window
@@ -73,15 +73,14 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
         title = f"128x48, roll {normalised.roll_deg:.0f} deg"
         cells.append(_titled(np.repeat(enlarged[..., None], 3, axis=2), title))
         steps, cells = cells, []
-        for rank, placed in enumerate(person.hypotheses, start=1):
-            hypothesis = placed.hypothesis
+        for rank, hypothesis in enumerate(person.hypotheses, start=1):
             entry, to_frame = place_entry(index, normalised, hypothesis)
             drawn = _warped(entry, np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]])))
-            cells.append(_titled(drawn, f"{rank}: entry {hypothesis.entry}"))
+            cells.append(_titled(drawn, f"{rank}: entry {hypothesis.entry_id}"))
             skeleton = photograph.copy()
-            points = placed.points_2d[list(NATIVE.indices)]
+            points = hypothesis.points_2d[list(NATIVE.indices)]
             draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
-            cells.append(_titled(skeleton, f"confidence {placed.confidence:.2f}"))
+            cells.append(_titled(skeleton, f"confidence {hypothesis.confidence:.2f}"))
         rows = [np.hstack(steps), np.hstack(cells)]
         widest = max(row.shape[1] for row in rows)
         return np.vstack([np.pad(r, ((0, 0), (0, widest - r.shape[1]), (0, 0))) for r in rows])
@@ -99,12 +98,11 @@ def describe(number: int, person: Person) -> str:
         f"presence {presence}, posture {reported}",
         "  rank  entry    distance  fused  outline px  moved mm  confidence  clip",
     ]
-    for rank, placed in enumerate(person.hypotheses, start=1):
-        one = placed.hypothesis
+    for rank, one in enumerate(person.hypotheses, start=1):
         lines.append(
-            f"  {rank:4d}  {one.entry:6d}  {one.distance:8.2f}  {placed.distance:5.2f}  "
+            f"  {rank:4d}  {one.entry_id:6d}  {one.silhouette_distance:8.2f}  {one.distance:5.2f}  "
             f"{one.reprojection_error_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
-            f"{placed.confidence:10.2f}  {placed.label.clip}, frame {placed.label.frame}"
+            f"{one.confidence:10.2f}  {one.label.clip}, frame {one.label.frame}"
         )
     return "\n".join(lines)
 
@@ -144,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-n", type=int, default=3, help="hypotheses a person")
     options = parser.parse_args(arguments)
     upload = Upload(options.photograph.read_bytes())
-    estimator = Estimator.load(Settings())
+    estimator = load_estimator(Settings())
     estimate = estimator.estimate(upload, options.n, Job())
     options.out.mkdir(parents=True, exist_ok=True)
     detections = estimator.detector.detect(estimate.frame)

@@ -2,8 +2,8 @@
 
     python -m scripts figures [--check]
 
-A quoted number is followed by a comment with its key: ``63.0<!-- simulation.low.right_at_1 -->``
-is ``figures.low.right_at_1`` of ``docs/results/simulation.json``. The command rewrites such
+A quoted number is followed by a comment with its key: ``377<!-- bench.memory_mb -->`` is
+``figures.memory_mb`` of ``docs/results/bench.json``. The command rewrites such
 numbers with as many decimals as stand in the text; ``--check`` changes nothing and exits with 1
 where one differs.
 """
@@ -17,9 +17,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
-from scripts.results import ROOT
-
-RESULTS = ROOT / "docs" / "results"
+from scripts.results import RESULTS, ROOT
 
 _QUOTED = re.compile(r"(?P<number>-?\d[\d,]*(?:\.\d+)?)<!-- (?P<key>[^\s>]+) -->")
 _COMMENT = re.compile(r"<!--\s*[\w-]+(?:\.[\w-]+)+\s*-->")

@@ -9,13 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.people import Silhouette, silhouette_from_mask
-from index.build.body import (
-    Avatar,
-    pose_transforms,
-    posed_points,
-    retarget,
-    rotation_between,
-)
+from index.build.body import Avatar, pose_transforms, posed_points, retarget, rotation_between
 from index.build.motion import METRES_PER_UNIT, Clip
 from index.build.poses import Poses
 from index.build.render import fill_triangles, skin

@@ -76,7 +76,7 @@ def place_entry(
     The silhouette ``(128, 48)`` is mirrored where its hypothesis is; the affine transform
     ``(2, 3)`` leads from its pixels to pixels of the frame, rotated as the hypothesis is.
     """
-    silhouette = index.silhouette(hypothesis.entry)
+    silhouette = index.silhouette(hypothesis.entry_id)
     if hypothesis.mirrored:
         silhouette = np.ascontiguousarray(silhouette[:, ::-1])
     query = RotatedQuery.of(person.silhouette, hypothesis.rotation_deg + person.roll_deg)

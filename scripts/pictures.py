@@ -27,10 +27,11 @@ from app.estimation.estimator import Estimator
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Scene
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
+from index import DEFAULT_PATH
 from index.skeleton import NATIVE
-from index.store import DEFAULT_PATH
 from scripts.datasets import read_frames, read_pose2sim, read_vtest, rotate_box
 from scripts.helpers import find_people, place_entry
 from scripts.load.server import ServerProcess
@@ -94,7 +95,7 @@ def draw_person(estimator: Estimator, frame: Picture, found: ObservedPerson, nam
     def drawn(mask: NDArray[np.bool_]) -> Picture:
         return cut(np.where(mask[..., None], 30, 245).astype(np.uint8).repeat(3, axis=2), 245)
 
-    entry, to_frame = place_entry(estimator.index, normalised, first.hypothesis)
+    entry, to_frame = place_entry(estimator.index, normalised, first)
     nearest = cv2.warpAffine(entry.astype(np.float32), to_frame, frame.shape[1::-1]) >= 0.5
     photograph = cut(frame, 127)
     overlay = photograph.copy()
@@ -127,7 +128,7 @@ def video_people(estimator: Estimator, real: Path, step: int = 10, turns: int = 
 def draw_sheets(shared: Path, docs: Path) -> None:
     """Draw the strip of the README, and the sheet of all chosen people."""
     cv2.setNumThreads(1)
-    real, estimator = shared / "real", Estimator.load(Settings())
+    real, estimator = shared / "real", load_estimator(Settings())
     street, video = street_people(estimator, real), video_people(estimator, real)
     tall = [person for person in street if person.height_px >= MIN_SHOWN_PX]
     lying = (street_people(estimator, real, 1), video_people(estimator, real, 25, 3))

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.milvus import Milvus, publish, remove_older
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
-from index.store import DEFAULT_PATH
 
 TIMEOUT_S = 120.0
 """Milvus stores and indexes what was written within one call."""

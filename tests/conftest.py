@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
@@ -211,7 +212,7 @@ def settings(index_path: Path) -> Settings:
 @pytest.fixture(scope="session")
 def estimator(settings: Settings) -> Estimator:
     """An estimator over the tiny index."""
-    return Estimator.load(settings)
+    return load_estimator(settings)
 
 
 @pytest.fixture

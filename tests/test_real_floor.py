@@ -23,6 +23,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES
@@ -61,7 +62,7 @@ _ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 @pytest.fixture(scope="module")
 def real() -> Estimator:
     """An estimator over the index of the package."""
-    return Estimator.load(Settings())
+    return load_estimator(Settings())
 
 
 def persons(real: Estimator, frame: bytes, boxes: tuple[Box, ...] | None = None) -> list[Person]:
@@ -180,7 +181,7 @@ def test_joints_in_three_dimensions(real: Estimator, camera: str) -> None:
     errors, low = [], []
     for frame, truth, box in frames_of(camera):
         (person,) = persons(real, cv2.imencode(".png", frame)[1].tobytes(), (box,))
-        errors.append([error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses])
+        errors.append([error_mm(one.points_3d, truth) for one in person.hypotheses])
         low.append(bool(person.posture and person.posture.label in ON_THE_GROUND))
     assert len(errors) == FRAMES_EACH
     assert np.mean([of_one[0] for of_one in errors]) <= MOST_MM[camera][0]

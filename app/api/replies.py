@@ -105,7 +105,7 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     """Describe an entry of an index."""
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse(
-        entry=entry.number,
+        entry=entry.entry_id,
         source=_source(entry),
         camera=_camera(entry),
         keypoints=_keypoints(chosen),
@@ -179,22 +179,21 @@ def _observed(
     ]
 
 
-def _hypothesis(projected: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
-    hypothesis, label = projected.hypothesis, projected.label
+def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
     # Not validated: its hundreds of points would add a third to the time that writing an answer
     # takes, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
-        entry=hypothesis.entry,
-        distance=significant(projected.distance),
-        silhouette_distance=round(hypothesis.distance, DISTANCE_DIGITS),
+        entry=hypothesis.entry_id,
+        distance=significant(hypothesis.distance),
+        silhouette_distance=round(hypothesis.silhouette_distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
-        confidence=round(projected.confidence, 4),
+        confidence=round(hypothesis.confidence, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
-        **joint_fields(hypothesis.points_3d, projected.points_2d, form),
-        source=_source(label),
-        camera=_camera(label),
+        **joint_fields(hypothesis.points_3d, hypothesis.points_2d, form),
+        source=_source(hypothesis.label),
+        camera=_camera(hypothesis.label),
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
-from app.estimation.facing import Evidence as FacingEvidence
+from app.estimation.facing import FacingSource
 from app.estimation.results import Source
 from app.vision import DetectorName
 from index.posture import Posture as PostureLabel
@@ -222,7 +222,7 @@ class Facing(Model):
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
-    evidence: FacingEvidence = Field(
+    evidence: FacingSource = Field(
         description="What it rests on: `image`, the keypoints that the photograph shows; `motion`, "
         "the way a tracked person moves; `none`, the silhouette alone, which cannot show it. In a "
         "single frame it is the share of the hypotheses' confidence that faces the camera.",

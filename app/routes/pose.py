@@ -12,10 +12,11 @@ from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
 from app.http.identity import NamesCamera, RequireKey
 from app.routes.openapi import documented
-from app.routes.queries import DEFAULT_HYPOTHESES, GivenOnce, NoQuery, OverlayQuery, PoseQuery
+from app.routes.queries import GivenOnce, NoQuery, OverlayQuery, PoseQuery
 from app.routes.uploads import DOCUMENTED_UPLOAD, UploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(

@@ -15,9 +15,8 @@ from app.api.tracking_schemas import LATEST_TIMESTAMP_S
 from app.estimation.results import Evidence
 from app.http.errors import ProblemError
 from app.messages import NUMBER, WHOLE_NUMBER, suggestion
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
-
-DEFAULT_HYPOTHESES = 7
 
 _MAX_NAME_CHARACTERS = 60
 

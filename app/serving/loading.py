@@ -6,11 +6,12 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
 import anyio
 
-from app.estimation.estimator import Estimator
+from app.estimation.estimator import Estimator, load_networks
 from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
@@ -19,7 +20,9 @@ from app.scheduling.process import (
 )
 from app.serving.milvus import MissingPackageError, RemoteIndex, check_milvus_package
 from app.serving.runtime import VERSION, Runtime
+from app.settings import Settings
 from app.vision.tflite import NetworkError
+from index.artefact import load_index
 from index.files import ArtefactError
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
@@ -36,6 +39,28 @@ RETRY_S, MAX_RETRY_S = 1.0, 5.0
 """First and longest pause between attempts to reach Milvus; pauses double in between."""
 
 
+def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estimator:
+    """Load the networks, and the index from the folder in the settings unless it is given.
+
+    Raises
+    ------
+    ArtefactError
+        If the index cannot be used.
+    NetworkError
+        If a network of the package is missing or altered.
+    """
+    if index is None:
+        assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
+        index = load_index(settings.index)
+    return Estimator(
+        index,
+        *load_networks(settings.detector, settings.concurrency, settings.min_person_px),
+        min_person_px=settings.min_person_px,
+        max_pixels=settings.max_pixels,
+        max_persons=settings.max_persons,
+    )
+
+
 async def keep_index_loaded(runtime: Runtime) -> None:
     """Get the service ready, and follow the alias if the index is in Milvus."""
     address = runtime.settings.index
@@ -43,7 +68,7 @@ async def keep_index_loaded(runtime: Runtime) -> None:
         await _follow(runtime, address)
     else:
         # In a thread of the executor: the networks' own threads inherit its low priority.
-        loading = runtime.executor.submit(lambda: _load_estimator(runtime, None))
+        loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, None))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
         runtime.loading = False
 
@@ -63,9 +88,9 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     )
 
 
-def _load_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
+def _prepare_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
     with native_lines_logged(log):
-        estimator = Estimator.load(runtime.settings, index)
+        estimator = load_estimator(runtime.settings, index)
         estimator.warm_up()
     freeze_loaded_objects()
     trim_heap()
@@ -132,7 +157,7 @@ class _Follower:
                 self._address, settings.artefacts, settings.search_timeout_s, metrics.observe_search
             )
         self._index = self._remote.load() or self._index
-        return _load_estimator(self._runtime, self._index)
+        return _prepare_estimator(self._runtime, self._index)
 
     def next(self) -> Estimator | None:
         """Load the index if the alias names another one.

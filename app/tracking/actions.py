@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import CLEAR_FROM, EstimatedPosture
+from app.estimation.parameters import POSTURE
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.ground_motion import ground_path
 from app.tracking.parameters import DEFAULTS, ActionParameters, GroundParameters, TrackingParameters
@@ -265,7 +266,7 @@ class ActionRecogniser:
         )
         probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
-        if probabilities[best] < CLEAR_FROM:
+        if probabilities[best] < POSTURE.min_probability:
             return None
         return RecognisedAction(self._model.actions[best], float(probabilities[best]))
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import PeopleFinder, distinct_bodies, observed
+from app.estimation.finder import PeopleFinder, distinct_bodies, make_observation
 from app.scheduling.job import Job
 from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.track import Sighting, Track
@@ -86,7 +86,7 @@ class TrackedPeopleDetector:
             score = target.track.score if target.track else target.detection.score
             # A detector's box may hold more than the body that is read in it.
             place = silhouette.box if reading.presence >= self._min_presence else box
-            person = observed(frame, place, "detector", score, silhouette, reading)
+            person = make_observation(frame, place, "detector", score, silhouette, reading)
             sightings.append(Sighting(person, track=target.track))
         return sightings
 

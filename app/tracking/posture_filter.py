@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import (
+from app.estimation.posture_probability import (
     EstimatedPosture,
-    grounded_probability,
+    on_ground_probability,
     posture_of,
     with_bent_legs,
-    with_grounded,
+    with_on_ground,
 )
 from app.tracking.parameters import DEFAULTS, PostureParameters
 from app.vision.geometry import Box
@@ -61,8 +61,8 @@ class PostureFilter:
         shares = votes
         if landmarks is not None:
             # Where the network sees no person, only the shape of the box says how they lie.
-            lies = presence * grounded_probability(landmarks) + (1 - presence) * self._wide(box)
-            shares = with_grounded(with_bent_legs(votes, landmarks, presence), lies)
+            lies = presence * on_ground_probability(landmarks) + (1 - presence) * self._wide(box)
+            shares = with_on_ground(with_bent_legs(votes, landmarks, presence), lies)
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:

@@ -23,7 +23,7 @@ from app.tracking.track import Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from app.vision.truncation import ends_at_border
-from index.matching import FIRST_HYPOTHESES
+from index.parameters import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 100_000
 """What a track of some seconds holds; a test measures it."""
@@ -311,7 +311,7 @@ class CameraSession:
         """Estimate the poses of those who have a silhouette, and update the tracks by them."""
         rows = [row for row, (person, _) in enumerate(seen) if person.silhouette is not None]
         scene = Scene(frame, tuple(seen[row][0] for row in rows))
-        persons = self._estimator.with_hypotheses(scene, max(n, FIRST_HYPOTHESES), job)
+        persons = self._estimator.with_hypotheses(scene, max(n, DEFAULT_HYPOTHESES), job)
         estimated = dict(zip(rows, persons, strict=True))
         tracked = []
         for row, (observed, track) in enumerate(seen):

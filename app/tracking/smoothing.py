@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing, azimuth_deg
-from app.estimation.posture import vote_posture
+from app.estimation.posture_probability import vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.tracking.ground_motion import GroundMotion, GroundVelocity
 from app.tracking.heading import Heading, HeadingFilter
 from app.tracking.parameters import DEFAULTS, SmoothingParameters, TrackingParameters
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
-from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
+from index.parameters import POSTURE_RULES
+from index.posture import UPRIGHT, Posture
 from index.skeleton import (
     POINT_NAMES,
     POINTS,
@@ -88,7 +89,7 @@ class _Frame:
             clarity = min(1.0, height / parameters.full_weight_px) ** 2
         return cls(
             hypotheses,
-            np.array([placed.hypothesis.points_3d for placed in hypotheses]),
+            np.array([placed.points_3d for placed in hypotheses]),
             np.array([placed.points_2d for placed in hypotheses]),
             np.array([placed.confidence for placed in hypotheses]),
             distances,
@@ -182,7 +183,7 @@ class PoseSmoother:
             pose,
             Facing(heading.front_probability, "motion" if walks else person.facing.evidence),
             vote_posture(
-                [_posture(placed.hypothesis.posture, velocity) for placed in frame.hypotheses],
+                [_posture(placed.posture, velocity) for placed in frame.hypotheses],
                 probabilities.tolist(),
             ),
             velocity,
@@ -282,7 +283,7 @@ class PoseSmoother:
         """The pose at the newest frame, and the features of its confidence."""
         log_forward = self._states[-1].log_forward
         smoothed_3d, hypotheses_odds = self._smoothed(timestamp)
-        postures = [placed.hypothesis.posture for placed in frame.hypotheses]
+        postures = [placed.posture for placed in frame.hypotheses]
         upright = float(probabilities @ [posture in UPRIGHT for posture in postures])
         if frame.distances is not None and upright * (1 - frame.clarity) > 0.5:
             smoothed_3d = self._kept_on_visible_side(smoothed_3d, heading)
@@ -298,7 +299,7 @@ class PoseSmoother:
             smoothed_3d,
             np.einsum("n,npd->pd", weights, frame.points_2d),
             probability_of(odds),
-            frame.hypotheses[int(probabilities.argmax())].hypothesis.entry,
+            frame.hypotheses[int(probabilities.argmax())].entry_id,
         )
         return pose, (hypotheses_odds, agreement_odds)
 
@@ -356,9 +357,9 @@ def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
     """The posture of a state, by the speed that is measured rather than that of its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture
-    if velocity.reliable_speed >= RUNNING_FROM:
+    if velocity.reliable_speed >= POSTURE_RULES.min_running_speed:
         return "running"
-    return "walking" if velocity.reliable_speed >= WALKING_FROM else "standing"
+    return "walking" if velocity.reliable_speed >= POSTURE_RULES.min_walking_speed else "standing"
 
 
 def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector, Reliability

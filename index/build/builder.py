@@ -27,8 +27,8 @@ from index.build.splits import (
     split,
 )
 from index.confidence import Calibration
-from index.posture import LOW, POSTURES, classify
-from index.search import STEPS
+from index.posture import LOW, POSTURES, classify_postures
+from index.search import STEPS_PER_UNIT
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 
@@ -165,7 +165,7 @@ def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Pose
         Decides which poses are laid down, and on which side.
     """
     joints = joints_of(poses, reference)
-    low = np.isin(classify(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
+    low = np.isin(classify_postures(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
     laid_count = round(LAID_DOWN_SHARE * count)
     laid = lay_down(poses, reference, LAID_DOWN_TRIED * laid_count, seed)
     at_random = np.random.default_rng(seed).permutation(len(laid))[:laid_count]
@@ -227,7 +227,8 @@ def assemble(
     return PoseIndex(
         name=name,
         descriptor=descriptor,
-        vectors=np.round(simulation.describe(descriptor) * STEPS).astype(np.float32) / STEPS,
+        vectors=np.round(simulation.describe(descriptor) * STEPS_PER_UNIT).astype(np.float32)
+        / STEPS_PER_UNIT,
         entries=simulation.entries,
         skeletons=simulation.skeletons,
         skeleton_labels=simulation.skeleton_labels,

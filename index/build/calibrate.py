@@ -15,13 +15,11 @@ from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match
+from index.parameters import DEFAULT_HYPOTHESES
 from index.posture import POSTURES
 from index.reranker import RERANKING_FEATURES
-from index.search import rotate_clockwise
-from index.skeleton import JOINTS, exchange_sides
+from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
-
-HYPOTHESES = 7
 
 OWN_ROLL_DEG = 30.0
 """Cameras roll by less than this, unless they were rolled for a silhouette wider than high."""
@@ -139,7 +137,7 @@ class Trial:
 
 
 def run_trial(
-    index: PoseIndex, queries: Queries, *, n: int = HYPOTHESES, progress: bool = False
+    index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES, progress: bool = False
 ) -> Trial:
     """Ask an index for silhouettes whose skeletons are known.
 

@@ -20,16 +20,16 @@ from index.network import (
     CONVOLUTIONS,
     EXACT_BELOW,
     HIDDEN,
-    MOST,
+    QUANT_MAX,
     JointNetwork,
     Layer,
+    bin_positions,
     input_planes,
-    inputs_of,
     largest_sums,
+    layer_input,
     network_input,
-    places,
-    rectified,
-    whole_numbers,
+    quantise,
+    quantised_relu,
 )
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
@@ -204,7 +204,7 @@ class Examples:
         points[turned, :, :2] = (WIDTH - 1, HEIGHT - 1) - points[turned, :, :2]
         noisy = generator.random(len(rows)) < FLIPPED_SHARE
         pictures[noisy] = _flipped(pictures[noisy], generator)
-        return input_planes(pictures), places(points[:, :JOINTS])
+        return input_planes(pictures), bin_positions(points[:, :JOINTS])
 
 
 def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
@@ -266,10 +266,10 @@ def in_whole_numbers(layers: nn.Sequential, planes: NDArray[np.float32]) -> Join
         Sample input, which shows how large the values between the layers become.
     """
     weighted = _weights_and_biases(layers)
-    values, step = [whole_numbers(picture) for picture in planes], 1 / MOST
+    values, step = [quantise(picture) for picture in planes], 1 / QUANT_MAX
     found = []
     for number, (weights, bias) in enumerate(weighted):
-        scale = np.abs(weights).max(axis=0) / MOST + 1e-12
+        scale = np.abs(weights).max(axis=0) / QUANT_MAX + 1e-12
         # A little coarser where sums might not be exact; rounding adds to them.
         scale *= np.maximum(1, largest_sums(weights / scale) / (0.98 * EXACT_BELOW))
         whole = np.rint(weights / scale).astype(np.float32)
@@ -277,10 +277,10 @@ def in_whole_numbers(layers: nn.Sequential, planes: NDArray[np.float32]) -> Join
             found.append(Layer(whole, _array(scale * step), bias))
             break
         sums = Layer(whole, _array(scale * step), bias)
-        inputs = [inputs_of(number, picture) for picture in values]
-        next_step = max(float(sums(one).max()) for one in inputs) / MOST + 1e-12
+        inputs = [layer_input(number, picture) for picture in values]
+        next_step = max(float(sums(one).max()) for one in inputs) / QUANT_MAX + 1e-12
         found.append(Layer(whole, _array(scale * step / next_step), _array(bias / next_step)))
-        values, step = [rectified(found[-1](one)) for one in inputs], next_step
+        values, step = [quantised_relu(found[-1](one)) for one in inputs], next_step
     return JointNetwork(tuple(found))
 
 

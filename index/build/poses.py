@@ -24,7 +24,7 @@ from index.build.body import (
     turned_to_front,
 )
 from index.build.motion import Clip, MotionError, Segment, read_clip, read_rig
-from index.posture import POSTURES, classify
+from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 
 UPRIGHT_ABOVE = np.cos(np.deg2rad(25.0))
@@ -261,7 +261,7 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
     joints = joints_of(laid, avatar)
     heights = joints[..., 1] - joints[..., 1].min(axis=1, keepdims=True)
     trunk = heights[:, [JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("chest")]].max(axis=1)
-    lies = classify(joints, BODY_UP) == POSTURES.index("lying")
+    lies = classify_postures(joints, BODY_UP) == POSTURES.index("lying")
     return laid.take(np.flatnonzero(lies & (trunk < TRUNK_BELOW_M)))
 
 

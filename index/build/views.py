@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg
 from index.build.body import Avatar, posed_points
 from index.build.render import render, skin
-from index.posture import POSTURES, classify
+from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
 from index.store import ENTRY_DTYPE
 
@@ -129,7 +129,7 @@ def render_bodies(shard: Shard, avatars: Sequence[Avatar]) -> RenderedShard:
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
         )
-        near_ground = classify(points, BODY_UP)[0] in _NEAR_GROUND
+        near_ground = classify_postures(points, BODY_UP)[0] in _NEAR_GROUND
         foreshortened = bool(shard.foreshortened[row])
         # As SeedSequence.spawn would give the body, whatever its shard.
         seed = np.random.SeedSequence(shard.seed, spawn_key=(number,))

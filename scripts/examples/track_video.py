@@ -21,11 +21,12 @@ from app.api.overlay import PEOPLE, draw_skeleton, write_text
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
+from index import DEFAULT_PATH
 from index.skeleton import NATIVE
-from index.store import DEFAULT_PATH
 from scripts.outputs import check_outputs
 
 HYPOTHESES = 7
@@ -172,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     check_outputs((options.out, options.sheet), (options.video,))
     capture = cv2.VideoCapture(str(options.video))
     frames = -(-max(1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) // options.stride)
-    estimator = Estimator.load(Settings(index=options.index))
+    estimator = load_estimator(Settings(index=options.index))
     pictures = annotated(options.video, options.stride, options.max_frames, estimator)
     shown = min(frames, options.max_frames or frames)
     cells = write_video(pictures, options.out, _fps(capture) / options.stride, shown)

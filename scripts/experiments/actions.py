@@ -16,9 +16,9 @@ from app.tracking.events import EventDetector, Reliability
 from app.tracking.parameters import DEFAULTS
 from app.tracking.posture_filter import PostureFilter
 from app.tracking.smoothing import PoseSmoother
+from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.posture import POSTURES
-from index.store import DEFAULT_PATH
 from scripts.metrics import confusion, reliability
 from scripts.training.action_model import (
     ACTIONS,

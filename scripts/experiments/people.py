@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
 from app.estimation.results import Person
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
@@ -98,7 +99,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     real = options.shared / "real"
     if not real.is_dir():
         raise FileNotFoundError(f"expected {real} to hold photographs and videos, it is not there")
-    estimator = Estimator.load(Settings())
+    estimator = load_estimator(Settings())
     return {
         "sport": sport(estimator, read_lsp(real / "lsp")),
         "fallen": {
@@ -243,7 +244,7 @@ def leaning(estimator: Estimator, folder: Path, camera: str) -> Figures:
         truth = limbs_3d[number]
         if number % 4 == 0:
             (person,) = estimate(estimator, encoded(frame), _generous_box(joints_2d[number]))
-            errors = [error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses]
+            errors = [error_mm(one.points_3d, truth) for one in person.hypotheses]
             single.append((errors[0], min(errors)))
             low.append(is_low(person))
         seen = [
@@ -254,7 +255,7 @@ def leaning(estimator: Estimator, folder: Path, camera: str) -> Figures:
         if seen:
             one = max(seen, key=lambda other: other.person.observed.box.height)
             assert one.pose is not None
-            first = one.person.hypotheses[0].hypothesis
+            first = one.person.hypotheses[0]
             identities.add(one.track_id)
             tracked.append((error_mm(first.points_3d, truth), error_mm(one.pose.points_3d, truth)))
     first_mm, best_mm = np.mean(single, axis=0).tolist()

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import Detector, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
 from app.vision.parameters import DEFAULTS
+from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
-from index.store import DEFAULT_PATH
 from scripts.datasets import (
     Marks,
     Photograph,
@@ -72,7 +73,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 def run(options: argparse.Namespace) -> dict[str, object]:
     """Run the experiment."""
     cv2.setNumThreads(1)
-    estimator = Estimator.load(Settings(index=options.index))
+    estimator = load_estimator(Settings(index=options.index))
     detector = estimator.detector
     assert isinstance(detector, NetworkDetector)
     folder = options.shared / "real"

@@ -11,7 +11,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator, fit_poses
-from app.estimation.finder import observed
+from app.estimation.finder import make_observation
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.scheduling.job import Job
@@ -127,7 +127,7 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     person = ObservedPerson(shown.box, "boxes", None, shown.silhouette)
     if way != SILHOUETTE:
         reading = estimator.finder.reader.read(shown.frame, shown.box)
-        person = observed(shown.frame, shown.box, "boxes", None, shown.silhouette, reading)
+        person = make_observation(shown.frame, shown.box, "boxes", None, shown.silhouette, reading)
     if way == LANDMARKS:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.keypoints() is None:
@@ -152,9 +152,7 @@ def judge(shown: Shown, person: Person) -> Trial:
     reference = shown.reference
     scale = normalise(shown.silhouette.crop)[1].scale
     points_2d = np.array([one.points_2d[LIMB_POINTS] for one in person.hypotheses])
-    points_3d = about_hips(
-        np.array([one.hypothesis.points_3d[LIMB_POINTS] for one in person.hypotheses])
-    )
+    points_3d = about_hips(np.array([one.points_3d[LIMB_POINTS] for one in person.hypotheses]))
     apart = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
     front = np.cos(np.deg2rad(azimuth)) > 0

@@ -16,10 +16,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import vote_posture
+from app.estimation.posture_probability import vote_posture
 from index.build.builder import QueryCounts, simulate_queries
 from index.build.calibrate import (
-    HYPOTHESES,
     Queries,
     Trial,
     expected_calibration_error,
@@ -30,11 +29,11 @@ from index.build.motion import read_manifest
 from index.build.simulate import Simulation
 from index.build.splits import HELD_OUT_AVATARS, hold_out
 from index.confidence import FEATURES, RIGHT_BELOW_PX
-from index.posture import LOW, POSTURES, classify
+from index.parameters import DEFAULT_HYPOTHESES
+from index.posture import LOW, POSTURES, classify_postures
 from index.reranker import RankingModel
-from index.rotations import RotatedQuery, find_rotated_candidates, usual_rotations
-from index.search import rotate_clockwise
-from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS
+from index.rotations import RotatedQuery, find_rotated_candidates, silhouette_rotations
+from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 from scripts.metrics import confusion, reliability
 from scripts.training.held_out import strict_index
@@ -169,13 +168,15 @@ def nearest_entries(
     index: PoseIndex, queries: Queries
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the errors ``(Q, N)`` in pixels and in metres of the nearest entries as they are."""
-    error_px, error_m = (np.full((len(queries), HYPOTHESES), np.inf) for _ in range(2))
+    error_px, error_m = (np.full((len(queries), DEFAULT_HYPOTHESES), np.inf) for _ in range(2))
     for row, (silhouette, roll_deg) in enumerate(
         zip(queries.silhouettes, queries.roll_deg.tolist(), strict=True)
     ):
-        rotations = usual_rotations(silhouette, roll_deg)
+        rotations = silhouette_rotations(silhouette, roll_deg)
         rotated = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        found = find_rotated_candidates(index, rotated, HYPOTHESES).take(slice(HYPOTHESES))
+        found = find_rotated_candidates(index, rotated, DEFAULT_HYPOTHESES).take(
+            slice(DEFAULT_HYPOTHESES)
+        )
         apart_2d = found.points_normalised[:, :JOINTS] - queries.joints_2d[row]
         points_3d = rotate_clockwise(found.points_3d[:, :JOINTS], -roll_deg)
         apart_3d = points_3d - queries.joints_3d[row]
@@ -196,7 +197,9 @@ def right_by_itself(reranker: RankingModel, queries: Queries) -> NDArray[np.bool
 def true_postures(queries: Simulation) -> NDArray[np.int64]:
     """Return the postures ``(Q,)`` of the skeletons themselves, as positions in ``POSTURES``."""
     rows = queries.entries["skeleton"]
-    return classify(queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows])
+    return classify_postures(
+        queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows]
+    )
 
 
 def voted_postures(trial: Trial) -> NDArray[np.int64]:

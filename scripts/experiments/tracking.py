@@ -167,7 +167,7 @@ def alone(filmed: Filmed, persons: Sequence[Person]) -> Estimated:
     first = [person.hypotheses[0] for person in persons]
     return Estimated(
         filmed,
-        np.array([placed.hypothesis.points_3d for placed in first]),
+        np.array([placed.points_3d for placed in first]),
         np.array([placed.points_2d for placed in first]),
         np.array([placed.confidence for placed in first]),
     )

@@ -28,11 +28,12 @@ from numpy.typing import NDArray
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.session import CameraSession
 from descriptor.descriptor import Arrays, Descriptor, DiagonalDescriptor
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.experiments.paper_data import nearest
 from scripts.metrics import confusion
 
@@ -80,7 +81,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     """Run the experiment."""
     file = options.weizmann
     films = read_films(file or options.shared / "real" / "weizmann" / "classification_masks.mat")
-    return measure(films, Estimator.load(Settings(index=DEFAULT_PATH)))
+    return measure(films, load_estimator(Settings(index=DEFAULT_PATH)))
 
 
 def measure(films: Sequence[Film], estimator: Estimator) -> dict[str, object]:

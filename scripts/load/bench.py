@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.experiments import pages
 from scripts.load.bench_cases import (
     WALKERS,

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.store import DEFAULT_PATH, PoseIndex
+from index.store import PoseIndex
 from scripts.experiments import pages
 from scripts.load.server import ServerProcess
 from scripts.results import RESULTS, machine, percentile, revision

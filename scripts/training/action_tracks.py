@@ -26,7 +26,7 @@ from index.build.garments import make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
 from index.build.splits import CALIBRATION_AVATARS, HELD_OUT_AVATARS
-from index.posture import classify
+from index.posture import classify_postures
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.film import (
@@ -276,7 +276,7 @@ def match_films(
             for person, timestamp in zip(people, filmed.timestamps.tolist(), strict=True)
         ]
         seen = [replace(one, observed=replace(one.observed, silhouette=None)) for one in people]
-        posture = classify(filmed.world, BODY_UP, filmed.speeds)
+        posture = classify_postures(filmed.world, BODY_UP, filmed.speeds)
         tracks.append(Track(
             filmed.clip, filmed.subject, filmed.action, filmed.timestamps, posture, tuple(seen),
             tuple(one for one in smoothed if one is not None),

@@ -25,8 +25,9 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator, normalise_person
-from app.estimation.posture import GROUPS, body_features
+from app.estimation.posture_probability import GROUPS, body_features
 from app.estimation.results import Person
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
@@ -34,10 +35,9 @@ from app.vision.models import write_fitted
 from app.vision.odds import log_odds
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.confidence import RIGHT_BELOW_PX
-from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify
-from index.ranking import DISTANCE_WEIGHT
-from index.search import rotate_clockwise
-from index.skeleton import LIMBS, POINT_NAMES, camera_rotation
+from index.parameters import RANKING
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify_postures
+from index.skeleton import LIMBS, POINT_NAMES, camera_rotation, rotate_clockwise
 from index.store import PoseIndex
 from scripts.datasets import (
     Marks,
@@ -223,7 +223,7 @@ def simulated_samples(index: PoseIndex) -> Samples:
     rotations = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"])
     points = index.skeletons[entries["skeleton"]].astype(np.float64)
     points = points @ rotations.swapaxes(1, 2)
-    postures = classify(points, camera_up(entries["elevation_deg"]))
+    postures = classify_postures(points, camera_up(entries["elevation_deg"]))
     samples = Samples()
     for number, posture in enumerate(POSTURES):
         for row in np.flatnonzero(postures == number)[:SIMULATED_EACH]:
@@ -348,8 +348,8 @@ def confidence_samples(
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
             errors = np.linalg.norm(placed.points_2d[LIMB_POINTS] - joints, axis=1)[seen]
-            agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))
-            features.append((agreement, placed.hypothesis.adjusted_m))
+            agreement = -RANKING.distance_weight * float(np.log(max(placed.distance, 1e-9)))
+            features.append((agreement, placed.adjusted_m))
             right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
 
     for one in tqdm(read_lsp(shared / "real" / "lsp"), desc="sports people"):
@@ -391,7 +391,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     shared = parser.parse_args(arguments).shared
     if not (shared / "real").is_dir():
         parser.error(f"expected {shared}/real to hold the photographs, it is not there")
-    estimator = Estimator.load(Settings())
+    estimator = load_estimator(Settings())
     detection = detection_samples(estimator, shared)
     data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items())
     street = read_pennfudan(shared / "real" / "pennfudan")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from app.tracking.actions import MODEL
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from scripts.results import SHARED
 from scripts.training.action_model import (
     TEMPERATURES,

@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.build.builder import IndexSpec
 from index.build.joint_training import TrainingConfig
@@ -18,7 +19,6 @@ from index.build.motion import read_manifest
 from index.build.reranker import train_reranker
 from index.build.splits import hold_out
 from index.reranker import save_reranker
-from index.store import DEFAULT_PATH
 from scripts.results import SHARED
 
 

@@ -15,10 +15,10 @@ import pytest
 from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.skeleton import NATIVE
@@ -115,9 +115,9 @@ def test_one_thread_and_two_give_the_same_answer(
     executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
     for threads, job in ((1, Job()), (2, Job(parallel_map=executor.map))):
         monkeypatch.setattr("app.estimation.estimator.available_cores", lambda t=threads: t)
-        estimator = Estimator.load(settings, tiny_index)
+        estimator = load_estimator(settings, tiny_index)
         people = estimator.estimate(Upload(STREET), 7, job).persons
-        answers.append([(h.hypothesis.entry, h.distance, *h.points_2d.ravel())
+        answers.append([(h.entry_id, h.distance, *h.points_2d.ravel())
                         for person in people for h in person.hypotheses])  # fmt: skip
     executor.shut_down()
     assert len(answers[0]) >= 3 * 7

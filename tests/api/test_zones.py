@@ -12,8 +12,8 @@ from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraState
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.loading import load_estimator
 from app.serving.runtime import Runtime
 from app.settings import Settings
 from index import DEFAULT_PATH
@@ -120,7 +120,7 @@ class TestPeople:
 def shipped() -> Iterator[TestClient]:
     """An application over the shipped index, which contains lying people."""
     settings = Settings(index=DEFAULT_PATH)
-    with TestClient(create_app(settings, Estimator.load(settings))) as client:
+    with TestClient(create_app(settings, load_estimator(settings))) as client:
         yield client
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
 from pathlib import Path
 
 import pytest
 
-from scripts import debug_frame
-from scripts.examples import track_video
+from scripts.__main__ import COMMANDS
 from scripts.outputs import check_outputs
 from tests.conftest import WALKERS
 
@@ -22,23 +21,24 @@ def test_an_input_is_no_output(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("main", "name", "options"),
+    ("command", "name", "options"),
     [
-        (track_video.main, "film.avi", ["film.avi"]),
-        (track_video.main, "film.avi", ["new.mp4", "--sheet", "film.avi"]),
-        (debug_frame.main, "person-1.png", ["--out", "."]),
+        ("track-video", "film.avi", ["film.avi"]),
+        ("track-video", "film.avi", ["new.mp4", "--sheet", "film.avi"]),
+        ("debug-frame", "person-1.png", ["--out", "."]),
     ],
 )
 def test_the_input_survives(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    main: Callable[[list[str]], None],
+    command: str,
     name: str,
     options: list[str],
 ) -> None:
     content = WALKERS.read_bytes()
     (tmp_path / name).write_bytes(content)
     monkeypatch.chdir(tmp_path)
+    module = importlib.import_module(COMMANDS[command][0])
     with pytest.raises(ValueError, match="expected another place"):
-        main([name, *options])
+        module.main([name, *options])
     assert (tmp_path / name).read_bytes() == content

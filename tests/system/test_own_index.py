@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from index.artefact import load_index
 
@@ -77,7 +77,7 @@ def test_it_is_served(built: Path) -> None:
     silhouette = cv2.copyMakeBorder(load_index(built).silhouette(7), 9, 9, 9, 9, 0)
     mask = cv2.imencode(".png", np.asarray(255 * silhouette, np.uint8))[1].tobytes()
     settings = Settings(index=built)
-    with TestClient(create_app(settings, Estimator.load(settings))) as client:
+    with TestClient(create_app(settings, load_estimator(settings))) as client:
         described = client.get("/index").json()
         reply = client.post("/pose", files={"mask": ("mask.png", mask, "image/png")})
     assert described["name"] == "our-index"

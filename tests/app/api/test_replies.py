@@ -40,9 +40,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
     """A frame with a person who has walked for a while."""
     (person,) = estimate.persons
     best = person.hypotheses[0]
-    pose = SmoothedPose(
-        best.hypothesis.points_3d, best.points_2d, 0.91234567, best.hypothesis.entry
-    )
+    pose = SmoothedPose(best.points_3d, best.points_2d, 0.91234567, best.entry_id)
     seen = replace(person, facing=Facing(0.75, "motion"))
     return TrackedFrame(
         frame=estimate.frame,

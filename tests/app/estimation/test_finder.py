@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.estimation.finder import SAME_BODY, distinct_bodies
+from app.estimation.finder import distinct_bodies
+from app.estimation.parameters import DUPLICATE_BODY_DISTANCE
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import WINDOW_SCALE, PersonWindow
 from app.vision.people import Landmarks
@@ -35,5 +36,5 @@ def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
     apart_px = share * BODY_PX
     other = reading(apart_px * np.cos(angle), apart_px * np.sin(angle))
     kept = distinct_bodies([reading(0), other])
-    if share != pytest.approx(SAME_BODY):
-        assert kept == ([0, 1] if share > SAME_BODY else [0])
+    if share != pytest.approx(DUPLICATE_BODY_DISTANCE):
+        assert kept == ([0, 1] if share > DUPLICATE_BODY_DISTANCE else [0])

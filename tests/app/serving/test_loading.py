@@ -10,6 +10,7 @@ from fastapi.testclient import TestClient
 
 from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving import loading
 from app.settings import Settings
 from app.vision import models
 from tests.support.service import check_problem, eventually
@@ -30,7 +31,7 @@ def test_probes_report_any_error_in_loading(
     def fail(*_: object) -> Estimator:
         raise ZeroDivisionError("internals")
 
-    monkeypatch.setattr(Estimator, "load", fail)
+    monkeypatch.setattr(loading, "load_estimator", fail)
     with TestClient(create_app(settings)) as client:
         eventually(lambda: "not ready" in caplog.text)
         assert client.get("/healthz").status_code == 200

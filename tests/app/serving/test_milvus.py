@@ -173,7 +173,7 @@ class TestFollowing:
     ) -> FastAPI:
         monkeypatch.setattr(loading, "check_milvus_package", lambda: None)
         # The networks are loaded already.
-        monkeypatch.setattr(Estimator, "load", lambda *given: estimator.with_index(given[-1]))
+        monkeypatch.setattr(loading, "load_estimator", lambda _, index: estimator.with_index(index))
         for pause in ("POLL_S", "RETRY_S", "MAX_RETRY_S"):
             monkeypatch.setattr(loading, pause, 0.01)
         address = MilvusAddress("vectors", 19530, "poses")

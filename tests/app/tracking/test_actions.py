@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture, vote_posture
+from app.estimation.posture_probability import EstimatedPosture, vote_posture
 from app.tracking.actions import (
     RATE_HZ,
     ActionModel,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.posture import vote_posture
+from app.estimation.posture_probability import vote_posture
 from app.tracking.posture_filter import PostureFilter
 from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES, Landmarks

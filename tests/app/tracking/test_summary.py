@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimation.posture import EstimatedPosture
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson

@@ -29,7 +29,7 @@ from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.build.splits import entries_of, split, split_by_clip
-from index.posture import LOW, POSTURES, classify
+from index.posture import LOW, POSTURES, classify_postures
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -128,7 +128,7 @@ def pool(ground_motion: Path) -> Poses:
 
 class TestChoosePoses:
     def groups(self, poses: Poses, avatar: Avatar) -> list[str]:
-        postures = classify(joints_of(poses, avatar), (0.0, 1.0, 0.0))
+        postures = classify_postures(joints_of(poses, avatar), (0.0, 1.0, 0.0))
         return [
             "laid" if not np.isnan(angle) else "low" if POSTURES[row] in LOW else "upright"
             for angle, row in zip(poses.lying_deg, postures, strict=True)

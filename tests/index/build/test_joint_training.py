@@ -64,7 +64,7 @@ def test_whole_numbers_give_about_what_was_trained(toy_index: PoseIndex) -> None
     with torch.no_grad():
         logits = layers(_channels_first(planes)).numpy().reshape(-1, JOINTS, BINS)
     network = in_whole_numbers(layers, planes[:32])
-    got = np.stack([network.look(one).log_probabilities for one in planes])
+    got = np.stack([network.forward(one).log_probabilities for one in planes])
     off = got - log_softmax(logits)
     assert np.sqrt((off**2).mean()) < 0.05 * logits.std()
 

@@ -35,7 +35,7 @@ def candidates() -> Candidates:
 
 def test_every_pose_is_answered_once_the_nearest_first(candidates: Candidates) -> None:
     modes = ranked_modes(candidates, 7)
-    answered = candidates.numbers[modes.centres].tolist()
+    answered = candidates.entry_ids[modes.centres].tolist()
     assert answered[0] == CLUSTERS - 1
     assert sorted(answered) == list(range(CLUSTERS))
     assert np.diff(modes.distances).min() >= 0

@@ -1,8 +1,9 @@
-"""A person's posture: what the hypotheses vote, and what the landmarks say of lying.
+"""How likely a person is in each posture: votes of hypotheses, corrected by landmarks.
 
-Hypotheses vote with their confidences. Where landmarks are read, a logistic model of the body's
-geometry says how likely the person lies or is on all fours; the votes only share out that
-probability, and the rest. How far the largest shares can be trusted is calibrated.
+Each hypothesis has a posture by the rules of :mod:`index.posture` and votes with its confidence. If
+there are landmarks, two bent knees take votes from standing postures, and a logistic model of the
+body's geometry gives the probability that the person is on the ground; the votes then only divide
+that probability, and the rest, among the postures. The probability of the likeliest is calibrated.
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.parameters import POSTURE
 from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
+from index.skeleton import rows, side_rows
 
 GROUPS: tuple[tuple[Posture, ...], ...] = (
     ON_THE_GROUND,
@@ -26,35 +29,19 @@ GROUPS: tuple[tuple[Posture, ...], ...] = (
 )
 """Postures on the ground, on straight legs, and between the two."""
 
-CLEAR_FROM = 0.5
-"""Probability from which a posture is told."""
-
-BENT_FROM_DEG, BENT_SLOPE_DEG = 45.0, 5.0
-"""Bend of the straighter knee from which legs do not stand, and how surely it tells. Thighs that
-point at the camera look like those of somebody who stands; of who walks, one knee is straight."""
-
-SEAT_UPRIGHT, SEATED = 0.85, 0.8
-"""Cosines of the angles of trunk and shanks with the vertical from which two bent knees rather sit
-than crouch or kneel, and how often they do: of simulated bodies, 78 %."""
-
-_LEAST_SHARE = 0.02
 _ON_THE_GROUND, _UPRIGHT, _BETWEEN = (
     np.array([posture in group for posture in POSTURES]) for group in GROUPS
 )
 _LYING = np.array([posture == "lying" for posture in POSTURES])
 _SITTING = np.array([posture == "sitting" for posture in POSTURES])
-_SEATED = SEATED * _SITTING + (1 - SEATED) * (_BETWEEN & ~_SITTING) / (_BETWEEN.sum() - 1)
-
-
-def _rows(*joints: str) -> list[int]:
-    return [LANDMARK_NAMES.index(f"{side}_{joint}") for joint in joints for side in _SIDES]
-
-
-_SIDES = ("left", "right")
-_SHOULDERS, _HIPS, _KNEES, _ANKLES = (
-    _rows(joint) for joint in ("shoulder", "hip", "knee", "ankle")
+_SEATED = POSTURE.seated_share * _SITTING + (1 - POSTURE.seated_share) * (_BETWEEN & ~_SITTING) / (
+    _BETWEEN.sum() - 1
 )
-_HEAD = [LANDMARK_NAMES.index("nose"), *_rows("ear")]
+
+_SHOULDERS, _HIPS, _KNEES, _ANKLES = (
+    side_rows(joint, among=LANDMARK_NAMES) for joint in ("shoulder", "hip", "knee", "ankle")
+)
+_HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
 
 @dataclass(frozen=True)
@@ -64,11 +51,11 @@ class EstimatedPosture:
     Parameters
     ----------
     label : str
-        The likeliest, ``unclear`` below :data:`CLEAR_FROM`.
+        The likeliest posture, or ``unclear`` if its probability is too small.
     probability : float
-        Calibrated probability of the likeliest.
+        Calibrated probability of the likeliest posture.
     shares : (10,) float64 array
-        Of each of ``POSTURES``; they sum to 1.
+        Share of each of ``POSTURES``; they sum to 1.
     """
 
     label: Posture | Literal["unclear"]
@@ -76,18 +63,19 @@ class EstimatedPosture:
     shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(POSTURES)))
 
     def share(self, postures: Sequence[Posture]) -> float:
-        """Sum of the shares of some postures."""
+        """Sum of the shares of the given postures."""
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
 def vote_posture(postures: Sequence[Posture], weights: Sequence[float]) -> NDArray[np.float64]:
-    """Let hypotheses vote.
+    """Let at least one hypothesis vote.
 
     Parameters
     ----------
     postures : sequence of str
-        Of at least one hypothesis.
+        Posture of each hypothesis.
     weights : sequence of float
+        Confidence of each hypothesis.
 
     Returns
     -------
@@ -103,30 +91,29 @@ def vote_posture(postures: Sequence[Posture], weights: Sequence[float]) -> NDArr
 def estimate_posture(
     votes: NDArray[np.float64], landmarks: Landmarks | None, presence: float = 1.0
 ) -> EstimatedPosture:
-    """Tell a posture.
+    """Estimate the posture of a person.
 
     Parameters
     ----------
     votes : (10,) float64 array
-        Of :func:`vote_posture`.
-    landmarks : Landmarks or None
-        None where none were read.
+        From :func:`vote_posture`.
     presence : float
         Probability that there is a person at all.
     """
     if landmarks is not None:
-        votes = with_grounded(
-            with_bent_legs(votes, landmarks, presence), grounded_probability(landmarks)
+        votes = with_on_ground(
+            with_bent_legs(votes, landmarks, presence), on_ground_probability(landmarks)
         )
     return posture_of(votes, presence)
 
 
 def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedPosture:
-    """The likeliest posture of shares ``(10,)``.
+    """The likeliest of the postures with shares ``(10,)``, and its probability.
 
-    The probability that its group is right is calibrated on photographs, where it is known who
-    lies, and who is on their legs; within the group the shares decide. Of who is on the ground,
-    photographs do not tell whether they lie or crawl: the probability is that of either.
+    The probability that its group is right is calibrated on photographs whose people are known to
+    be on the ground, upright, or between the two; within the group the shares decide. Those
+    photographs do not distinguish lying from crawling, so on the ground the probability is that of
+    either.
     """
     best = int(shares.argmax())
     group = next(group for group in GROUPS if POSTURES[best] in group)
@@ -134,12 +121,12 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
     probability = presence * group_probability(in_group)
     if group is not ON_THE_GROUND:
         probability *= float(shares[best]) / in_group
-    label = POSTURES[best] if probability >= CLEAR_FROM else "unclear"
+    label = POSTURES[best] if probability >= POSTURE.min_probability else "unclear"
     return EstimatedPosture(label, probability, shares)
 
 
 def group_probability(share: float) -> float:
-    """Probability that the group of the likeliest posture is right, by the group's share."""
+    """Calibrated probability that a group of postures with this share is right."""
     constants = fitted_constants("posture")
     return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
 
@@ -147,10 +134,11 @@ def group_probability(share: float) -> float:
 def with_bent_legs(
     votes: NDArray[np.float64], landmarks: Landmarks, presence: float
 ) -> NDArray[np.float64]:
-    """Votes ``(10,)`` without those for straight legs, as far as both knees are seen to be bent.
+    """Move votes ``(10,)`` from straight legs to bent ones, as far as both knees look bent.
 
-    Where no vote is for bent legs, who holds trunk and shanks upright mostly sits; else it stays
-    open whether they sit, crouch or kneel.
+    They go to the postures between upright and on the ground in proportion to their votes. Without
+    such votes, a person with upright trunk and shanks is mostly sitting; otherwise sitting,
+    crouching and kneeling stay equally likely.
     """
     bent = presence * bent_probability(landmarks)
     kept = np.where(_UPRIGHT, 1 - bent, 1.0) * votes
@@ -163,23 +151,25 @@ def _sits_upright(landmarks: Landmarks) -> bool:
     metres = landmarks.metres
     trunk = _unit(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
     shanks = [_unit(bone) for bone in metres[_ANKLES] - metres[_KNEES]]
-    return bool(min(-trunk[1], np.mean(shanks, axis=0)[1]) >= SEAT_UPRIGHT)
+    return bool(min(-trunk[1], np.mean(shanks, axis=0)[1]) >= POSTURE.min_seat_cosine)
 
 
 def bent_probability(landmarks: Landmarks) -> float:
-    """Probability that both knees are bent; 0 where a leg is not seen."""
-    hips, knees, ankles = (landmarks.metres[rows] for rows in (_HIPS, _KNEES, _ANKLES))
-    if landmarks.visibility[[*_HIPS, *_KNEES, *_ANKLES]].min() < 0.5:
+    """Probability that both knees are bent; 0 if a leg is not visible."""
+    if landmarks.visibility[[*_HIPS, *_KNEES, *_ANKLES]].min() < POSTURE.min_leg_visibility:
         return 0.0
-    cosines = [_unit(knee - hip) @ _unit(ankle - knee)
-               for hip, knee, ankle in zip(hips, knees, ankles, strict=True)]  # fmt: skip
+    hips, knees, ankles = (landmarks.metres[joint] for joint in (_HIPS, _KNEES, _ANKLES))
+    cosines = [
+        _unit(knee - hip) @ _unit(ankle - knee)
+        for hip, knee, ankle in zip(hips, knees, ankles, strict=True)
+    ]
     straighter_deg = np.rad2deg(np.arccos(np.clip(max(cosines), -1, 1)))
-    return probability_of(float(straighter_deg - BENT_FROM_DEG) / BENT_SLOPE_DEG)
+    return probability_of(float(straighter_deg - POSTURE.bent_from_deg) / POSTURE.bent_slope_deg)
 
 
-def with_grounded(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
-    """Votes ``(10,)``, scaled so that those for the ground have this probability."""
-    # Where all hypotheses lie and the landmarks do not, it stays open what they do.
+def with_on_ground(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
+    """Scale votes ``(10,)`` so that the postures on the ground have this probability."""
+    # If all hypotheses are lying and the landmarks are not, the other posture stays open.
     lying = _within(votes, _ON_THE_GROUND, _LYING)
     others = _within(votes, ~_ON_THE_GROUND, _BETWEEN)
     return np.asarray(probability * lying + (1 - probability) * others)
@@ -190,15 +180,15 @@ def _within(
     group: NDArray[np.bool_],
     stand_in: NDArray[np.bool_] | NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Shares ``(10,)`` within a group; where hardly any vote is for it, those of stand-ins."""
+    """Shares ``(10,)`` within a group; if it has hardly any votes, mostly those of stand-ins."""
     shares = np.where(group, votes, 0.0)
-    if shares.sum() < _LEAST_SHARE:
-        shares = shares + _LEAST_SHARE * stand_in / stand_in.sum()
+    if shares.sum() < POSTURE.min_group_share:
+        shares = shares + POSTURE.min_group_share * stand_in / stand_in.sum()
     return np.asarray(shares / shares.sum())
 
 
-def grounded_probability(landmarks: Landmarks) -> float:
-    """Probability that a person lies or is on all fours."""
+def on_ground_probability(landmarks: Landmarks) -> float:
+    """Probability that a person is lying or on all fours, by the landmarks alone."""
     constants = fitted_constants("grounded")
     features = (body_features(landmarks) - constants["means"]) / constants["scales"]
     odds = float(features @ np.array(constants["weights"]) + constants["offset"])
@@ -206,10 +196,10 @@ def grounded_probability(landmarks: Landmarks) -> float:
 
 
 def body_features(landmarks: Landmarks) -> NDArray[np.float64]:
-    """Geometry of a body that tells lying from all else, ``(22,)``.
+    """Features ``(22,)`` of a body that separate lying from other postures.
 
     Directions of trunk, body, thighs and shanks against the vertical, heights of head, shoulders
-    and hips, spread, and which parts are seen; left and right count alike.
+    and hips, extent, and visibility of some parts; exchanging left and right changes nothing.
     """
     metres, places = landmarks.metres, landmarks.positions
     size = (
@@ -248,8 +238,8 @@ def body_features(landmarks: Landmarks) -> NDArray[np.float64]:
     )  # fmt: skip
 
 
-def _middle(points: NDArray[np.float64], rows: list[int]) -> NDArray[np.float64]:
-    return np.asarray(points[rows].mean(axis=0))
+def _middle(points: NDArray[np.float64], joints: list[int]) -> NDArray[np.float64]:
+    return np.asarray(points[joints].mean(axis=0))
 
 
 def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:

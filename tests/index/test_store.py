@@ -1,4 +1,4 @@
-"""An index in memory: its parts fit, its search is exact, its entries are what they say."""
+"""The index in memory: consistency of its parts, search, and entries."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class TestConstruction:
                 skeleton_labels=toy_index.skeleton_labels[:5],
             )
 
-    def test_is_never_empty(self, toy_index: PoseIndex) -> None:
+    def test_empty_index_is_refused(self, toy_index: PoseIndex) -> None:
         with pytest.raises(ValueError, match="at least one entry"):
             dataclasses.replace(toy_index, entries=toy_index.entries[:0])
 
 
 class TestSearch:
     @pytest.mark.parametrize("k", [1, 20, 700, 5000])
-    def test_of_variants_equals_brute_force(self, toy_index: PoseIndex, k: int) -> None:
+    def test_search_of_variants_equals_brute_force(self, toy_index: PoseIndex, k: int) -> None:
         noise = np.random.default_rng(1).normal(0, 0.3, (6, 48)).astype(np.float32)
         queries = toy_index.vectors[:576:96] + noise
         queries = np.stack([queries, toy_index.descriptor.mirror(queries), queries[::-1]], axis=1)
@@ -83,7 +83,7 @@ class TestSearch:
 
 class TestEntries:
     @pytest.mark.parametrize("number", [0, 100, 575])
-    def test_mirror_image_is_the_mirrored_body_seen_by_its_camera(
+    def test_mirror_image_is_the_mirrored_body_in_its_camera(
         self, toy_index: PoseIndex, number: int
     ) -> None:
         entry = toy_index.entry(number, mirrored=True)
@@ -121,6 +121,6 @@ class TestEntries:
             assert (again != silhouette).mean() < 0.03
 
     @pytest.mark.parametrize("number", [-1, 576])
-    def test_there_is_no_entry_beyond_the_last(self, toy_index: PoseIndex, number: int) -> None:
+    def test_entry_out_of_range_is_refused(self, toy_index: PoseIndex, number: int) -> None:
         with pytest.raises(IndexError, match=f"expected an entry from 0 to 575, got {number}"):
             toy_index.entry(number)

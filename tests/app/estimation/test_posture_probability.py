@@ -1,4 +1,4 @@
-"""A person's posture by votes and landmarks, and which way skeletons face."""
+"""How likely a person is in each posture, by votes and landmarks."""
 
 from __future__ import annotations
 
@@ -9,21 +9,19 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from app.estimation.facing import azimuth_deg
-from app.estimation.posture import (
-    CLEAR_FROM,
+from app.estimation.parameters import POSTURE
+from app.estimation.posture_probability import (
     body_features,
     estimate_posture,
-    grounded_probability,
+    on_ground_probability,
     posture_of,
     vote_posture,
     with_bent_legs,
-    with_grounded,
+    with_on_ground,
 )
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT
-from index.search import rotate_clockwise
-from index.skeleton import camera_rotation
+from index.skeleton import rotate_clockwise, rows
 
 HEIGHTS = {
     "nose": 0.65, "eye": 0.68, "ear": 0.66, "mouth": 0.62, "shoulder": 0.5, "elbow": 0.25,
@@ -33,7 +31,7 @@ HEIGHTS = {
 
 
 def standing() -> Landmarks:
-    """Landmarks of somebody who stands and faces the camera."""
+    """Landmarks of a person standing and facing the camera."""
     metres = np.zeros((len(LANDMARK_NAMES), 3))
     for row, name in enumerate(LANDMARK_NAMES):
         part = next((key for key in HEIGHTS if key in name), "heel")
@@ -44,20 +42,18 @@ def standing() -> Landmarks:
 
 
 def turned(landmarks: Landmarks, angle_deg: float) -> Landmarks:
-    """The same, rotated in the picture."""
+    """The same person rotated in the picture."""
     angle = np.deg2rad(angle_deg)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    metres = landmarks.metres.copy()
-    metres[:, :2] = metres[:, :2] @ turn
     places = (landmarks.positions - [320, 240]) @ turn + [320, 240]
-    return Landmarks(places, landmarks.visibility, metres)
+    return Landmarks(places, landmarks.visibility, rotate_clockwise(landmarks.metres, angle_deg))
 
 
 def share(votes: NDArray[np.float64], *postures: str) -> float:
     return float(sum(votes[POSTURES.index(name)] for name in postures))  # type: ignore[arg-type]
 
 
-def test_confidence_decides_rather_than_numbers() -> None:
+def test_votes_are_weighted_by_confidence() -> None:
     votes = vote_posture(["standing", "walking", "walking"], [0.9, 0.3, 0.3])
     assert share(votes, "standing") == pytest.approx(0.6)
     assert share(votes, "walking") == pytest.approx(0.4)
@@ -67,11 +63,11 @@ def test_confidence_decides_rather_than_numbers() -> None:
     weights=st.lists(st.floats(0, 1), min_size=len(POSTURES), max_size=len(POSTURES)),
     probability=st.floats(0, 1),
 )
-def test_landmarks_decide_how_much_lies_and_votes_what_else(
+def test_landmarks_decide_the_share_on_the_ground_and_votes_the_rest(
     weights: list[float], probability: float
 ) -> None:
     votes = vote_posture(POSTURES, weights)
-    shares = with_grounded(votes, probability)
+    shares = with_on_ground(votes, probability)
     assert shares.sum() == pytest.approx(1)
     assert share(shares, *ON_THE_GROUND) == pytest.approx(probability)
     order = [i for i, name in enumerate(POSTURES) if name not in ON_THE_GROUND]
@@ -81,36 +77,39 @@ def test_landmarks_decide_how_much_lies_and_votes_what_else(
         )
 
 
-def test_who_stands_does_not_lie_and_the_same_body_on_its_side_does() -> None:
-    assert grounded_probability(standing()) < 0.05
+def test_standing_body_is_on_the_ground_once_rotated() -> None:
+    assert on_ground_probability(standing()) < 0.05
     for angle_deg in (90, -90):
-        assert grounded_probability(turned(standing(), angle_deg)) > 0.5
+        assert on_ground_probability(turned(standing(), angle_deg)) > 0.5
 
 
 @pytest.mark.parametrize("angle_deg", [-30, -15, 15, 30])
-def test_who_leans_or_is_seen_by_a_rolled_camera_does_not_lie(angle_deg: float) -> None:
-    assert grounded_probability(turned(standing(), angle_deg)) < 0.5
+def test_leaning_body_is_not_on_the_ground(angle_deg: float) -> None:
+    assert on_ground_probability(turned(standing(), angle_deg)) < 0.5
 
 
-def test_where_all_hypotheses_lie_and_the_landmarks_stand_nothing_is_told() -> None:
+def test_contradicting_hypotheses_and_landmarks_are_unclear() -> None:
     assert estimate_posture(vote_posture(["lying"], [1.0]), standing()).label == "unclear"
 
 
+def leg(side: str) -> list[int]:
+    """Rows of the landmarks from the hip to the toes."""
+    parts = ("hip", "knee", "ankle", "heel", "foot_index")
+    return rows(*(f"{side}_{part}" for part in parts), among=LANDMARK_NAMES)
+
+
 def with_knees_bent(landmarks: Landmarks, *sides: str) -> Landmarks:
-    """The same, with thighs that point at the camera."""
+    """The same person with thighs that point at the camera."""
     metres = landmarks.metres.copy()
     for side in sides:
-        hip, *below = (
-            LANDMARK_NAMES.index(f"{side}_{part}")
-            for part in ("hip", "knee", "ankle", "heel", "foot_index")
-        )
+        hip, *below = leg(side)
         metres[below, 1] -= metres[below[0], 1] - metres[hip, 1]
         metres[below, 2] -= 0.42
     return Landmarks(landmarks.positions, landmarks.visibility, metres)
 
 
 @given(weights=st.lists(st.floats(0, 1), min_size=len(POSTURES), max_size=len(POSTURES)))
-def test_only_who_bends_both_knees_does_not_stand(weights: list[float]) -> None:
+def test_only_two_bent_knees_exclude_standing(weights: list[float]) -> None:
     votes = vote_posture(POSTURES, weights)
     one = with_knees_bent(standing(), "left")
     both = with_knees_bent(standing(), "left", "right")
@@ -123,18 +122,15 @@ def test_only_who_bends_both_knees_does_not_stand(weights: list[float]) -> None:
 
 
 def with_shanks_level(landmarks: Landmarks) -> Landmarks:
-    """The same, with shanks that point away from the camera: on the knees."""
+    """The same person with shanks that point away from the camera: kneeling."""
     metres = landmarks.metres.copy()
     for side in ("left", "right"):
-        knee, *below = (
-            LANDMARK_NAMES.index(f"{side}_{part}")
-            for part in ("knee", "ankle", "heel", "foot_index")
-        )
+        _, knee, *below = leg(side)
         metres[below] = metres[knee] + [0.0, 0.0, 0.4]
     return Landmarks(landmarks.positions, landmarks.visibility, metres)
 
 
-def test_whether_bent_knees_sit_or_crouch_is_left_to_the_votes() -> None:
+def test_votes_decide_between_sitting_and_crouching() -> None:
     both = with_shanks_level(standing())
     assert estimate_posture(vote_posture(["standing"], [1.0]), both).label == "unclear"
     for other in ("sitting", "kneeling", "crouching"):
@@ -142,24 +138,25 @@ def test_whether_bent_knees_sit_or_crouch_is_left_to_the_votes() -> None:
         assert estimate_posture(votes, both).label == other
 
 
-def test_who_bends_both_knees_and_holds_trunk_and_shanks_upright_sits() -> None:
+def test_bent_knees_with_upright_trunk_and_shanks_are_sitting() -> None:
     both = with_knees_bent(standing(), "left", "right")
     assert estimate_posture(vote_posture(["standing"], [1.0]), both).label == "sitting"
     votes = vote_posture(["standing", "crouching"], [0.9, 0.1])
     assert estimate_posture(votes, both).label == "crouching"
 
 
-def test_left_and_right_count_alike() -> None:
+def test_exchanging_left_and_right_changes_no_feature() -> None:
     body = standing()
     rng = np.random.default_rng(0)
     metres = body.metres + rng.normal(0, 0.1, body.metres.shape)
     places = 200 * metres[:, :2] + [320, 240]
-    sides = [
-        LANDMARK_NAMES.index(
+    sides = rows(
+        *(
             name.replace("left", "?").replace("right", "left").replace("?", "right")
-        )
-        for name in LANDMARK_NAMES
-    ]
+            for name in LANDMARK_NAMES
+        ),
+        among=LANDMARK_NAMES,
+    )
     flipped = metres[sides] * [-1, 1, 1]
     mirrored = Landmarks(200 * flipped[:, :2] + [320, 240], body.visibility, flipped)
     assert_allclose(
@@ -168,32 +165,14 @@ def test_left_and_right_count_alike() -> None:
     )  # fmt: skip
 
 
-def test_what_is_no_person_is_unclear() -> None:
-    told = estimate_posture(vote_posture(["lying"], [0.9]), None, presence=0.02)
-    assert told.label == "unclear"
-    assert told.probability < 0.05
+def test_unlikely_person_is_unclear() -> None:
+    found = estimate_posture(vote_posture(["lying"], [0.9]), None, presence=0.02)
+    assert found.label == "unclear"
+    assert found.probability < 0.05
 
 
 @given(weights=st.lists(st.floats(0.001, 1), min_size=2, max_size=10))
-def test_a_posture_is_told_from_a_probability_of_a_half(weights: list[float]) -> None:
-    told = posture_of(vote_posture(POSTURES[: len(weights)], weights))
-    assert 0 <= told.probability <= 1
-    assert (told.label == "unclear") == (told.probability < CLEAR_FROM)
-
-
-@pytest.mark.parametrize("azimuth", [-170.0, -90.0, -30.0, 0.0, 45.0, 90.0, 179.0])
-# From above, depth is foreshortened.
-@pytest.mark.parametrize(("elevation", "atol"), [(0.0, 1e-9), (30.0, 5.0)])
-def test_azimuth_is_that_of_the_camera(azimuth: float, elevation: float, atol: float) -> None:
-    body = np.zeros((24, 3))
-    body[[5, 11], 0], body[[8, 15], 0] = 0.2, -0.2  # shoulders and hips, to the left and right
-    body[[5, 8], 1] = 0.5
-    seen = azimuth_deg(body @ camera_rotation(azimuth, elevation).T)
-    assert (seen - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=atol)
-
-
-@pytest.mark.parametrize("angle", [-135.0, -90.0, 15.0, 90.0, 180.0])
-def test_azimuth_does_not_change_as_the_picture_is_rotated(angle: float) -> None:
-    bodies = np.random.default_rng(0).normal(size=(20, 24, 3))
-    rotated = azimuth_deg(rotate_clockwise(bodies, angle))
-    assert_allclose((rotated - azimuth_deg(bodies) + 180) % 360, 180, atol=1e-6)
+def test_posture_is_reported_from_a_probability_of_one_half(weights: list[float]) -> None:
+    found = posture_of(vote_posture(POSTURES[: len(weights)], weights))
+    assert 0 <= found.probability <= 1
+    assert (found.label == "unclear") == (found.probability < POSTURE.min_probability)
