@@ -1,4 +1,4 @@
-"""The index artefact, a folder: written whole or not at all, verified when it is read."""
+"""The index artefact: a folder that is written whole or not at all, and verified when read."""
 
 from __future__ import annotations
 
@@ -13,31 +13,28 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.folders import replacing
+from index.files import ArtefactError, npy_bytes, read_array, read_bytes, replacing
 from index.reranker import FILES as RERANKER_FILES
 from index.reranker import RankingModel, load_reranker, reranker_files
 from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
 FORMAT_VERSION = 4
 MANIFEST = "manifest.json"
 
 _SILHOUETTES = "silhouettes.npy"
-"""Compressed in itself and stored as it is; every other file is compressed."""
+"""Stored as it is, since its content is compressed; every other file is compressed."""
 
 _LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
-"""Without the context of the byte before and of the place: decompresses a third faster, for 1 %
-more bytes."""
+"""Literals without context (``lc``, ``pb``): decompresses a third faster, for 1 % more bytes."""
 
 
 def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
-    How its vectors are searched is chosen by whoever loads the index.
-    A network that re-ranks is written beside it and is no part of the version.
+    A network that re-ranks is written beside it and does not count for the version.
 
     Raises
     ------
@@ -81,7 +78,7 @@ def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> st
         for name, content in stored.items():
             (folder / name).write_bytes(content)
         (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
-        # Something may have been put there since the build began.
+        # Other files may have appeared since the build began.
         check_replaceable(path)
     return version
 
@@ -106,7 +103,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def _own_names(path: Path) -> set[str]:
-    """Names of the files of an index, of this or another format; none if there is no index."""
+    """Names of the files of an index of any format; none if there is no index."""
     try:
         manifest = json.loads((path / MANIFEST).read_bytes())
         names = set(manifest["files"])
@@ -222,7 +219,7 @@ def _restore(
         for name, array in files.items()
         if name.startswith("descriptor-")
     }
-    flat = faiss.deserialize_index(np.asarray(files["descriptors.faiss"], np.uint8))
+    flat = faiss.deserialize_index(np.frombuffer(files["descriptors.faiss"], np.uint8))
     if type(flat) is not faiss.IndexFlatL2:
         raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
     vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).reshape(flat.ntotal, flat.d)

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from index.confidence import FEATURES, Calibration
+from index.files import ArtefactError, npy_bytes
 from index.network import JointNetwork
 from index.parameters import RANKING
-from index.verified_files import ArtefactError, npy_bytes
 
 FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from index import DEFAULT_PATH
 from index.artefact import check_replaceable, save_index
-from index.build.builder import CMU_ATTRIBUTION, Plan, build
+from index.build.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
 from index.build.shard_files import ShardError
-from index.build.workers import Threads, Workers, WorkersError
-from index.folders import staging
+from index.files import staging
 from scripts.results import SHARED
 
 
@@ -35,12 +35,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--views", type=int, default=Plan.views, help="views per pose and body")
     add("--seed", type=int, default=Plan.seed)
     add("--descriptor", choices=("discriminant", "paper"), default=Plan.descriptor)
-    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that draws; tcp://HOST:8786")
+    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that renders; tcp://HOST:8786")
     add(
         "--shards",
         type=Path,
         metavar="FOLDER",
-        help="keeps what is drawn, so that a build can be resumed, and is shared by a cluster; "
+        help="keeps what is rendered, so that a build can be resumed, and is shared by a cluster; "
         "by default a temporary folder beside --out",
     )
     options = parser.parse_args(arguments)
@@ -56,14 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         seed=options.seed,
         descriptor=options.descriptor,
     )
+    spec = IndexSpec(name, options.mocap, options.garments, plan, attribution)
     shards = nullcontext(options.shards) if options.shards else staging(options.out.resolve())
     try:
-        with _workers(options.scheduler) as workers:
-            index = build(
-                options.mocap, options.garments, plan, name=name, attribution=attribution,
-                workers=workers, shards=shards, progress=True, say=print,
-            )  # fmt: skip
-    except (ShardError, WorkersError) as error:
+        with _executor(options.scheduler) as executor:
+            index = build(spec, executor=executor, shards=shards, progress=True, log=print)
+    except ShardError as error:
         raise SystemExit(f"build: {error}") from None
     version = save_index(index, options.out)
     print(f"{len(index)} entries in {options.out}, {version}")
@@ -83,11 +81,11 @@ def check_apart(out: Path, others: Mapping[str, Path | None]) -> None:
             )
 
 
-def _workers(scheduler: str | None) -> AbstractContextManager[Workers]:
+def _executor(scheduler: str | None) -> AbstractContextManager[Executor | None]:
     if scheduler is None:
-        return nullcontext(Threads())
+        return nullcontext()
     try:
-        from index.build.cluster import Cluster
+        from index.build.cluster import cluster_executor
     except ModuleNotFoundError as error:
-        raise WorkersError(f"--scheduler needs the extra cluster ({error})") from error
-    return Cluster(scheduler)
+        raise ShardError(f"--scheduler needs the extra cluster ({error})") from error
+    return cluster_executor(scheduler)

@@ -23,10 +23,10 @@ from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings
 from app.vision.tflite import NetworkError
 from index.artefact import load_index
+from index.files import ArtefactError
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 
 T = TypeVar("T")
 

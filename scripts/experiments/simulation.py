@@ -1,7 +1,7 @@
 """The simulation experiment: bodies, clips and views that the index never saw.
 
 The index is built as the shipped one is, but without the held-out clips
-(:mod:`scripts.training.held_out`); descriptor and confidence are fitted to what remains. The
+(:func:`index.build.splits.hold_out`); descriptor and confidence are fitted to what remains. The
 network that re-ranks is the shipped one, which knows none of these clips either. Queries are frames
 spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, each from one random
 view of the hemisphere: upright motion, clips near the ground, and both laid down.
@@ -17,16 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture_probability import vote_posture
-from index.build.builder import Asked, simulate_queries
+from index.build.builder import QueryCounts, simulate_queries
 from index.build.calibrate import (
     Queries,
     Trial,
     expected_calibration_error,
     run_trial,
 )
-from index.build.garments import HELD_OUT_AVATARS, make_avatars
+from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
+from index.build.splits import HELD_OUT_AVATARS, hold_out
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.parameters import DEFAULT_HYPOTHESES
 from index.posture import LOW, POSTURES, classify_postures
@@ -35,9 +36,9 @@ from index.rotations import RotatedQuery, find_rotated_candidates, silhouette_ro
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 from scripts.metrics import confusion, reliability
-from scripts.training.held_out import hold_out, strict_index
+from scripts.training.held_out import strict_index
 
-ASKED = Asked(upright=4000, near_ground=2000, laid_down=1200)
+ASKED = QueryCounts(upright=4000, near_ground=2000, laid_down=1200)
 """Numbers of queries; the share of right upright ones has a standard deviation of 0.8 points."""
 
 QUERY_SEED = 99
@@ -71,7 +72,9 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     }
 
 
-def measure(index: PoseIndex, simulated: Simulation, asked: Asked = ASKED) -> dict[str, object]:
+def measure(
+    index: PoseIndex, simulated: Simulation, asked: QueryCounts = ASKED
+) -> dict[str, object]:
     """Ask an index for simulated queries, the upright ones first."""
     queries = Queries.of(simulated)
     every = run_trial(index, queries, progress=True)

@@ -24,17 +24,18 @@ from app.tracking.parameters import DEFAULTS
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.build.body import Phenotype
-from index.build.builder import Plan, build, split_by_clip
+from index.build.builder import IndexSpec, build
 from index.build.calibrate import expected_calibration_error
-from index.build.garments import CALIBRATION_AVATARS, HELD_OUT_AVATARS, Wardrobe, make_avatars
+from index.build.garments import Wardrobe, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
+from index.build.splits import CALIBRATION_AVATARS, HELD_OUT_AVATARS, hold_out, split_by_clip
 from index.confidence import RIGHT_BELOW_PX
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.film import FPS, Filmed, film
 from scripts.helpers import match_silhouettes
-from scripts.training.held_out import hold_out, strict_index
+from scripts.training.held_out import strict_index
 
 VIEWS, SEED = 4, 7
 TUNING_VIEWS, TUNING_POSITION = 3, 1
@@ -213,7 +214,8 @@ def fit(shared: Path) -> None:
     kept, _ = hold_out(read_manifest(shared / "mocap"))
     known, asked = split_by_clip(kept, position=TUNING_POSITION)
     index: PoseIndex = build(
-        shared / "mocap", shared / "garments", Plan(), name="tuning", segments=known, progress=True
+        IndexSpec("tuning", shared / "mocap", shared / "garments", segments=tuple(known)),
+        progress=True,
     )
     features, right = [], []
     for filmed in tqdm(film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)):

@@ -1,4 +1,4 @@
-"""The clips that experiments ask for: neither the shipped network nor their index knows them."""
+"""The index and network of experiments, which know no held-out clip."""
 
 from __future__ import annotations
 
@@ -8,20 +8,11 @@ from pathlib import Path
 
 from index import DEFAULT_PATH
 from index.artefact import load_index, save_index
-from index.build.builder import Plan, build, split_by_clip
+from index.build.builder import IndexSpec, build
 from index.build.motion import Segment, read_manifest
+from index.build.splits import hold_out
 from index.reranker import RankingModel, load_reranker
 from index.store import PoseIndex
-
-ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
-"""Clips near the ground whose actions have too few clips for one to be held out of each."""
-
-
-def hold_out(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]:
-    """Return the segments that may be learned from, and those that are held out."""
-    kept, _ = split_by_clip(segments)
-    clips = {s.clip for s in kept}.difference(ALSO_HELD_OUT)
-    return [s for s in segments if s.clip in clips], [s for s in segments if s.clip not in clips]
 
 
 def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
@@ -38,10 +29,8 @@ def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
     if folder is not None and folder.exists():
         index = load_index(folder)
     else:
-        index = build(
-            shared / "mocap", shared / "garments", Plan(), name="strict", segments=kept,
-            progress=True, say=print,
-        )  # fmt: skip
+        spec = IndexSpec("strict", shared / "mocap", shared / "garments", segments=tuple(kept))
+        index = build(spec, progress=True, log=print)
         if folder is not None:
             save_index(index, folder)
     return replace(index, reranker=shipped_reranker(held))

@@ -13,12 +13,13 @@ from pathlib import Path
 
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.build.joint_training import Course
+from index.build.builder import IndexSpec
+from index.build.joint_training import TrainingConfig
 from index.build.motion import read_manifest
 from index.build.reranker import train_reranker
+from index.build.splits import hold_out
 from index.reranker import save_reranker
 from scripts.results import SHARED
-from scripts.training.held_out import hold_out
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -28,18 +29,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--mocap", type=Path, default=SHARED / "mocap", help="what the index was built from")
     add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
     add("--index", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
-    add("--passes", type=float, default=Course.passes, help="over the silhouettes")
-    add("--seed", type=int, default=Course.seed)
+    add("--passes", type=float, default=TrainingConfig.passes, help="over the silhouettes")
+    add("--seed", type=int, default=TrainingConfig.seed)
     options = parser.parse_args(arguments)
     kept, _ = hold_out(read_manifest(options.mocap))
     reranker = train_reranker(
         load_index(options.index, reranked=False),
-        options.mocap,
-        options.garments,
-        kept,
-        Course(passes=options.passes, seed=options.seed),
+        IndexSpec("", options.mocap, options.garments, segments=tuple(kept)),
+        TrainingConfig(passes=options.passes, seed=options.seed),
         progress=True,
-        say=lambda line: print(line, flush=True),
+        log=lambda line: print(line, flush=True),
     )
     save_reranker(reranker, options.index)
     print(f"Written to {options.index}")

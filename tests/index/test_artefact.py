@@ -20,10 +20,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
-from index import artefact, folders
+from index import artefact, files
 from index.artefact import find_artefact, load_index, save_index
+from index.files import ArtefactError, npy_bytes
 from index.store import PoseIndex
-from index.verified_files import ArtefactError, npy_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -184,7 +184,7 @@ class TestWhatIsNoIndex:
         (neighbour / "holiday.jpg").write_bytes(b"sun")
         # The staging folder of another index, whose name begins alike.
         (saved.parent / ".artefact-2-x").mkdir()
-        (saved.parent / ".artefact-2-x" / folders.MARK).write_text("artefact-2")
+        (saved.parent / ".artefact-2-x" / files.STAGING_MARK).write_text("artefact-2")
         save_index(toy_index, saved)
         assert (neighbour / "holiday.jpg").read_bytes() == b"sun"
         assert (saved.parent / ".artefact-2-x").exists()
@@ -193,7 +193,7 @@ class TestWhatIsNoIndex:
         save_index(toy_index, tmp_path / "index[1]")
         leftover = tmp_path / ".index[1]-x"
         leftover.mkdir()
-        (leftover / folders.MARK).write_text("index[1]")
+        (leftover / files.STAGING_MARK).write_text("index[1]")
         save_index(toy_index, tmp_path / "index[1]")
         assert [p.name for p in tmp_path.iterdir()] == ["index[1]"]
 
@@ -265,14 +265,14 @@ save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
         ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False)
         assert ended.returncode == -signal.SIGKILL
         assert not saved.exists()
-        with folders.staging(saved):
+        with files.staging(saved):
             assert contents(saved) == before
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
     def test_another_save_that_is_under_way_keeps_its_files(
         self, toy_index: PoseIndex, saved: Path
     ) -> None:
-        with folders.staging(saved) as other:
+        with files.staging(saved) as other:
             (other / "shard").write_text("drawn")
             save_index(toy_index, saved)
             assert (other / "shard").exists()

@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from index.artefact import load_index, save_index
+from index.files import ArtefactError
 from index.reranker import FILES, MANIFEST, WEIGHTS, RankingModel, load_reranker, save_reranker
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 
 ROOT = Path(__file__).resolve().parents[2]
 

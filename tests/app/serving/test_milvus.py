@@ -26,10 +26,10 @@ from app.serving.milvus import ObservedNeighbours, RemoteIndex
 from app.serving.runtime import Runtime
 from app.settings import Settings
 from index.artefact import load_index, save_index
+from index.files import ArtefactError
 from index.milvus_address import MilvusAddress
 from index.search import FailureReason, Neighbours, UnavailableError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 from tests.conftest import Photo, Serving
 from tests.support.service import check_problem, eventually, sample, send
 from tests.support.videos import write_video

@@ -19,18 +19,16 @@ from index.build.body import Avatar
 from index.build.builder import (
     LAID_DOWN_SHARE,
     LOW_SHARE,
-    Asked,
     Plan,
+    QueryCounts,
     choose_poses,
-    entries_of,
     simulate_queries,
-    split,
-    split_by_clip,
     spread,
 )
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
+from index.build.splits import entries_of, split, split_by_clip
 from index.posture import LOW, POSTURES, classify_postures
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -170,7 +168,7 @@ class TestSimulateQueries:
         self, ground_motion: Path, avatars: list[Avatar]
     ) -> None:
         segments = read_manifest(ground_motion)
-        asked = Asked(upright=12, near_ground=5, laid_down=4)
+        asked = QueryCounts(upright=12, near_ground=5, laid_down=4)
         queries = simulate_queries(ground_motion, segments, avatars, asked, seed=1)
         labels = queries.skeleton_labels
         actions = [queries.actions[action] for action in labels["action"]]
@@ -182,7 +180,7 @@ class TestSimulateQueries:
 
     def test_groups_may_be_missing(self, motion_folder: Path, avatars: list[Avatar]) -> None:
         segments = read_manifest(motion_folder)
-        asked = Asked(upright=3, near_ground=5, laid_down=0)
+        asked = QueryCounts(upright=3, near_ground=5, laid_down=0)
         assert len(simulate_queries(motion_folder, segments, avatars, asked, seed=1)) == 3
 
 

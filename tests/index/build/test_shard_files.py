@@ -1,11 +1,13 @@
-"""Shards: cut anywhere they give the same bytes, and what is drawn is not drawn again."""
+"""Shards: cut anywhere they give the same bytes, and none is rendered twice."""
 
 from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,40 +16,47 @@ from index.build import shard_files
 from index.build import simulate as module
 from index.build.body import Avatar
 from index.build.poses import Poses, merged
-from index.build.shard_files import ShardError, Task, code_version, name_of, write_avatars
+from index.build.shard_files import (
+    ShardError,
+    code_version,
+    render_shard,
+    shard_name,
+    write_avatars,
+)
 from index.build.simulate import Simulation, simulate
-from index.build.workers import Result, Threads
-from index.build.workers import Task as AnyTask
+from index.build.views import Shard
 from tests.index.build.test_simulate import assert_same
 
+Task = tuple[Shard, Path, Path, str]
 
-class Noted:
-    """Threads that note what they are asked for, and stop after some."""
 
-    def __init__(self, stop_after: int | None = None) -> None:
-        self.files: list[Path] = []
-        self.shards: list[module.Shard] = []
-        self.stop_after = stop_after
+class Inline(Executor):
+    """Executor of this thread that records its calls, and fails after some."""
 
-    def map(
-        self, perform: Callable[[AnyTask], Result], tasks: Iterable[AnyTask]
-    ) -> Iterator[Result]:
-        for task in tasks:
-            if len(self.files) == self.stop_after:
-                raise InterruptedError
-            assert isinstance(task, Task)
-            self.files.append(task.file)
-            self.shards.append(task.shard)
-            yield perform(task)
+    def __init__(self, stop_after: int | None = None, call: bool = True) -> None:
+        self.calls: list[Task] = []
+        self._stop_after, self._call = stop_after, call
+
+    @property
+    def files(self) -> list[Path]:
+        return [file for _, _, file, _ in self.calls]
+
+    def submit(self, function: Callable[..., Any], /, *task: Any) -> Future[Any]:  # type: ignore[override]
+        if len(self.calls) == self._stop_after:
+            raise InterruptedError
+        self.calls.append(task)  # type: ignore[arg-type]
+        future: Future[Any] = Future()
+        future.set_result(function(*task) if self._call else len(task[0]))
+        return future
 
 
 @pytest.fixture(scope="module")
 def some(poses: Poses, laid: Poses) -> Poses:
-    """Recorded poses and some laid down, mixed."""
+    """Recorded and laid-down poses, mixed."""
     return merged([poses.take(np.arange(0, 14)), laid.take(np.arange(6)), poses.take([20, 47])])
 
 
-def drawn(some: Poses, avatars: list[Avatar], **settings: object) -> Simulation:
+def rendered(some: Poses, avatars: list[Avatar], **settings: object) -> Simulation:
     return simulate(
         some, avatars, bodies=2, views=3, seed=5, only_new=True, **settings  # type: ignore[arg-type]
     )  # fmt: skip
@@ -58,11 +67,11 @@ def test_same_bytes_in_shards_of_any_size(
     some: Poses, avatars: list[Avatar], size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert len(some) == 22
-    whole = drawn(some, avatars)
+    whole = rendered(some, avatars)
     monkeypatch.setattr(module, "SHARD_POSES", size)
-    workers = Noted()
-    assert_same(drawn(some, avatars, workers=workers), whole)
-    assert len(workers.files) == -(-22 // size)
+    executor = Inline()
+    assert_same(rendered(some, avatars, executor=executor), whole)
+    assert len(executor.files) == -(-22 // size)
 
 
 class TestResume:
@@ -70,36 +79,41 @@ class TestResume:
     def _small_shards(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "SHARD_POSES", 4)
 
-    def test_an_interrupted_simulation_goes_on_where_it_was(
+    def test_an_interrupted_simulation_is_resumed(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path
     ) -> None:
-        first, second = Noted(stop_after=2), Noted()
+        first, second = Inline(stop_after=2), Inline()
         with pytest.raises(InterruptedError):
-            drawn(some, avatars, workers=first, folder=tmp_path)
-        resumed = drawn(some, avatars, workers=second, folder=tmp_path)
+            rendered(some, avatars, executor=first, folder=tmp_path)
+        resumed = rendered(some, avatars, executor=second, folder=tmp_path)
         assert (len(first.files), len(second.files)) == (2, 4)
         assert not set(first.files) & set(second.files)
-        assert_same(resumed, drawn(some, avatars))
+        assert_same(resumed, rendered(some, avatars))
 
     def test_other_inputs_are_other_files(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        def asked(avatars: list[Avatar], **settings: int) -> set[Path]:
-            workers = Noted()
+        def files_of(avatars: list[Avatar], **settings: int) -> set[Path]:
+            executor = Inline()
             simulate(
                 some, avatars, **{"bodies": 1, "views": 2, "seed": 5, **settings},  # type: ignore[arg-type]
-                workers=workers, folder=tmp_path,
+                executor=executor, folder=tmp_path,
             )  # fmt: skip
-            return set(workers.files)
+            return set(executor.files)
 
         taller = [dataclasses.replace(a, vertices=a.vertices * 1.01) for a in avatars]
-        files = [asked(avatars), asked(avatars, seed=6), asked(avatars, views=3), asked(taller)]
+        files = [
+            files_of(avatars),
+            files_of(avatars, seed=6),
+            files_of(avatars, views=3),
+            files_of(taller),
+        ]
         monkeypatch.setattr(shard_files, "code_version", lambda: "another")
         monkeypatch.setattr(module, "code_version", lambda: "another")
-        files.append(asked(avatars))
+        files.append(files_of(avatars))
         assert len(set.union(*files)) == sum(map(len, files)) == 5 * 6
 
-    def test_what_was_never_finished_is_not_read(
+    def test_an_unfinished_file_is_not_read(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def killed(self: Path, target: Path) -> None:
@@ -110,62 +124,60 @@ class TestResume:
             patched.setattr(Path, "replace", killed)
             patched.setattr(Path, "unlink", lambda self, missing_ok: None)
             with pytest.raises(InterruptedError):
-                drawn(some, avatars, workers=Noted(), folder=tmp_path)
+                rendered(some, avatars, executor=Inline(), folder=tmp_path)
         assert len(list(tmp_path.glob(".unfinished-*"))) == 1
-        workers = Noted()
-        assert_same(drawn(some, avatars, workers=workers, folder=tmp_path), drawn(some, avatars))
-        assert len(workers.files) == 6
+        executor = Inline()
+        assert_same(
+            rendered(some, avatars, executor=executor, folder=tmp_path), rendered(some, avatars)
+        )
+        assert len(executor.files) == 6
 
     def test_a_damaged_shard_is_named(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path
     ) -> None:
-        workers = Noted()
-        drawn(some, avatars, workers=workers, folder=tmp_path)
-        content = bytearray(workers.files[3].read_bytes())
+        executor = Inline()
+        rendered(some, avatars, executor=executor, folder=tmp_path)
+        content = bytearray(executor.files[3].read_bytes())
         content[len(content) // 2] ^= 1
-        workers.files[3].write_bytes(content)
-        with pytest.raises(ShardError, match=f"{workers.files[3].name} is damaged"):
-            drawn(some, avatars, folder=tmp_path)
+        executor.files[3].write_bytes(content)
+        with pytest.raises(ShardError, match=f"{executor.files[3].name} is damaged"):
+            rendered(some, avatars, folder=tmp_path)
 
-    def test_a_worker_that_writes_elsewhere_is_told(
+    def test_a_shard_written_elsewhere_is_missing(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path
     ) -> None:
-        class Elsewhere(Threads):
-            def map(self, perform: object, tasks: Iterable[AnyTask]) -> Iterator[int]:  # type: ignore[override]
-                for task in tasks:
-                    assert isinstance(task, Task)
-                    yield len(task.shard)
-
         with pytest.raises(ShardError, match="is missing: the folder of the shards must be shared"):
-            drawn(some, avatars, workers=Elsewhere(), folder=tmp_path)
+            rendered(some, avatars, executor=Inline(call=False), folder=tmp_path)
 
 
-class TestPerform:
+class TestRenderShard:
     @pytest.fixture
     def task(self, some: Poses, avatars: list[Avatar], tmp_path: Path) -> Task:
-        workers = Noted()
-        drawn(some, avatars, workers=workers, folder=tmp_path)
-        file, code = write_avatars(avatars, tmp_path), code_version()
-        name = name_of(workers.shards[0], file, code)
-        assert (tmp_path / name).resolve() == workers.files[0]
-        return Task(workers.shards[0], file, tmp_path / name, code)
+        executor = Inline()
+        rendered(some, avatars, executor=executor, folder=tmp_path)
+        shard, file, path, _ = executor.calls[0]
+        assert file == write_avatars(avatars, tmp_path)
+        assert path == tmp_path / shard_name(shard, file, code_version())
+        return executor.calls[0]
 
     def test_writes_the_same_bytes_again(self, task: Task) -> None:
-        before = task.file.read_bytes()
-        task.file.unlink()
-        assert shard_files.perform(task) == len(task.shard)
-        assert task.file.read_bytes() == before
+        shard, _, file, _ = task
+        before = file.read_bytes()
+        file.unlink()
+        assert render_shard(*task) == len(shard)
+        assert file.read_bytes() == before
 
     def test_refuses_other_code(self, task: Task) -> None:
-        task.file.unlink()
+        shard, avatars, file, _ = task
+        file.unlink()
         with pytest.raises(ShardError, match=r"other code .* than this build \(old\)"):
-            shard_files.perform(dataclasses.replace(task, code="old"))
-        assert not task.file.exists()
+            render_shard(shard, avatars, file, "old")
+        assert not file.exists()
 
-    def test_says_where_the_folder_is_not_shared(self, task: Task, tmp_path: Path) -> None:
-        missing = dataclasses.replace(task, avatars=tmp_path / "none" / task.avatars.name)
+    def test_reports_a_folder_that_is_not_shared(self, task: Task, tmp_path: Path) -> None:
+        shard, avatars, file, code = task
         with pytest.raises(ShardError, match="must be shared by all"):
-            shard_files.perform(missing)
+            render_shard(shard, tmp_path / "none" / avatars.name, file, code)
 
 
 def test_code_version_is_that_of_the_sources(
