@@ -20,13 +20,9 @@ from app.tracking.session import CameraSession
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
 from index.matching import Hypothesis
+from index.parameters import DEFAULT_HYPOTHESES
 from index.rotations import RotatedQuery
-from index.skeleton import LIMBS, POINT_NAMES
 from index.store import PoseIndex
-
-HYPOTHESES = 7
-LIMB_POINTS = [POINT_NAMES.index(name) for name in LIMBS]
-"""Rows of the limbs among the points of a hypothesis."""
 
 
 def estimate(
@@ -34,7 +30,7 @@ def estimate(
 ) -> tuple[Person, ...]:
     """Estimate the people of a photograph, encoded or as BGR pixels, or those in some boxes."""
     upload = Upload(photograph, boxes=boxes or None)
-    return estimator.estimate(upload, HYPOTHESES, Job()).persons
+    return estimator.estimate(upload, DEFAULT_HYPOTHESES, Job()).persons
 
 
 def find_people(
@@ -47,7 +43,7 @@ def find_people(
 
 def track(session: CameraSession, frame: NDArray[np.uint8], timestamp: float) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
-    return session.process(Upload(encoded(frame)), timestamp, HYPOTHESES, Job())
+    return session.process(Upload(encoded(frame)), timestamp, DEFAULT_HYPOTHESES, Job())
 
 
 def encoded(frame: NDArray[np.uint8]) -> bytes:

@@ -26,10 +26,10 @@ from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
 from index import DEFAULT_PATH
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
 from scripts.outputs import check_outputs
 
-HYPOTHESES = 7
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
 EVENT_SHOWN_S = 2.0
 _USUAL_FPS = 25.0
@@ -126,7 +126,7 @@ def annotated(
     """Follow the people of a video and yield its frames with what is known of them."""
     session, annotator = CameraSession(estimator), Annotator()
     for timestamp, pixels in islice(frames_of(video, stride), max_frames):
-        tracked = session.process(Upload(pixels), timestamp, HYPOTHESES, Job())
+        tracked = session.process(Upload(pixels), timestamp, DEFAULT_HYPOTHESES, Job())
         yield annotator.draw(tracked)
 
 

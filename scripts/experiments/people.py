@@ -27,7 +27,7 @@ from app.tracking.session import CameraSession
 from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND
-from index.skeleton import LIMBS, POINT_NAMES
+from index.skeleton import LIMB_ROWS, LIMBS, POINT_NAMES
 from scripts.datasets import (
     Athlete,
     Photograph,
@@ -37,7 +37,7 @@ from scripts.datasets import (
     read_pennfudan,
     read_pose2sim_joints,
 )
-from scripts.helpers import LIMB_POINTS, encoded, estimate, track
+from scripts.helpers import encoded, estimate, track
 
 MIN_CUT_PX, SAME_PERSON = 180, 0.3
 """Minimum height of people who are cut off, and minimum overlap (IoU) of a box with theirs."""
@@ -159,7 +159,7 @@ def score_athlete(one: Athlete, person: Person) -> tuple[float, float, float]:
     trunk = np.linalg.norm(one.limbs[[0, 1]] - one.limbs[[7, 6]], axis=1).max()
     read, first = (
         float((np.linalg.norm(p - one.limbs, axis=1)[one.visible] < NEAR_OF_TRUNK * trunk).mean())
-        for p in (landmarks.positions[_LANDMARKS], person.hypotheses[0].points_2d[LIMB_POINTS])
+        for p in (landmarks.positions[_LANDMARKS], person.hypotheses[0].points_2d[LIMB_ROWS])
     )
     return 1.0, read, first
 
@@ -206,7 +206,7 @@ def score_cut(
     person = _person_at(box, estimate(estimator, encoded(cut)))
     if person is None or not person.hypotheses or person.observed.silhouette is None:
         return 0.0, np.nan, np.nan, 0.0
-    apart = person.hypotheses[0].points_2d[LIMB_POINTS] + [0, top] - truth
+    apart = person.hypotheses[0].points_2d[LIMB_ROWS] + [0, top] - truth
     right = np.linalg.norm(apart, axis=1) < NEAR_OF_HEIGHT * tallest.height
     inside = (truth[:, 1] > top) & (truth[:, 1] < bottom)
     seen, unseen = (float(right[k].mean()) if k.any() else np.nan for k in (inside, ~inside))
@@ -283,7 +283,7 @@ def _generous_box(joints: NDArray[np.float64]) -> Box:
 
 def error_mm(points_3d: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
     """Return the mean distance of the limb joints about the hips, in millimetres."""
-    apart = about_hips(points_3d[LIMB_POINTS]) - about_hips(truth)
+    apart = about_hips(points_3d[LIMB_ROWS]) - about_hips(truth)
     return float(1000 * np.linalg.norm(apart, axis=1).mean())
 
 

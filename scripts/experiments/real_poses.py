@@ -21,9 +21,9 @@ from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
 from app.vision.silhouettes import silhouettes_of
 from descriptor.silhouette import normalise
-from index.skeleton import LIMBS, wrap_degrees
+from index.parameters import DEFAULT_HYPOTHESES
+from index.skeleton import LIMB_ROWS, LIMBS, wrap_degrees
 from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
-from scripts.helpers import HYPOTHESES, LIMB_POINTS
 
 SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
 WAYS = (SILHOUETTE, LANDMARKS, BOTH)
@@ -132,9 +132,9 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.keypoints() is None:
             return None
-        return fit_poses(estimator.index, person, normalised, HYPOTHESES)
+        return fit_poses(estimator.index, person, normalised, DEFAULT_HYPOTHESES)
     scene = Scene(shown.frame, (person,))
-    return estimator.with_hypotheses(scene, HYPOTHESES, Job())[0]
+    return estimator.with_hypotheses(scene, DEFAULT_HYPOTHESES, Job())[0]
 
 
 def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:
@@ -151,8 +151,8 @@ def judge(shown: Shown, person: Person) -> Trial:
     """Compare a person's hypotheses with the reference."""
     reference = shown.reference
     scale = normalise(shown.silhouette.crop)[1].scale
-    points_2d = np.array([one.points_2d[LIMB_POINTS] for one in person.hypotheses])
-    points_3d = about_hips(np.array([one.points_3d[LIMB_POINTS] for one in person.hypotheses]))
+    points_2d = np.array([one.points_2d[LIMB_ROWS] for one in person.hypotheses])
+    points_3d = about_hips(np.array([one.points_3d[LIMB_ROWS] for one in person.hypotheses]))
     apart = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
     front = np.cos(np.deg2rad(azimuth)) > 0

@@ -37,7 +37,7 @@ from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.confidence import RIGHT_BELOW_PX
 from index.parameters import RANKING
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, camera_up, classify_postures
-from index.skeleton import LIMBS, POINT_NAMES, camera_rotation, rotate_clockwise
+from index.skeleton import LIMB_ROWS, LIMBS, POINT_NAMES, camera_rotation, rotate_clockwise
 from index.store import PoseIndex
 from scripts.datasets import (
     Marks,
@@ -49,7 +49,7 @@ from scripts.datasets import (
     read_street_people,
     read_vtest,
 )
-from scripts.helpers import LIMB_POINTS, estimate
+from scripts.helpers import estimate
 from scripts.metrics import rightness
 from scripts.results import SHARED
 
@@ -347,7 +347,7 @@ def confidence_samples(
             return
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
-            errors = np.linalg.norm(placed.points_2d[LIMB_POINTS] - joints, axis=1)[seen]
+            errors = np.linalg.norm(placed.points_2d[LIMB_ROWS] - joints, axis=1)[seen]
             agreement = -RANKING.distance_weight * float(np.log(max(placed.distance, 1e-9)))
             features.append((agreement, placed.adjusted_m))
             right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
