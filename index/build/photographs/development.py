@@ -1,0 +1,72 @@
+"""From linear light to the bytes of a photograph: exposure, lens, sensor, compression."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Generator = np.random.Generator
+
+DARK, INFRARED, GREY = 0.08, 0.06, 0.06
+"""Shares of pictures that are dark, taken in infrared, or grey."""
+
+
+def develop(
+    light: NDArray[np.float32], size: tuple[int, int], generator: Generator
+) -> NDArray[np.uint8]:
+    """Take a picture.
+
+    Parameters
+    ----------
+    light : (H, W, 3) float32 array
+        Linear RGB, about 1 where it is bright.
+    size : tuple of int
+        Width and height of the picture, pixels.
+    generator : Generator
+
+    Returns
+    -------
+    (height, width, 3) uint8 array
+        BGR.
+    """
+    picture = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), np.float32)
+    if generator.random() < 0.25:
+        blur = generator.uniform(0.3, 0.9)
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur), np.float32)
+    if generator.random() < 0.15:
+        picture = _smeared(picture, generator)
+    level = float(np.quantile(picture, 0.92)) + 1e-3
+    gain = generator.uniform(0.35, 1.0) / level
+    chance = generator.random()
+    if chance < DARK:
+        gain *= generator.uniform(0.06, 0.4)
+    if DARK < chance < DARK + INFRARED:
+        mixed = picture @ np.array([0.5, 0.3, 0.2], np.float32)
+        mixed = mixed ** generator.uniform(0.6, 0.9)
+        picture = np.repeat((mixed / mixed.max())[..., None] * level, 3, axis=2)
+    colour = generator.uniform(0.9, 1.1, 3)
+    bent = picture * (gain * colour).astype(np.float32)
+    # The shoulder of the film: highlights are rounded off.
+    bent = np.where(bent > 0.7, 0.7 + 0.3 * np.tanh((bent - 0.7) / 0.3), bent)
+    tones = 255 * np.clip(bent, 0, 1) ** (1 / generator.uniform(1.9, 2.5))
+    contrast = generator.uniform(0.85, 1.15)
+    tones = (tones - 110) * contrast + 110 + generator.uniform(-8, 8)
+    noise = generator.standard_normal(tones.shape, np.float32)
+    tones = tones + np.float32(generator.choice([0.5, 2, 5, 9])) * noise
+    if generator.random() < 0.25:
+        tones = np.asarray(cv2.GaussianBlur(tones, (0, 0), 0.5), tones.dtype)
+    image = np.clip(tones, 0, 255).astype(np.uint8)[..., ::-1]
+    if chance < DARK + INFRARED + GREY and chance > DARK + INFRARED:
+        image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    if generator.random() < 0.8:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(generator.integers(25, 96))]
+        image = cv2.imdecode(cv2.imencode(".jpg", np.ascontiguousarray(image), quality)[1], 1)
+    return np.ascontiguousarray(image)
+
+
+def _smeared(picture: NDArray[np.float32], generator: Generator) -> NDArray[np.float32]:
+    """Motion blur."""
+    reach = int(generator.integers(2, 6))
+    size = (reach, 1) if generator.random() < 0.7 else (1, reach)
+    return np.asarray(cv2.blur(picture, size), np.float32)

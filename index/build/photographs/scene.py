@@ -1,0 +1,533 @@
+"""One photograph: a body in a pose, what carries and hides it, a room, light, a camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from index.build.body import about_vertical, pose_transforms, posed_points, retarget
+from index.build.photographs import furniture
+from index.build.photographs.cameras import Camera, sample_camera
+from index.build.photographs.development import develop
+from index.build.photographs.materials import Materials
+from index.build.photographs.meshes import Mesh, joined
+from index.build.photographs.people import (
+    MIRRORED,
+    Person,
+    cast,
+    person_materials,
+    posed_landmarks,
+)
+from index.build.photographs.posing import (
+    CLASSES,
+    SHARES,
+    PoseSource,
+    classes_of,
+    read_pose_source,
+)
+from index.build.photographs.raster import (
+    NOTHING,
+    paint_room,
+    rasterise,
+    shade,
+    shadow_map,
+    vertex_normals,
+)
+from index.build.photographs.rooms import Room, build_room
+from index.build.poses import TRUNK_BELOW_M
+from index.build.render import skin
+from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
+
+HEIGHTS_PX = (30.0, 400.0)
+"""Longest extent of the body in the picture."""
+
+USUALLY_ABOVE_PX = 55.0
+"""Most people are larger: little is to be learned from those of whom little is seen."""
+
+MARGIN = 0.95
+"""The picture is the frame's part about the body: so many of its extents each way."""
+
+MIN_DEPTH_M, NEAREST_M = 0.12, 0.35
+"""Things nearer to the camera than the first are not drawn; people are not nearer than the second.
+"""
+
+EMPTY = -1
+"""Class of pictures that show nobody."""
+
+_SHADOW_PIXELS, _SHADOW_REACH_M = 256, 2.6
+_NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A picture and what it shows.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+        BGR; the part of the frame about the subject.
+    focal, centre : (2,) float64 array
+        Focal lengths and principal point, pixels; the point may lie outside the picture.
+    frame_px : (2,) float64 array
+        Width and height of the whole frame, about the principal point.
+    box : (4,) float64 array
+        Left, top, width, height of what is seen of the subject.
+    posture : int
+        Position in :data:`index.build.photographs.posing.CLASSES`; :data:`EMPTY` without people.
+    landmarks : (33, 3) float64 array
+        Camera axes, metres from the camera; NaN without people.
+    places : (33, 2) float64 array
+        Where they are in the picture, pixels.
+    shown : (33,) bool array
+        Whether each is in the picture, and no thing is in front of it.
+    joints : (19, 3) float64 array
+        As landmarks, of the index.
+    up : (3,) float64 array
+        Away from the ground, camera axes.
+    covered : float
+        Share of the body's pixels that things hide or the frame cuts.
+    """
+
+    image: NDArray[np.uint8]
+    focal: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    frame_px: NDArray[np.float64]
+    box: NDArray[np.float64]
+    posture: int
+    landmarks: NDArray[np.float64]
+    places: NDArray[np.float64]
+    shown: NDArray[np.bool_]
+    joints: NDArray[np.float64]
+    up: NDArray[np.float64]
+    covered: float
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A posed body in world axes, its pelvis over the origin."""
+
+    mesh: Mesh
+    landmarks: NDArray[np.float64]
+    joints: NDArray[np.float64]
+    posture: int
+    seat: float
+
+    def placed(self, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Mesh:
+        return self.mesh.placed(turn, shift)
+
+
+@dataclass
+class Studio:
+    """Takes photographs; the same ones for the same seed.
+
+    Parameters
+    ----------
+    people : list of Person
+    source : PoseSource
+    """
+
+    people: list[Person]
+    source: PoseSource
+
+    @classmethod
+    def open(cls, motion: Path, garments: Path, count: int, seed: int, *, held_out: bool) -> Studio:
+        """With ``count`` people; clips, bodies and garments are held out or the others.
+
+        Raises
+        ------
+        MotionError, GarmentError
+            If motion or garments are missing or malformed.
+        """
+        people = cast(count, seed, garments, held_out=held_out)
+        return cls(people, read_pose_source(motion, people[0].avatar, held_out=held_out))
+
+    def take(self, generator: np.random.Generator, *, empty: bool = False) -> Photograph:
+        """Take one photograph, of somebody or of things alone."""
+        wanted = str(generator.choice(list(SHARES), p=list(SHARES.values())))
+        while True:
+            materials = Materials()
+            made = (
+                self._still_life(materials, generator)
+                if empty
+                else self._portrait(wanted, materials, generator)
+            )
+            if made is not None:
+                return made
+
+    def _portrait(
+        self, wanted: str, materials: Materials, generator: np.random.Generator
+    ) -> Photograph | None:
+        body = self._body(wanted, materials, generator)
+        if body is None:
+            return None
+        floor, around = _support(wanted, body, materials, generator)
+        things = list(around)
+        if generator.random() < 0.08:
+            other = self._body("standing", materials, generator)
+            if other is not None:
+                turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
+                away = generator.uniform(0.7, 2.5) * _level(generator)
+                low = float(other.mesh.vertices[:, 1].min())
+                things.append(other.placed(turn, away + np.array([0, floor - low, 0])))
+        return _photograph(body.mesh, body, things, floor, materials, generator)
+
+    def _still_life(
+        self, materials: Materials, generator: np.random.Generator
+    ) -> Photograph | None:
+        makers = furniture.SUBJECTS
+        subject = makers[generator.integers(len(makers))](materials, generator)
+        turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
+        raised = generator.choice([0.0, generator.uniform(0, 0.8)])
+        subject = subject.placed(turn, [0.0, raised, 0.0])
+        return _photograph(subject, None, [], 0.0, materials, generator)
+
+    def _body(
+        self, wanted: str, materials: Materials, generator: np.random.Generator
+    ) -> _Body | None:
+        """A body in a pose of a class; None where the pose came out as another."""
+        person = self.people[generator.integers(len(self.people))]
+        pose = self.source.draw(wanted, generator)
+        turned = pose_transforms(
+            person.avatar, retarget(pose.clip, person.avatar), pose.rotations[None]
+        )
+        joints = posed_points(person.avatar, turned)[0]
+        posture = int(classes_of(joints[None])[0])
+        if pose.carried and CLASSES[posture] in ("bending", "crouching"):
+            posture = CLASSES.index("sitting")
+        if CLASSES[posture] != wanted or (wanted == "lying" and not _rests(joints)):
+            return None
+        moved = np.ascontiguousarray(turned[0], np.float32)
+        vertices = skin(person.vertices, person.influences, person.weights, moved)
+        landmarks = posed_landmarks(person, turned[0])
+        if generator.random() < 0.5:
+            flip = np.array([-1.0, 1.0, 1.0])
+            vertices, landmarks = vertices * flip, (landmarks * flip)[MIRRORED]
+            joints = exchange_sides(joints) * flip
+        rows = person_materials(materials, generator)
+        mesh = Mesh(
+            np.ascontiguousarray(vertices, np.float32), person.vertices, person.triangles,
+            rows[person.parts],
+        )  # fmt: skip
+        seat = float(np.quantile(vertices[person.seat, 1], 0.02))
+        return _Body(mesh, landmarks, joints[:JOINTS], posture, seat)
+
+
+def _rests(joints: NDArray[np.float64]) -> bool:
+    """Whether the trunk of a body that lies is on the ground rather than on the limbs."""
+    trunk = joints[[_PELVIS, JOINT_NAMES.index("chest")], 1]
+    return bool(trunk.max() - joints[:JOINTS, 1].min() < TRUNK_BELOW_M)
+
+
+def _level(generator: np.random.Generator) -> NDArray[np.float64]:
+    angle = generator.uniform(0, 2 * np.pi)
+    return np.array([np.sin(angle), 0.0, np.cos(angle)])
+
+
+def _support(
+    wanted: str, body: _Body, materials: Materials, generator: np.random.Generator
+) -> tuple[float, list[Mesh]]:
+    """Height of the floor, and what somebody sits on, at or lies on."""
+    vertices = body.mesh.vertices
+    low = float(vertices[:, 1].min())
+    if wanted == "sitting":
+        things = []
+        floor = low
+        if body.seat - low > 0.2:
+            if generator.random() < 0.15:
+                floor -= generator.uniform(0, 0.25)
+            near = np.abs(vertices[:, 1] - body.seat - 0.2) < 0.2
+            behind = float(np.quantile(vertices[near, 2], 0.02)) - 0.02
+            things.append(furniture.chair(floor, body.seat + 0.01, behind, materials, generator))
+            if generator.random() < 0.3:
+                lap = float(vertices[vertices[:, 2] > 0.15][:, 1].min(initial=0.0))
+                top = max(floor + generator.uniform(0.62, 0.8), min(0.12, lap + 0.3))
+                near_z = generator.uniform(0.2, 0.5)
+                things.append(furniture.desk(floor, top, near_z, materials, generator))
+        elif generator.random() < 0.4:
+            floor -= generator.uniform(0.25, 0.6)
+            chair = furniture.chair(floor, low + 0.02, -0.6, materials, generator)
+            things.append(chair)
+        return floor, things
+    if wanted == "lying" and generator.random() < 0.5:
+        floor = low - generator.choice([generator.uniform(0.02, 0.1), generator.uniform(0.25, 0.7)])
+        axis = body.joints[_NECK] - body.joints[_PELVIS]
+        # Turned so that the head points to -z.
+        turn = about_vertical(np.array([-np.arctan2(-axis[0], -axis[2])]))[0]
+        along = vertices @ turn.T
+        ends = (float(along[:, 2].min()), float(along[:, 2].max()))
+        things = [furniture.bed(floor, low + 0.03, ends, materials, generator)]
+        if generator.random() < 0.3:
+            share = generator.uniform(0.25, 0.8)
+            things.append(furniture.blanket(along, low + 0.03, share, materials, generator))
+        return floor, [thing.placed(turn.T, np.zeros(3)) for thing in things]
+    return low, []
+
+
+def _clutter(
+    camera: Camera, target: NDArray[np.float64], floor: float, hides: bool,
+    materials: Materials, generator: np.random.Generator,
+) -> list[Mesh]:  # fmt: skip
+    """Things about a target, and one in front of it where it is to be hidden in part."""
+    things = []
+    to_camera = (camera.place - target) * [1, 0, 1]
+    distance = float(np.linalg.norm(to_camera))
+    for number in range(generator.integers(0, 6)):
+        makers = furniture.CLUTTER
+        thing = makers[generator.integers(len(makers))](materials, generator)
+        turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
+        ground = np.array([target[0], floor, target[2]])
+        if hides and number == 0:
+            share = generator.uniform(0.25, 0.6)
+            aside = np.cross(to_camera / max(distance, 1e-6), [0, 1, 0]) * generator.normal(0, 0.5)
+            place = ground + share * to_camera + aside
+            things.append(thing.placed(turn, place))
+            continue
+        place = ground + generator.uniform(0.9, 4.5) * _level(generator)
+        # Not in the way, nor about the camera.
+        along = np.clip((place - ground) @ to_camera / max(distance**2, 1e-6), 0, 1)
+        radius = float(np.abs(thing.vertices[:, [0, 2]]).max())
+        if np.linalg.norm(place - ground - along * to_camera) > 0.5 + radius:
+            things.append(thing.placed(turn, place))
+    return things
+
+
+def _light(room: Room, generator: np.random.Generator) -> NDArray[np.float32]:
+    """Directions, colours and softness, see :func:`index.build.photographs.raster.shade`."""
+    first, second = generator.normal(size=3), generator.normal(size=3)
+    first[1] = abs(first[1]) + 0.4
+    first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)
+    warm = generator.uniform(0.85, 1.15, 3)
+    if room.outdoors:
+        sky, direct = generator.uniform(0.4, 0.9), generator.uniform(0.0, 1.4)
+        softness = generator.uniform(0.5, 3)
+    else:
+        sky, direct = generator.uniform(0.35, 1.0), generator.uniform(0.1, 0.9)
+        softness = generator.uniform(2, 12)
+    return np.array(
+        [*first, *second, *(sky * generator.uniform(0.92, 1.08, 3)), *(direct * warm),
+         generator.uniform(0, 0.3), softness],
+        np.float32,
+    )  # fmt: skip
+
+
+def _photograph(
+    subject: Mesh,
+    body: _Body | None,
+    things: list[Mesh],
+    floor: float,
+    materials: Materials,
+    generator: np.random.Generator,
+) -> Photograph | None:
+    """Furnish the scene, take the picture and say what it shows; None where little is seen."""
+    low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
+    target = np.asarray((low + high) / 2, np.float64)
+    camera = sample_camera(target, floor, generator)
+    seen = camera.seen(subject.vertices)
+    if seen[:, 2].min() < NEAREST_M:
+        return None
+    plane = seen[:, :2] / seen[:, 2:]
+    first, last = plane.min(axis=0), plane.max(axis=0)
+    extent = float((last - first).max())
+    edge = camera.half / camera.focal
+    inside = (np.abs(plane) < edge).all(axis=1).mean()
+    if extent > 6 or inside < 0.3:
+        return None
+    hides = bool(generator.random() < 0.16)
+    things = things + _clutter(camera, target, floor, hides, materials, generator)
+    room = build_room(np.stack([camera.place, low, high]), floor, generator)
+    light = _light(room, generator)
+    smallest, largest = HEIGHTS_PX
+    if generator.random() < 0.88:
+        smallest = USUALLY_ABOVE_PX
+    pixels = float(np.exp(generator.uniform(np.log(smallest), np.log(largest))))
+    finer = 1.0 if pixels > 200 else 1.5 if pixels > 110 else 2.0 if pixels > 60 else 3.0
+    drawn = min(pixels, 320.0) * finer
+    middle = (first + last) / 2
+    begin = np.maximum(middle - MARGIN * extent, -edge)
+    end = np.minimum(middle + MARGIN * extent, edge)
+    scale = drawn / extent
+    columns, rows = np.ceil((end - begin) * scale).astype(int).tolist()
+    if min(columns, rows) < 0.3 * drawn:
+        return None
+    centre = -begin * scale - 0.5
+    scene = joined([subject, *things])
+    view = _Drawing(camera, float(scale), centre, (rows, columns))
+    picture, nearness, shown = view.draw(scene, room, light, target, materials, generator)
+    own = (shown != NOTHING) & (shown < len(subject.triangles))
+    whole = view.covers(subject)
+    if own.sum() < 60 or whole < 1:
+        return None
+    covered = 1.0 - float(own.sum()) / whole
+    if covered > 0.85:
+        return None
+    squeeze = _pixel_aspect(generator)
+    size = (max(8, round(columns / finer * squeeze)), max(8, round(rows / finer)))
+    image = develop(picture, size, generator)
+    ratio = np.array([size[0] / columns, size[1] / rows])
+    own_rows, own_columns = np.nonzero(own)
+    box_low = np.array([own_columns.min(), own_rows.min()]) * ratio - 0.5
+    box_high = np.array([own_columns.max() + 1, own_rows.max() + 1]) * ratio - 0.5
+    focal = scale * ratio
+    centre_px = (centre + 0.5) * ratio - 0.5
+    nobody = np.full((33, 3), np.nan)
+    landmarks = camera.seen(body.landmarks) if body else nobody
+    places = landmarks[:, :2] / landmarks[:, 2:] * focal + centre_px
+    return Photograph(
+        image,
+        focal,
+        centre_px,
+        2 * edge * focal,
+        np.concatenate([box_low, box_high - box_low]),
+        body.posture if body else EMPTY,
+        landmarks,
+        places,
+        _shown(landmarks, view, nearness, shown, len(subject.triangles)),
+        camera.seen(body.joints) if body else np.full((JOINTS, 3), np.nan),
+        camera.rotation @ np.array([0.0, 1.0, 0.0]),
+        covered,
+    )
+
+
+def _pixel_aspect(generator: np.random.Generator) -> float:
+    """Width of a pixel's share of the picture over its height: seldom not 1."""
+    if generator.random() < 0.93:
+        return 1.0
+    return float(generator.choice([0.75, 1.33, 0.9, 1.1, 0.5]))
+
+
+def _shown(
+    landmarks: NDArray[np.float64],
+    view: _Drawing,
+    nearness: NDArray[np.float32],
+    shown: NDArray[np.int32],
+    own: int,
+) -> NDArray[np.bool_]:
+    """Which landmarks are in the picture, with no thing before them."""
+    rows, columns = nearness.shape
+    result = np.zeros(len(landmarks), bool)
+    for number, place in enumerate(landmarks):
+        if not np.isfinite(place).all() or place[2] <= 0:
+            continue
+        x, y = (place[:2] / place[2] * view.scale + view.centre).round().astype(int)
+        if 0 <= x < columns and 0 <= y < rows:
+            thing = shown[y, x] >= own
+            result[number] = not (thing and 1 / nearness[y, x] < place[2] - 0.03)
+    return result
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """A part of a camera's frame drawn at a resolution.
+
+    Parameters
+    ----------
+    camera : Camera
+    scale : float
+        Pixels for a tangent of 1.
+    centre : (2,) float64 array
+        Principal point, pixels.
+    shape : tuple of int
+        Rows and columns.
+    """
+
+    camera: Camera
+    scale: float
+    centre: NDArray[np.float64]
+    shape: tuple[int, int]
+
+    def _plane(self, mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        seen = self.camera.seen(mesh.vertices)
+        depth = np.maximum(seen[:, 2:], 1e-3)
+        plane = seen[:, :2] / depth * self.scale + self.centre
+        return plane.astype(np.float32), np.ascontiguousarray(seen[:, 2], np.float32)
+
+    def covers(self, mesh: Mesh) -> int:
+        """Pixels that a mesh covers with nothing before it, those beyond the picture as well."""
+        plane, depths = self._plane(mesh)
+        low = plane.min(axis=0)
+        # At a quarter of the resolution.
+        columns, rows = ((plane.max(axis=0) - low) / 4).astype(int) + 2
+        nearness = np.zeros((rows, columns), np.float32)
+        shown = np.full((rows, columns), NOTHING, np.int32)
+        shares = np.empty((rows, columns, 2), np.float32)
+        rasterise((plane - low) / 4, depths, mesh.triangles, MIN_DEPTH_M, nearness, shown, shares)
+        return 16 * int((shown != NOTHING).sum())
+
+    def draw(
+        self,
+        scene: Mesh,
+        room: Room,
+        light: NDArray[np.float32],
+        target: NDArray[np.float64],
+        materials: Materials,
+        generator: np.random.Generator,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
+        """Linear light, nearness and triangles of the pixels."""
+        rows, columns = self.shape
+        shown = np.full((rows, columns), NOTHING, np.int32)
+        shares = np.zeros((rows, columns, 2), np.float32)
+        # Rooms are drawn at half of the resolution.
+        half = ((rows + 1) // 2, (columns + 1) // 2)
+        backdrop, wall_nearness = np.zeros((*half, 3), np.float32), np.zeros(half, np.float32)
+        to_light, heights = _shadows(scene, light[:3].astype(np.float64), target)
+        in_room = light.copy()
+        in_room[:3], in_room[3:6] = room.turn @ light[:3], room.turn @ light[3:6]
+        paint_room(
+            (room.turn @ self.camera.rotation.T).astype(np.float32),
+            (room.turn @ self.camera.place).astype(np.float32),
+            np.array([self.scale, self.scale, *(self.centre - 0.5)], np.float32) / np.float32(2),
+            room.corners.astype(np.float32),
+            room.materials,
+            room.panels,
+            in_room,
+            room.glow.astype(np.float32),
+            np.hstack([to_light[:, :3] @ room.turn.T, to_light[:, 3:]]).astype(np.float32),
+            heights,
+            wall_nearness,
+            backdrop,
+        )
+        whole = (2 * half[1], 2 * half[0])
+        picture, nearness = (
+            np.ascontiguousarray(cv2.resize(part, whole)[:rows, :columns], np.float32)
+            for part in (backdrop, wall_nearness)
+        )
+        plane, depths = self._plane(scene)
+        rasterise(plane, depths, scene.triangles, MIN_DEPTH_M, nearness, shown, shares)
+        shade(
+            nearness, shown, shares, scene.triangles, scene.vertices,
+            vertex_normals(scene.vertices, scene.triangles), scene.textured, scene.materials,
+            materials.table(), _wrinkles(generator), self.camera.place.astype(np.float32), light,
+            to_light.astype(np.float32), heights, picture,
+        )  # fmt: skip
+        return picture, nearness, shown
+
+
+def _shadows(
+    scene: Mesh, towards: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Shadow map about a target, and the transform to it."""
+    across = np.cross(towards, [0.0, 0.0, 1.0] if abs(towards[2]) < 0.9 else [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    scale = _SHADOW_PIXELS / (2 * _SHADOW_REACH_M)
+    linear = np.stack([scale * across, scale * np.cross(towards, across), towards])
+    shift = np.array([_SHADOW_PIXELS / 2, _SHADOW_PIXELS / 2, 0.0]) - linear @ target
+    to_light = np.hstack([linear, shift[:, None]])
+    heights = np.full((_SHADOW_PIXELS, _SHADOW_PIXELS), -1e9, np.float32)
+    points = (scene.vertices @ linear.T + shift).astype(np.float32)
+    shadow_map(points, scene.triangles, heights)
+    return to_light, heights
+
+
+def _wrinkles(generator: np.random.Generator) -> NDArray[np.float32]:
+    """Waves ``(7, 8)`` of cloth."""
+    rows = []
+    for _ in range(7):
+        wave, turn = generator.normal(size=3), generator.normal(size=3)
+        wave *= generator.uniform(15, 90) / np.linalg.norm(wave)
+        turn /= np.linalg.norm(turn)
+        rows.append([*wave, generator.uniform(0, 6.3), generator.uniform(0.1, 0.5), *turn])
+    return np.array(rows, np.float32)

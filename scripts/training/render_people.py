@@ -1,0 +1,159 @@
+"""Render people as photographs and let the landmark network read them.
+
+    python -m scripts render-people --out FOLDER --count 21000
+    python -m scripts render-people --out OTHER --count 1500 --seed 7 --held-out
+
+Writes ``windows-NNNN.npz``, 500 photographs each, with what was true in them (see
+:mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
+seven shows nobody. The same bytes come out for the same seed; files that are there are not made
+again. ``--sheet FILE`` draws a contact sheet to look at instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from app.vision.blazepose import LandmarkNetwork, PoseReading
+from app.vision.geometry import PersonWindow
+from app.vision.landmark_features import sample_map
+from app.vision.models import network_path
+from index.build.photographs.posing import CLASSES
+from index.build.photographs.scene import EMPTY, Photograph, Studio
+from scripts.training.photograph_data import WindowRows, joined
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+PER_FILE = 500
+PEOPLE, HELD_OUT_PEOPLE = 60, 16
+"""Bodies in the training and in the held-out part."""
+
+EMPTY_SHARE = 1 / 7
+
+_SHOULDERS, _HIPS = (11, 12), (23, 24)
+
+
+def first_window(photograph: Photograph, generator: np.random.Generator) -> PersonWindow:
+    """A window as the service would look first: roughly about the body, the trunk upright."""
+    box = photograph.box
+    middle, longest = box[:2] + box[2:] / 2, max(box[2:])
+    if photograph.posture == EMPTY or generator.random() < 0.1:
+        quarter = generator.choice([0.0, 0.0, 0.0, 90.0, -90.0, generator.uniform(-180, 180)])
+        roll, size = float(quarter), 1.3
+    else:
+        shoulders, hips = (
+            photograph.places[list(rows)].mean(axis=0) for rows in (_SHOULDERS, _HIPS)
+        )
+        right, down = shoulders - hips
+        scatter = 8 if generator.random() < 0.9 else 30
+        roll = float(np.rad2deg(np.arctan2(right, -down)) + generator.normal(0, scatter))
+        size = 1.35
+        if photograph.covered < 0.25 or generator.random() < 0.5:
+            # About the hips, as detectors of whole bodies place it.
+            extents = np.ptp(photograph.places, axis=0)
+            middle, longest, size = hips, float(extents.max()), 1.43
+    x, y = middle + generator.normal(0, 0.03, 2) * longest
+    side = size * longest * np.exp(generator.normal(0.0, 0.08))
+    return PersonWindow(float(x), float(y), float(max(side, 4.0)), roll)
+
+
+def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowRows:
+    """One row."""
+    given = reading.network_pass
+    assert given is not None
+    window, following = reading.window, reading.next_window
+    return WindowRows(
+        np.array([number]),
+        given.points[None],
+        given.world[None],
+        np.array([given.presence], np.float32),
+        given.last[None].astype(np.float16),
+        sample_map(given.middle[None], given.points[None]).astype(np.float16),
+        np.array([[window.x, window.y, window.side, window.roll_deg]]),
+        np.array([[following.x, following.y, following.side, following.roll_deg]]),
+        photograph.focal[None],
+        photograph.centre[None],
+        photograph.frame_px[None],
+        photograph.box[None],
+        np.array([photograph.posture]),
+        photograph.landmarks[None].astype(np.float32),
+        photograph.places[None].astype(np.float32),
+        photograph.shown[None],
+        photograph.up[None].astype(np.float32),
+        np.array([photograph.covered]),
+    )
+
+
+def photograph_of(studio: Studio, seed: int, number: int) -> tuple[Photograph, np.random.Generator]:
+    """The photograph of a number, whatever was made before it."""
+    generator = np.random.default_rng([seed, number])
+    empty = bool(generator.random() < EMPTY_SHARE)
+    return studio.take(generator, empty=empty), generator
+
+
+def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -> NDArray[np.uint8]:
+    """Pictures to look at, each with its class."""
+    cells = []
+    for number in range(tiles):
+        photograph, _ = photograph_of(studio, seed, number)
+        image = photograph.image
+        scale = side / max(image.shape[:2])
+        small = cv2.resize(image, None, fx=scale, fy=scale)
+        cell = np.zeros((side, side, 3), np.uint8)
+        cell[: small.shape[0], : small.shape[1]] = small[:side, :side]
+        name = "nobody" if photograph.posture == EMPTY else CLASSES[photograph.posture]
+        cv2.putText(cell, name, (3, 12), 0, 0.4, (0, 255, 255), 1)
+        cells.append(cell)
+    return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--out", type=Path, help="folder to write to")
+    parser.add_argument("--count", type=int, default=21_000, help="photographs")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
+    parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
+    options = parser.parse_args()
+    if options.out is None and options.sheet is None:
+        parser.error("expected --out or --sheet")
+    cv2.setNumThreads(1)
+    studio = Studio.open(
+        options.shared / "mocap",
+        options.shared / "garments",
+        HELD_OUT_PEOPLE if options.held_out else PEOPLE,
+        options.seed,
+        held_out=options.held_out,
+    )
+    if options.sheet is not None:
+        cv2.imwrite(str(options.sheet), contact_sheet(studio, options.seed))
+        return
+    network = LandmarkNetwork(network_path("pose_landmarks"))
+    options.out.mkdir(parents=True, exist_ok=True)
+    for first in tqdm(range(0, options.count, PER_FILE), unit="file"):
+        file = options.out / f"windows-{first // PER_FILE:04d}.npz"
+        if file.exists():
+            continue
+        rows = []
+        for number in range(first, min(first + PER_FILE, options.count)):
+            photograph, generator = photograph_of(studio, options.seed, number)
+            window = first_window(photograph, generator)
+            for _ in range(2):
+                reading = network.read(photograph.image, window)
+                rows.append(row_of(number, photograph, reading))
+                window = reading.next_window
+        partial = file.with_suffix(".part.npz")
+        joined(rows).save(partial)
+        partial.rename(file)
+
+
+if __name__ == "__main__":
+    main()

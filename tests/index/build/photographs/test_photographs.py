@@ -1,0 +1,108 @@
+"""Whole photographs of real motion and bodies: labels that hold, and the same ones by seed."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from index.build.photographs.people import MIRRORED, split_of
+from index.build.photographs.posing import CLASSES, HELD_OUT_SUBJECTS, classes_of
+from index.build.photographs.scene import EMPTY, Photograph, Studio
+from index.skeleton import JOINT_NAMES
+from tests.conftest import ROOT
+
+SHARED = ROOT.parent / "shared"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="needs ../shared/mocap"),
+]
+
+
+@pytest.fixture(scope="module")
+def studio() -> Studio:
+    pytest.importorskip("anny")
+    return Studio.open(SHARED / "mocap", SHARED / "garments", 2, 1, held_out=True)
+
+
+@pytest.fixture(scope="module")
+def photographs(studio: Studio) -> list[Photograph]:
+    generator = np.random.default_rng(3)
+    return [studio.take(generator) for _ in range(12)]
+
+
+def test_landmarks_are_where_the_camera_projects_them(photographs: list[Photograph]) -> None:
+    for photograph in photographs:
+        seen = photograph.landmarks
+        places = seen[:, :2] / seen[:, 2:] * photograph.focal + photograph.centre
+        assert_allclose(places, photograph.places, atol=1e-6)
+        height, width = photograph.image.shape[:2]
+        inside = ((places > -1) & (places < [width, height])).all(axis=1)
+        assert not (photograph.shown & ~inside).any()
+        assert np.linalg.norm(photograph.up) == pytest.approx(1)
+        left, top, across, down = photograph.box
+        assert left >= -0.51 and top >= -0.51
+        assert left + across <= width and top + down <= height
+
+
+def test_the_class_is_that_of_the_joints(photographs: list[Photograph]) -> None:
+    for photograph in photographs:
+        # To axes in which up is y, whatever the turn about it.
+        up = photograph.up
+        aside = np.cross(up, [0, 0, 1])
+        aside /= np.linalg.norm(aside)
+        axes = np.stack([aside, up, np.cross(aside, up)])
+        told = CLASSES[classes_of((photograph.joints @ axes.T)[None])[0]]
+        if CLASSES[photograph.posture] == "sitting":
+            # Whoever something carries sits, however far they lean.
+            assert told in ("sitting", "bending", "crouching")
+        else:
+            assert told == CLASSES[photograph.posture]
+
+
+def test_bodies_are_of_human_size(photographs: list[Photograph]) -> None:
+    hip, knee = (JOINT_NAMES.index(name) for name in ("left_hip", "left_knee"))
+    for photograph in photographs:
+        thigh = np.linalg.norm(photograph.joints[hip] - photograph.joints[knee])
+        assert 0.28 < thigh < 0.6
+
+
+def test_the_same_seed_takes_the_same_photograph(studio: Studio) -> None:
+    one, other = (studio.take(np.random.default_rng([5, 6])) for _ in range(2))
+    for part in fields(Photograph):
+        assert_array_equal(getattr(one, part.name), getattr(other, part.name))
+
+
+def test_pictures_of_things_show_nobody(studio: Studio) -> None:
+    photograph = studio.take(np.random.default_rng(1), empty=True)
+    assert photograph.posture == EMPTY and not photograph.shown.any()
+    assert np.isnan(photograph.landmarks).all()
+
+
+def test_postures_that_are_asked_for_can_be_made(studio: Studio) -> None:
+    generator = np.random.default_rng(2)
+    for name in CLASSES:
+        from index.build.photographs.materials import Materials
+
+        made = [studio._body(name, Materials(), generator) for _ in range(40)]
+        bodies = [body for body in made if body is not None]
+        assert bodies, name
+        assert {CLASSES[body.posture] for body in bodies} == {name}
+
+
+def test_held_out_clips_and_garments_are_apart() -> None:
+    names = ["female_casualsuit01", "female_elegantsuit01", "male_casualsuit01",
+             "male_casualsuit02", "male_worksuit01"]  # fmt: skip
+    held, others = split_of(names, True), split_of(names, False)
+    assert sorted(held + others) == names and held and others
+    assert len(HELD_OUT_SUBJECTS) == 4
+    assert_array_equal(MIRRORED[MIRRORED], np.arange(33))
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match=str(tmp_path)):
+        Studio.open(tmp_path, SHARED / "garments", 1, 1, held_out=False)
