@@ -10,9 +10,18 @@ COMMANDS = {
     "build": ("scripts.build", "build an index from motion capture"),
     "train-reranker": ("scripts.training.train_reranker", "train the network that re-ranks"),
     "train-actions": ("scripts.training.train_actions", "train the model of actions"),
+    "render-people": ("scripts.training.render_people", "render people as photographs"),
+    "train-photographs": (
+        "scripts.training.train_photograph_models",
+        "train depth, posture and doubt on rendered people",
+    ),
     "fit-people": ("scripts.training.fit_people", "fit detection, posture and confidence"),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
+    "evaluate-photographs": (
+        "scripts.experiments.photograph_models",
+        "what rendered people taught, on real frames by source",
+    ),
     "pages": ("scripts.experiments.pages", "render the pages of results from their JSON again"),
     "figures": ("scripts.figures", "write headline figures from the JSON into the documents"),
     "bench": ("scripts.load.bench", "time whole requests against a yardstick"),

@@ -47,8 +47,16 @@ DETECTION = "mediapipe/modules/pose_detection/pose_detection.tflite"
 LANDMARKS = "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"
 """The networks in the wheel."""
 
-KEPT = ("Identity", "Identity_1", "Identity_2", "Identity_4")
-"""Outputs of the landmark network: landmarks, presence, mask, world coordinates."""
+KEPT = (
+    "Identity",
+    "Identity_1",
+    "Identity_2",
+    "Identity_4",
+    "model_1/model/add_8/add",
+    "model_1/model/re_lu_63/Relu6;model_1/model/add_22/add",
+)
+"""Outputs of the landmark network: landmarks, presence, mask, world coordinates; then two feature
+maps that it computes on the way, 8x8x144 and 2x2x288."""
 
 _FILE_IDENTIFIER = b"TFL3"
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.people import Silhouette, silhouette_from_mask
-from index.build.body import Avatar, pose_transforms, posed_points, retarget, rotation_between
+from app.vision.sight import PinholeCamera
+from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import METRES_PER_UNIT, Clip
 from index.build.poses import Poses
 from index.build.render import fill_triangles, skin
@@ -38,7 +39,7 @@ class Filmed:
     """A stretch of motion as one fixed camera sees it.
 
     ``timestamps`` count from 0, silhouettes and ``points_2d`` are in pixels of the camera's frame;
-    ``points_3d`` in metres in camera axes turned towards the pelvis, which is the origin; ``world``
+    ``points_3d`` in metres in camera axes, relative to the pelvis; ``world``
     in metres, y up; ``speeds`` of the pelvis over the ground, metres a second.
     """
 
@@ -53,6 +54,7 @@ class Filmed:
     world: NDArray[np.float64]
     speeds: NDArray[np.float64]
     elevation_deg: float
+    camera: PinholeCamera
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -137,10 +139,6 @@ def film_stretch(
         )
         _, plane = projected(vertices + path[number])
         silhouettes.append(_draw(plane + half, avatar))
-    towards = np.stack(
-        [rotation_between(pelvis, np.array([0.0, 0.0, 1.0])) for pelvis in seen[:, 0]]
-    )
-    relative = (seen - seen[:, :1]) @ towards.swapaxes(1, 2)
     return Filmed(
         clip=clip.name,
         action=action,
@@ -148,11 +146,12 @@ def film_stretch(
         frames=frames,
         timestamps=(frames - frames[0]) / CLIP_FPS,
         silhouettes=tuple(silhouettes),
-        points_3d=relative,
+        points_3d=seen - seen[:, :1],
         points_2d=points_2d + half,
         world=world,
         speeds=clip.speeds[frames],
         elevation_deg=elevation_deg,
+        camera=PinholeCamera(np.array([focal, focal]), np.array([half, half])),
     )
 
 

@@ -19,6 +19,7 @@ from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
+from app.vision.sight import PinholeCamera
 from index.matching import Hypothesis
 from index.parameters import DEFAULT_HYPOTHESES
 from index.rotations import RotatedQuery
@@ -52,13 +53,13 @@ def encoded(frame: NDArray[np.uint8]) -> bytes:
 
 
 def match_silhouettes(
-    index: PoseIndex, silhouettes: Iterable[Silhouette], count: int
+    index: PoseIndex, silhouettes: Iterable[Silhouette], camera: PinholeCamera, count: int
 ) -> list[Person]:
     """Estimate every silhouette by itself."""
 
     def match(silhouette: Silhouette) -> Person:
         observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, observed, normalise_person(observed), count)
+        return fit_poses(index, observed, normalise_person(observed), camera, count)
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(match, silhouettes))

@@ -30,6 +30,7 @@ from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
+from app.vision.sight import PinholeCamera
 from index import DEFAULT_PATH
 from index.skeleton import NATIVE
 from scripts.datasets import read_frames, read_pose2sim, read_vtest, rotate_box
@@ -76,7 +77,9 @@ def draw_person(estimator: Estimator, frame: Picture, found: ObservedPerson, nam
     """Draw one person."""
     silhouette = found.silhouette
     assert silhouette is not None
-    (person,) = estimator.with_hypotheses(Scene(frame, (found,)), 1, Job())
+    (person,) = estimator.with_hypotheses(
+        Scene(frame, (found,), PinholeCamera.of_frame(frame.shape)), 1, Job()
+    )
     first, normalised = person.hypotheses[0], NormalisedPerson.of(silhouette, None)
     box = silhouette.box
     height = 1.12 * max(box.height, box.width / 0.62)

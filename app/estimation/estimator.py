@@ -11,6 +11,7 @@ from app.estimation.finder import PeopleFinder
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.ordering import order_by_landmarks, order_by_silhouette
 from app.estimation.parameters import POSTURE, THREADS_PER_PASS
+from app.estimation.placement import place_skeletons
 from app.estimation.posture_probability import estimate_posture, vote_posture
 from app.estimation.results import (
     Estimate,
@@ -30,6 +31,8 @@ from app.vision.geometry import Box
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.person_reader import PersonReader
+from app.vision.photograph_models import photograph_models
+from app.vision.sight import PinholeCamera
 from index.matching import match
 from index.store import PoseIndex
 
@@ -84,7 +87,11 @@ def normalise_person(person: ObservedPerson) -> NormalisedPerson | None:
 
 
 def fit_poses(
-    index: PoseIndex, observed: ObservedPerson, normalised: NormalisedPerson | None, n: int
+    index: PoseIndex,
+    observed: ObservedPerson,
+    normalised: NormalisedPerson | None,
+    camera: PinholeCamera,
+    n: int,
 ) -> Person:
     """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette."""
     if normalised is None:
@@ -108,14 +115,29 @@ def fit_poses(
     hypotheses = [replace(one, confidence=presence * one.confidence) for one in hypotheses]
     voting = hypotheses[:voters]
     votes = vote_posture([one.posture for one in voting], [one.confidence for one in voting])
-    posture = estimate_posture(votes, observed.landmarks, presence)
+    posture = estimate_posture(
+        votes, observed.frame_posture, presence, max(one.confidence for one in hypotheses)
+    )
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
-    points_2d = normalised.points_in_frame(points_normalised)
+    placed = place_skeletons(
+        np.array([one.points_3d for one in hypotheses[:n]]),
+        normalised.points_in_frame(points_normalised),
+        None if keypoints is None else observed.landmarks,
+        camera,
+    )
     projected = []
-    for one, points in zip(hypotheses[:n], points_2d, strict=True):
+    for row, one in enumerate(hypotheses[:n]):
         label = index.label(one.entry_id, mirrored=one.mirrored)
         label = replace(label, roll_deg=one.tilt_deg)
-        projected.append(ProjectedHypothesis(**vars(one), label=label, points_2d=points))
+        fields = {**vars(one), "points_3d": placed.points_3d[row]}
+        projected.append(
+            ProjectedHypothesis(
+                **fields,
+                label=label,
+                points_2d=placed.points_2d[row],
+                pelvis=placed.pelvis[row],
+            )
+        )
     return Person(observed, facing, posture, tuple(projected))
 
 
@@ -158,6 +180,7 @@ class Estimator:
         """Run everything once, because the first run is slow."""
         frame = np.full((240, 320, 3), 127, np.uint8)
         box = Box(120.0, 40.0, 60.0, 160.0)
+        photograph_models()
         self.detector.detect(frame)
         self.finder.reader.read(frame, box)
         match(self.index, self.index.silhouette(0), 1)
@@ -182,14 +205,15 @@ class Estimator:
         """
         scene = self.find_people(upload, job, evidence)
         persons = self.with_hypotheses(scene, n, job)
-        return Estimate(scene.frame, persons, job.timings_ms())
+        return Estimate(scene.frame, scene.camera, persons, job.timings_ms())
 
     def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
         decoded = self.decode(upload, job)
         landmarks = evidence == "photograph" and upload.frame is not None
         people = self.finder.find(decoded, landmarks, job)
-        return Scene(decoded.frame, tuple(sorted(people, key=lambda person: person.box.x)))
+        ordered = tuple(sorted(people, key=lambda person: person.box.x))
+        return Scene(decoded.frame, ordered, decoded.camera)
 
     def decode(self, upload: Upload, job: Job) -> DecodedUpload:
         """Decode the images of an upload; raises :class:`UploadError`."""
@@ -205,7 +229,7 @@ class Estimator:
             normalised = [normalise_person(person) for person in scene.people]
         with job.stage("search"):
             pairs = zip(scene.people, normalised, strict=True)
-            return tuple(job.map(lambda pair: fit_poses(self.index, *pair, n), pairs))
+            return tuple(job.map(lambda pair: fit_poses(self.index, *pair, scene.camera, n), pairs))
 
     def detect(self, frame: bytes, job: Job) -> tuple[ObservedPerson, ...]:
         """Find the people of a frame by their boxes alone, those of the highest scores first."""

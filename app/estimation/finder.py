@@ -17,8 +17,10 @@ from app.vision.blazepose import PoseReading
 from app.vision.detector import Detector, smallest_person_px
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
-from app.vision.people import Detection, Silhouette
+from app.vision.people import Detection, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
+from app.vision.photograph_models import photograph_models
+from app.vision.sight import PinholeCamera
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import end_beyond_border
 
@@ -50,14 +52,14 @@ class PeopleFinder:
             separate people from the background.
         """
         if upload.mask is not None:
-            return self._people_in_mask(upload.mask, upload.frame, landmarks, job)
+            return self._people_in_mask(upload.mask, upload, landmarks, job)
         background = self._background(upload)
         source, detections = self._detect(upload, background, job)
-        people = self._observe(source, detections, upload.frame, background, landmarks, job)
+        people = self._observe(source, detections, upload, background, landmarks, job)
         if source != "boxes":
             # A detection without a silhouette is unlikely to be a person.
             people = [person for person in people if person.silhouette is not None]
-        return people if landmarks else [replace(person, landmarks=None) for person in people]
+        return people if landmarks else [without_landmarks(person) for person in people]
 
     def detect(self, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
         """Find people by their boxes alone, those of the highest scores first."""
@@ -95,12 +97,13 @@ class PeopleFinder:
         self,
         source: Source,
         found: Sequence[Detection],
-        frame: NDArray[np.uint8],
+        upload: DecodedUpload,
         background: BackgroundSegmenter | None,
         landmarks: bool,
         job: Job,
     ) -> list[ObservedPerson]:
         """Read detections, drop those of a body read before, and cut out the silhouettes."""
+        frame = upload.frame
         readings: list[PoseReading] = []
         if landmarks or background is None:
             with job.stage("keypoints"):
@@ -119,6 +122,7 @@ class PeopleFinder:
         return [
             make_observation(
                 frame,
+                upload.camera,
                 one.box,
                 source,
                 None if source == "boxes" else one.score,
@@ -129,22 +133,24 @@ class PeopleFinder:
         ]
 
     def _people_in_mask(
-        self, mask: LabelImage, frame: NDArray[np.uint8], landmarks: bool, job: Job
+        self, mask: LabelImage, upload: DecodedUpload, landmarks: bool, job: Job
     ) -> list[ObservedPerson]:
         with job.stage("segment"):
             silhouettes = silhouettes_from_labels(mask)
         if not landmarks:
             return [ObservedPerson(one.box, "mask", None, one) for one in silhouettes]
         with job.stage("keypoints"):
-            readings = self.read(frame, [Detection(one.box, 1.0) for one in silhouettes], job)
+            marked = [Detection(one.box, 1.0) for one in silhouettes]
+            readings = self.read(upload.frame, marked, job)
         return [
-            make_observation(frame, one.box, "mask", None, one, reading)
+            make_observation(upload.frame, upload.camera, one.box, "mask", None, one, reading)
             for one, reading in zip(silhouettes, readings, strict=True)
         ]
 
 
 def make_observation(
     frame: NDArray[np.uint8],
+    camera: PinholeCamera,
     box: Box,
     source: Source,
     score: float | None,
@@ -157,9 +163,31 @@ def make_observation(
     landmarks = attenuate_visibility_at_border(reading, frame.shape)
     if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
         silhouette = replace(silhouette, truncated=True)
-    return ObservedPerson(
+    seen = ObservedPerson(
         box, source, score, silhouette, landmarks, reading.presence, reading.next_window
     )
+    return seen if reading.network_pass is None else _judged(seen, landmarks, reading, camera)
+
+
+def _judged(
+    person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
+) -> ObservedPerson:
+    """A person with what rendered people have taught: depths, posture and reliability."""
+    models = photograph_models()
+    body = models.body(reading, camera)
+    return replace(
+        person,
+        landmarks=replace(
+            landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
+        ),
+        frame_posture=models.frame_posture(reading, body),
+        reliability=models.doubts(reading, body).right,
+    )
+
+
+def without_landmarks(person: ObservedPerson) -> ObservedPerson:
+    """A person as the silhouette alone shows them."""
+    return replace(person, landmarks=None, frame_posture=None, reliability=1.0)
 
 
 def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:

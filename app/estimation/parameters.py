@@ -45,23 +45,31 @@ class PostureParameters:
     voters: int = DEFAULT_HYPOTHESES
     # Probability from which a posture is reported; below, it is ``unclear``
     min_probability: float = 0.5
-    # A group of postures with a smaller share of the votes is filled up with stand-ins
-    min_group_share: float = 0.02
-    # Bend of the straighter knee at which legs are as likely standing as not. A thigh that points
-    # at the camera looks like a standing one; of a walking person, one knee is straight.
-    bent_from_deg: float = 45.0
-    # Change of that bend which changes the log odds by one
-    bent_slope_deg: float = 5.0
-    # Visibility of hips, knees and ankles below which the bend is not judged
-    min_leg_visibility: float = 0.5
-    # Cosine of the angles of trunk and shanks with the vertical from which two bent knees are more
-    # likely sitting than crouching or kneeling
-    min_seat_cosine: float = 0.85
-    # How often they are sitting then: in 78 % of simulated bodies
-    seated_share: float = 0.8
+    # Probability above the minimum that a posture can reach, per confidence of the best
+    # hypothesis: above 0.8 from a confidence of 0.2
+    confidence_slope: float = 1.5
+
+
+@dataclass(frozen=True)
+class PlacementParameters:
+    """How skeletons are placed before the camera; see :mod:`app.estimation.placement`."""
+
+    # Visibility below which a landmark does not move a joint
+    min_visibility: float = 0.05
+    # Standard deviation of a landmark's depth, metres, at which the first hypothesis goes half the
+    # way to it: the hypothesis has been fitted to the landmarks, so it adds little of its own
+    half_way_sd_m: float = 0.3
+    # The person's size relative to a hypothesis is kept between these
+    sizes: tuple[float, float] = (0.8, 1.25)
+    # Forward part of a line of sight and distance, in metres, which joints keep at least
+    min_forward: float = 0.05
+    min_distance_m: float = 0.1
+    # Standard deviation of the logarithm of a body's size, and so of its distance
+    size_sd: float = 0.1
 
 
 MASKS = MaskParameters()
+PLACEMENT = PlacementParameters()
 NORMALISATION = NormalisationParameters()
 POSTURE = PostureParameters()
 

@@ -1,9 +1,9 @@
-"""How likely a person is in each posture: votes of hypotheses, corrected by landmarks.
+"""How likely a person is in each posture: by landmarks, and by votes of hypotheses.
 
 Each hypothesis has a posture by the rules of :mod:`index.posture` and votes with its confidence. If
-there are landmarks, two bent knees take votes from standing postures, and a logistic model of the
-body's geometry gives the probability that the person is on the ground; the votes then only divide
-that probability, and the rest, among the postures. The probability of the likeliest is calibrated.
+there are landmarks, a model that rendered people have taught gives the probabilities of six
+postures (:mod:`app.vision.frame_posture`), and the votes only divide those that it does not
+distinguish. Without landmarks, the probability of the votes is calibrated.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.parameters import POSTURE
+from app.vision.frame_posture import FramePosture
 from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
-from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
-from index.skeleton import rows, side_rows
 
 GROUPS: tuple[tuple[Posture, ...], ...] = (
     ON_THE_GROUND,
@@ -29,19 +28,23 @@ GROUPS: tuple[tuple[Posture, ...], ...] = (
 )
 """Postures on the ground, on straight legs, and between the two."""
 
-_ON_THE_GROUND, _UPRIGHT, _BETWEEN = (
-    np.array([posture in group for posture in POSTURES]) for group in GROUPS
+LANDMARK_GROUPS: tuple[tuple[Posture, ...], ...] = (
+    UPRIGHT,
+    ("bending",),
+    ("crouching", "kneeling"),
+    ("sitting",),
+    ON_THE_GROUND,
 )
-_LYING = np.array([posture == "lying" for posture in POSTURES])
-_SITTING = np.array([posture == "sitting" for posture in POSTURES])
-_SEATED = POSTURE.seated_share * _SITTING + (1 - POSTURE.seated_share) * (_BETWEEN & ~_SITTING) / (
-    _BETWEEN.sum() - 1
-)
+"""Postures that an image distinguishes."""
 
-_SHOULDERS, _HIPS, _KNEES, _ANKLES = (
-    side_rows(joint, among=LANDMARK_NAMES) for joint in ("shoulder", "hip", "knee", "ankle")
-)
-_HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
+_MEMBERS = [np.isin(POSTURES, members) for members in LANDMARK_GROUPS]
+_HELD = [
+    np.isin(POSTURES, members) for members in (*LANDMARK_GROUPS[:-1], ("crawling",), ("lying",))
+]
+"""Which of ``POSTURES`` each of :data:`app.vision.frame_posture.FRAME_POSTURES` holds."""
+
+# Share of every posture that no hypothesis votes for.
+_MIN_VOTE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,10 @@ def vote_posture(postures: Sequence[Posture], weights: Sequence[float]) -> NDArr
 
 
 def estimate_posture(
-    votes: NDArray[np.float64], landmarks: Landmarks | None, presence: float = 1.0
+    votes: NDArray[np.float64],
+    frame_posture: FramePosture | None,
+    presence: float = 1.0,
+    confidence: float = 1.0,
 ) -> EstimatedPosture:
     """Estimate the posture of a person.
 
@@ -97,14 +103,47 @@ def estimate_posture(
     ----------
     votes : (10,) float64 array
         From :func:`vote_posture`.
+    frame_posture : FramePosture or None
+        From the landmarks; None for a silhouette alone.
     presence : float
         Probability that there is a person at all.
+    confidence : float
+        Of the best hypothesis.
     """
-    if landmarks is not None:
-        votes = with_on_ground(
-            with_bent_legs(votes, landmarks, presence), on_ground_probability(landmarks)
-        )
-    return posture_of(votes, presence)
+    if frame_posture is None:
+        return posture_of(votes, presence)
+    return likeliest_posture(shares_of(frame_posture, votes), presence, confidence)
+
+
+def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shares ``(10,)`` of ``POSTURES``: of the landmarks, divided by the votes of hypotheses.
+
+    Landmarks distinguish six postures; standing from walking, running and raised arms, and
+    crouching from kneeling, are told apart by the votes alone.
+    """
+    shares = np.zeros(len(POSTURES))
+    for probability, members in zip(frame_posture.probabilities, _HELD, strict=True):
+        within = np.where(members, votes + _MIN_VOTE, 0.0)
+        shares += probability * within / within.sum()
+    return shares
+
+
+def likeliest_posture(
+    shares: NDArray[np.float64], presence: float = 1.0, confidence: float = 1.0
+) -> EstimatedPosture:
+    """The likeliest posture of shares ``(10,)`` that are probabilities already.
+
+    The probability is that of its group in :data:`LANDMARK_GROUPS`: an image does not distinguish
+    standing from walking, nor lying from crawling, as surely as the groups. If no hypothesis fits,
+    the landmarks are doubtful as well, so the confidence of the best one limits the probability.
+    """
+    sums = [float(shares[members].sum()) for members in _MEMBERS]
+    best_group = int(np.argmax(sums))
+    best = int(np.where(_MEMBERS[best_group], shares, -1.0).argmax())
+    limit = POSTURE.min_probability + POSTURE.confidence_slope * confidence
+    probability = min(presence * sums[best_group], limit)
+    label = POSTURES[best] if probability >= POSTURE.min_probability else "unclear"
+    return EstimatedPosture(label, probability, shares)
 
 
 def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedPosture:
@@ -129,118 +168,3 @@ def group_probability(share: float) -> float:
     """Calibrated probability that a group of postures with this share is right."""
     constants = fitted_constants("posture")
     return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
-
-
-def with_bent_legs(
-    votes: NDArray[np.float64], landmarks: Landmarks, presence: float
-) -> NDArray[np.float64]:
-    """Move votes ``(10,)`` from straight legs to bent ones, as far as both knees look bent.
-
-    They go to the postures between upright and on the ground in proportion to their votes. Without
-    such votes, a person with upright trunk and shanks is mostly sitting; otherwise sitting,
-    crouching and kneeling stay equally likely.
-    """
-    bent = presence * bent_probability(landmarks)
-    kept = np.where(_UPRIGHT, 1 - bent, 1.0) * votes
-    stand_in = _SEATED if _sits_upright(landmarks) else _BETWEEN
-    return np.asarray(kept + bent * votes[_UPRIGHT].sum() * _within(votes, _BETWEEN, stand_in))
-
-
-def _sits_upright(landmarks: Landmarks) -> bool:
-    """Whether trunk and shanks are upright."""
-    metres = landmarks.metres
-    trunk = _unit(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
-    shanks = [_unit(bone) for bone in metres[_ANKLES] - metres[_KNEES]]
-    return bool(min(-trunk[1], np.mean(shanks, axis=0)[1]) >= POSTURE.min_seat_cosine)
-
-
-def bent_probability(landmarks: Landmarks) -> float:
-    """Probability that both knees are bent; 0 if a leg is not visible."""
-    if landmarks.visibility[[*_HIPS, *_KNEES, *_ANKLES]].min() < POSTURE.min_leg_visibility:
-        return 0.0
-    hips, knees, ankles = (landmarks.metres[joint] for joint in (_HIPS, _KNEES, _ANKLES))
-    cosines = [
-        _unit(knee - hip) @ _unit(ankle - knee)
-        for hip, knee, ankle in zip(hips, knees, ankles, strict=True)
-    ]
-    straighter_deg = np.rad2deg(np.arccos(np.clip(max(cosines), -1, 1)))
-    return probability_of(float(straighter_deg - POSTURE.bent_from_deg) / POSTURE.bent_slope_deg)
-
-
-def with_on_ground(votes: NDArray[np.float64], probability: float) -> NDArray[np.float64]:
-    """Scale votes ``(10,)`` so that the postures on the ground have this probability."""
-    # If all hypotheses are lying and the landmarks are not, the other posture stays open.
-    lying = _within(votes, _ON_THE_GROUND, _LYING)
-    others = _within(votes, ~_ON_THE_GROUND, _BETWEEN)
-    return np.asarray(probability * lying + (1 - probability) * others)
-
-
-def _within(
-    votes: NDArray[np.float64],
-    group: NDArray[np.bool_],
-    stand_in: NDArray[np.bool_] | NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Shares ``(10,)`` within a group; if it has hardly any votes, mostly those of stand-ins."""
-    shares = np.where(group, votes, 0.0)
-    if shares.sum() < POSTURE.min_group_share:
-        shares = shares + POSTURE.min_group_share * stand_in / stand_in.sum()
-    return np.asarray(shares / shares.sum())
-
-
-def on_ground_probability(landmarks: Landmarks) -> float:
-    """Probability that a person is lying or on all fours, by the landmarks alone."""
-    constants = fitted_constants("grounded")
-    features = (body_features(landmarks) - constants["means"]) / constants["scales"]
-    odds = float(features @ np.array(constants["weights"]) + constants["offset"])
-    return probability_of(odds)
-
-
-def body_features(landmarks: Landmarks) -> NDArray[np.float64]:
-    """Features ``(22,)`` of a body that separate lying from other postures.
-
-    Directions of trunk, body, thighs and shanks against the vertical, heights of head, shoulders
-    and hips, extent, and visibility of some parts; exchanging left and right changes nothing.
-    """
-    metres, places = landmarks.metres, landmarks.positions
-    size = (
-        np.linalg.norm(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
-        + np.linalg.norm(metres[_KNEES] - metres[_HIPS], axis=1).mean()
-        + np.linalg.norm(metres[_ANKLES] - metres[_KNEES], axis=1).mean()
-    )
-    width, height = np.ptp(places, axis=0)
-    extent = max(width, height) + 1e-6
-    trunk = _unit(_middle(metres, _SHOULDERS) - _middle(metres, _HIPS))
-    trunk_2d = _unit(_middle(places, _SHOULDERS) - _middle(places, _HIPS))
-    body_2d = _unit(_middle(places, _SHOULDERS) - _middle(places, _ANKLES))
-    thighs = [float(_unit(bone)[1]) for bone in metres[_KNEES] - metres[_HIPS]]
-    shanks = [float(_unit(bone)[1]) for bone in metres[_ANKLES] - metres[_KNEES]]
-
-    def rise(points: NDArray[np.float64], above: list[int], below: list[int]) -> float:
-        return float(_middle(points, below)[1] - _middle(points, above)[1])
-
-    return np.array(
-        [
-            -trunk[1], abs(trunk[2]), trunk[2], -trunk_2d[1], abs(trunk_2d[0]), -body_2d[1],
-            np.mean(thighs), max(thighs), np.mean(shanks), max(shanks), min(shanks),
-            rise(metres, _HEAD, _HIPS) / size,
-            rise(metres, _HIPS, _ANKLES) / size,
-            rise(metres, _SHOULDERS, _KNEES) / size,
-            rise(places, _HEAD, _ANKLES) / extent,
-            rise(places, _HIPS, _ANKLES) / extent,
-            rise(places, _SHOULDERS, _HIPS) / extent,
-            np.log((width + 1) / (height + 1)),
-            np.ptp(metres[:, 1]) / size,
-            landmarks.visibility[_ANKLES].max(),
-            landmarks.visibility[_KNEES].max(),
-            landmarks.visibility[_HEAD].max(),
-        ],
-        np.float64,
-    )  # fmt: skip
-
-
-def _middle(points: NDArray[np.float64], joints: list[int]) -> NDArray[np.float64]:
-    return np.asarray(points[joints].mean(axis=0))
-
-
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-6))

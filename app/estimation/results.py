@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
 from app.estimation.posture_probability import EstimatedPosture
+from app.vision.frame_posture import FramePosture
 from app.vision.geometry import Box, PersonWindow
 from app.vision.people import Landmarks, Silhouette
+from app.vision.sight import PinholeCamera
 from index.matching import Hypothesis
 from index.store import Label
 
@@ -41,6 +43,10 @@ class ObservedPerson:
         Probability, from the landmark network, that a person is there; None if it did not run.
     next_window : PersonWindow or None
         Where the landmark network would look for the person in the next frame.
+    frame_posture : FramePosture or None
+        Probabilities of postures, from the landmarks; None if they were not read.
+    reliability : float
+        Probability that most of the landmarks are right; 1 if they were not read.
     """
 
     box: Box
@@ -50,6 +56,8 @@ class ObservedPerson:
     landmarks: Landmarks | None = None
     presence: float | None = None
     next_window: PersonWindow | None = None
+    frame_posture: FramePosture | None = None
+    reliability: float = 1.0
 
     @property
     def whole_box(self) -> Box:
@@ -69,20 +77,26 @@ class Scene:
 
     frame: NDArray[np.uint8]
     people: tuple[ObservedPerson, ...]
+    camera: PinholeCamera
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectedHypothesis(Hypothesis):
-    """A hypothesis with the label of its entry and its skeleton in the photograph.
+    """A hypothesis with the label of its entry, placed before the camera.
+
+    Its ``points_3d`` are in the camera's axes and in the person's size.
 
     Parameters
     ----------
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
+    pelvis : (3,) float64 array
+        Metres from the camera, its axes.
     """
 
     label: Label
     points_2d: NDArray[np.float64]
+    pelvis: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -97,8 +111,9 @@ class Person:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A decoded frame, its persons ordered left to right, and milliseconds by stage."""
+    """A decoded frame, its camera, its persons left to right, and milliseconds by stage."""
 
     frame: NDArray[np.uint8]
+    camera: PinholeCamera
     persons: tuple[Person, ...]
     timings_ms: dict[str, float]

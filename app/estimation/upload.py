@@ -22,6 +22,7 @@ from app.vision.images import (
     decode_image,
     decode_mask,
 )
+from app.vision.sight import PinholeCamera
 
 T = TypeVar("T")
 
@@ -64,6 +65,8 @@ class Upload:
         In pixels of the frame.
     track_ids : sequence of str, optional
         The caller's identity of the person in each box.
+    fov_deg : float, optional
+        Horizontal field of view of the camera.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -71,11 +74,13 @@ class Upload:
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
     track_ids: Sequence[str] | None = None
+    fov_deg: float | None = None
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of the fields that are given; work on the upload depends on them."""
-        return tuple(name for name, value in vars(self).items() if value is not None)
+        """Names of the images and lists that are given; work on the upload depends on them."""
+        fields = {name: value for name, value in vars(self).items() if name != "fov_deg"}
+        return tuple(name for name, value in fields.items() if value is not None)
 
     def __post_init__(self) -> None:
         if self.frame is None and self.mask is None:
@@ -120,6 +125,7 @@ class DecodedUpload:
     mask: LabelImage | None
     background: NDArray[np.uint8] | None
     boxes: list[Box] | None
+    camera: PinholeCamera
 
 
 @dataclass(frozen=True)
@@ -160,7 +166,8 @@ class UploadDecoder:
             _check_together(mask)
         if background is not None:
             _check_size("background", background, frame)
-        return DecodedUpload(frame, mask, background, self._boxes(upload.boxes, frame))
+        camera = PinholeCamera.of_frame(frame.shape, upload.fov_deg)
+        return DecodedUpload(frame, mask, background, self._boxes(upload.boxes, frame), camera)
 
     def decode_frame(self, data: bytes) -> NDArray[np.uint8]:
         """Decode a photograph, ``(H, W, 3)`` uint8, BGR."""

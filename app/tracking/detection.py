@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.finder import PeopleFinder, distinct_bodies, make_observation
+from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.track import Sighting, Track
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box, PersonWindow
 from app.vision.people import Detection
-from app.vision.person_reader import fuse
+from app.vision.person_reader import fuse, sides_exchanged
 from app.vision.silhouettes import silhouettes_of
 
 
@@ -49,14 +50,18 @@ class TrackedPeopleDetector:
         self._searched_at = self._read_at = -math.inf
 
     def find(
-        self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
+        self,
+        upload: DecodedUpload,
+        timestamp: float,
+        tracks: Sequence[Track],
+        job: Job,
     ) -> list[Sighting]:
         """Find the people of a frame with their silhouettes and landmarks.
 
         Parameters
         ----------
-        frame : (H, W, 3) uint8 array
-            BGR.
+        upload : DecodedUpload
+            Of the frame.
         timestamp : float
             Seconds.
         tracks : sequence of Track
@@ -69,6 +74,7 @@ class TrackedPeopleDetector:
         list of Sighting
             Each with the track in whose window the person was read, None after a search.
         """
+        frame = upload.frame
         read = self._read_people(frame, timestamp, tracks, job)
         self._read_at = timestamp
         found = _distinct([(target, reading) for target, reading in read if reading is not None])
@@ -86,7 +92,9 @@ class TrackedPeopleDetector:
             score = target.track.score if target.track else target.detection.score
             # A detector's box may hold more than the body that is read in it.
             place = silhouette.box if reading.presence >= self._min_presence else box
-            person = make_observation(frame, place, "detector", score, silhouette, reading)
+            person = make_observation(
+                frame, upload.camera, place, "detector", score, silhouette, reading
+            )
             sightings.append(Sighting(person, track=target.track))
         return sightings
 
@@ -155,8 +163,14 @@ class TrackedPeopleDetector:
             return None
         if reading.body_px < self._parameters.movenet_from_px:
             return reading
-        keypoints = reader.keypoint_reader.read(frame, reading.landmarks.box())
-        return reading if keypoints is None else fuse(reading, keypoints)
+        box = reading.landmarks.box()
+        keypoints = reader.keypoint_reader.read(frame, box)
+        if keypoints is None:
+            return reading
+        if sides_exchanged(reading, keypoints):
+            # The track's window may have led the network astray.
+            return reader.read(frame, box, keypoints)
+        return fuse(reading, keypoints)
 
     def _body_box(self, reading: PoseReading) -> Box:
         """The box about a body, whose landmarks end short of the crown, hands and feet."""

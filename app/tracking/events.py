@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.tracking.parameters import DEFAULTS, EventParameters
 from app.tracking.results import Event, EventName, EventState
-from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
+from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 
 class _Hysteresis:
@@ -51,17 +52,87 @@ class Reliability:
     person: float
 
 
+@dataclass(frozen=True)
+class HipHeight:
+    """How high the hips are in the picture.
+
+    Parameters
+    ----------
+    y_px : float
+        Pixels, downwards.
+    px_per_m : float
+        Pixels per vertical metre of the person.
+    """
+
+    y_px: float
+    px_per_m: float
+
+    @classmethod
+    def seen(
+        cls,
+        y_px: float,
+        px_per_m: float,
+        elevation_deg: float,
+        parameters: EventParameters = DEFAULTS.events,
+    ) -> HipHeight:
+        """The height as a camera sees it at an elevation, which foreshortens vertical metres."""
+        angle = math.radians(min(abs(elevation_deg), parameters.max_elevation_deg))
+        return cls(y_px, px_per_m * math.cos(angle))
+
+
+class DropDetector:
+    """Watches how far and how fast a person's hips sink."""
+
+    def __init__(self, parameters: EventParameters = DEFAULTS.events) -> None:
+        self._parameters = parameters
+        self._recent: deque[tuple[float, HipHeight]] = deque()
+        self._top_px = 0.0
+        self._bottom_px = 0.0
+        self._drops = False
+        self._drop_m = 0.0
+        self.dropped_at: float | None = None
+        """When the hips began to be far below where they were, seconds; None if they are not."""
+
+    def update(self, timestamp: float, hips: HipHeight) -> None:
+        """Take in where the hips are."""
+        limits = self._parameters
+        self._recent.append((timestamp, hips))
+        while self._recent[0][0] < timestamp - limits.drop_within_s:
+            self._recent.popleft()
+        px_per_m = float(np.median([one.px_per_m for _, one in self._recent]))
+        top_px = min(one.y_px for _, one in self._recent)
+        drops = hips.y_px - top_px >= limits.min_drop_m * px_per_m
+        if drops:
+            if not self._drops:
+                self.dropped_at, self._top_px = timestamp, top_px
+            self._bottom_px = max(hips.y_px, self._top_px + limits.min_drop_m * px_per_m)
+            self._drop_m = (hips.y_px - self._top_px) / px_per_m
+        elif self.dropped_at is not None:
+            kept_px = limits.kept_drop * (self._bottom_px - self._top_px)
+            if hips.y_px - self._top_px < kept_px:
+                self.dropped_at = None
+        self._drops = drops
+
+    def min_on_ground(self) -> float:
+        """Probability of being on the ground that makes the last drop a fall."""
+        limits = self._parameters
+        deeper_m = max(0.0, self._drop_m - limits.min_drop_m)
+        needed = limits.min_on_ground - limits.on_ground_per_m * deeper_m
+        return max(limits.min_on_ground_after_deep_drop, needed)
+
+
 class EventDetector:
-    """Watches the postures of one track."""
+    """Watches the postures of one track, and the height of its hips."""
 
     def __init__(self, parameters: EventParameters = DEFAULTS.events) -> None:
         self._parameters = parameters
         self._last_at: float | None = None
         self._lying, self._arms_raised = _Hysteresis(parameters), _Hysteresis(parameters)
-        self._down, self._upright = _Hysteresis(parameters), _Hysteresis(parameters)
-        self._upright_at: float | None = None
-        self._upright_px: float | None = None
+        self._down = _Hysteresis(parameters)
+        self._drop = DropDetector(parameters)
         self._fallen = False
+        self._down_s = 0.0
+        """Seconds on the ground after a drop."""
 
     def update(
         self,
@@ -69,7 +140,7 @@ class EventDetector:
         timestamp: float,
         shares: NDArray[np.float64],
         reliability: Reliability,
-        height_px: float | None = None,
+        hips: HipHeight | None = None,
         *,
         rests: bool = False,
     ) -> tuple[Event, ...]:
@@ -86,8 +157,8 @@ class EventDetector:
         reliability : Reliability
             Weights of the frame: of its posture that the body is read correctly, of being down
             that there is a person.
-        height_px : float, optional
-            Of the person in the picture; None where part of them is not seen.
+        hips : HipHeight, optional
+            None where they are not seen.
         rests : bool
             Whether the person is in a zone for resting, where lying is no event.
         """
@@ -102,42 +173,29 @@ class EventDetector:
         def happened(name: EventName, state: EventState | None, level: float) -> list[Event]:
             return [Event(name, track_id, state, timestamp, level)] if state else []
 
-        self._remember_upright(timestamp, share(*UPRIGHT), step, height_px)
         state = self._arms_raised.update(timestamp, share("arms_raised"), step)
         events = happened("arms_raised", state, self._arms_raised.level)
         state = self._lying.update(timestamp, 0.0 if rests else share("lying"), step)
         events += happened("lying", state, self._lying.level)
-        down = 1.0 if self._dropped(height_px) else share(*ON_THE_GROUND)
-        self._down.update(timestamp, 0.0 if rests else down, reliability.person * elapsed)
-        fell: EventState | None = "instant" if self._fell(timestamp) else None
+        if hips is not None:
+            self._drop.update(timestamp, hips)
+        on_the_ground = 0.0 if rests else share(*ON_THE_GROUND)
+        self._down.update(timestamp, on_the_ground, reliability.person * elapsed)
+        fell: EventState | None = "instant" if self._fell(timestamp, elapsed) else None
         return (*events, *happened("fell", fell, self._down.level))
 
-    def _remember_upright(
-        self, timestamp: float, upright: float, step: float, height_px: float | None
-    ) -> None:
-        """Note when, and how tall in the picture, the person was last upright."""
-        self._upright.update(timestamp, upright, step)
-        surely = self._upright.holds and upright >= self._parameters.begins_from
-        if not surely or self._dropped(height_px):
-            return
-        self._upright_at = timestamp
-        if height_px is not None:
-            known = self._upright_px or height_px
-            gain = 1 - math.exp(-step / self._parameters.settling_s)
-            self._upright_px = known + gain * (height_px - known)
-
-    def _dropped(self, height_px: float | None) -> bool:
-        """Whether the person is far lower than when they were upright."""
-        if height_px is None or self._upright_px is None:
-            return False
-        return height_px < self._parameters.dropped_to * self._upright_px
-
-    def _fell(self, timestamp: float) -> bool:
+    def _fell(self, timestamp: float, elapsed: float) -> bool:
         """Whether a fall is certain as of now; true once until the person is up again."""
-        down = self._down
-        self._fallen = self._fallen and down.holds
-        if self._fallen or not down.holds or self._upright_at is None:
+        drop, limits, level = self._drop, self._parameters, self._down.level
+        if level < limits.ends_below:
+            self._fallen = False
+        if drop.dropped_at is None or level < drop.min_on_ground():
+            self._down_s = 0.0
             return False
-        suddenly = 0 <= down.since - self._upright_at <= self._parameters.falls_within_s
-        self._fallen = suddenly and timestamp - down.since >= self._parameters.stays_down_s
-        return self._fallen
+        if self._down_s == 0.0 and timestamp - drop.dropped_at > limits.down_within_s:
+            return False
+        self._down_s += elapsed
+        if self._fallen or self._down_s < limits.stays_down_s:
+            return False
+        self._fallen = True
+        return True

@@ -86,6 +86,8 @@ class TrackParameters:
     # detection: on tables and tripods it often stays near 0, and it falls below 0.1 where a person
     # has left.
     min_presence: float = 0.5
+    # A frame whose landmarks are surely wrong still counts so much for the posture.
+    min_reliability: float = 0.2
     appearance_gain: float = 0.1  # Share of the difference that corrects the known appearance.
 
 
@@ -181,11 +183,19 @@ class EventParameters:
     begins_from: float = 0.5  # Filtered probability at which something begins.
     ends_below: float = 0.2  # Filtered probability below which it ends.
     max_step_s: float = 0.34  # For a single frame: just short of where something begins.
-    falls_within_s: float = 4.0  # From upright to the ground; a slower descent is lying down.
-    stays_down_s: float = 1.5  # On the ground, until a fall is reported.
-    # Share of a person's upright height in the picture below which they are down, whatever the
-    # posture: a person who sits on a chair or kneels keeps two thirds.
-    dropped_to: float = 0.55
+    # A fall from standing, from a chair or out of bed takes the hips down by this many metres
+    # within so many seconds. Bending hardly moves them; people who go to bed lower them by 0.2 m.
+    min_drop_m: float = 0.4
+    drop_within_s: float = 1.5
+    kept_drop: float = 0.6  # Share of the drop that the hips stay down: a jump comes up again.
+    # Filtered probability of being on the ground that a fall needs after such a drop, what every
+    # further metre takes off it, and what it needs at least: below a seat there is the ground.
+    min_on_ground: float = 0.5
+    on_ground_per_m: float = 1.0
+    min_on_ground_after_deep_drop: float = 0.3
+    down_within_s: float = 2.5  # From the drop to that probability.
+    stays_down_s: float = 0.5  # On the ground after the drop, until a fall is reported.
+    max_elevation_deg: float = 60.0  # Of a camera, for how a drop looks shorter from above.
 
 
 @dataclass(frozen=True)

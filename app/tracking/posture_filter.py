@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from app.estimation.posture_probability import (
     EstimatedPosture,
-    on_ground_probability,
+    likeliest_posture,
     posture_of,
-    with_bent_legs,
-    with_on_ground,
+    shares_of,
 )
 from app.tracking.parameters import DEFAULTS, PostureParameters
+from app.vision.frame_posture import FramePosture
 from app.vision.geometry import Box
-from app.vision.people import Landmarks
+from index.posture import POSTURES
+
+_LYING = np.array([posture == "lying" for posture in POSTURES], np.float64)
 
 
 class PostureFilter:
@@ -32,9 +34,10 @@ class PostureFilter:
         self,
         timestamp: float,
         votes: NDArray[np.float64],
-        landmarks: Landmarks | None,
+        frame_posture: FramePosture | None,
         presence: float,
         box: Box,
+        weight: float = 1.0,
     ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
         """Take in a frame.
 
@@ -44,12 +47,14 @@ class PostureFilter:
             Seconds, after those of the frames before.
         votes : (10,) float64 array
             Share of each of ``POSTURES`` in the hypotheses of this frame.
-        landmarks : Landmarks or None
-            None where none were read.
+        frame_posture : FramePosture or None
+            From the landmarks; None where none were read.
         presence : float
             Probability that the landmarks are a person's.
         box : Box
             Of the person.
+        weight : float
+            How far the frame counts, 0 to 1.
 
         Returns
         -------
@@ -59,19 +64,22 @@ class PostureFilter:
             Of this frame alone.
         """
         shares = votes
-        if landmarks is not None:
+        if frame_posture is not None:
             # Where the network sees no person, only the shape of the box says how they lie.
-            lies = presence * on_ground_probability(landmarks) + (1 - presence) * self._wide(box)
-            shares = with_on_ground(with_bent_legs(votes, landmarks, presence), lies)
+            lying = self._wide(box) * _LYING
+            shares = presence * shares_of(frame_posture, votes) + (1 - presence) * lying
+            shares = shares + (1 - shares.sum()) * votes
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:
-            elapsed = min(timestamp - self._last_at, self._parameters.max_step_s)
+            elapsed = weight * min(timestamp - self._last_at, self._parameters.max_step_s)
             kept = math.exp(-elapsed / self._parameters.settling_s)
             self._shares = kept * self._shares + (1 - kept) * shares
             self._presence = kept * self._presence + (1 - kept) * presence
         self._last_at = timestamp
-        return posture_of(self._shares, self._presence), shares
+        if frame_posture is None:
+            return posture_of(self._shares, self._presence), shares
+        return likeliest_posture(self._shares, self._presence), shares
 
     def _wide(self, box: Box) -> float:
         """Probability that the person in a box lies, by its shape alone."""

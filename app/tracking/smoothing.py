@@ -54,6 +54,8 @@ class Smoothed:
     velocity : GroundVelocity
     elevation_deg : float
         Of the camera above the person, averaged over the track.
+    px_per_m : float
+        Scale of the person in this frame.
     confidence_features : (float, float)
         Log odds, whose weighted sum gives the pose's confidence: of the hypotheses near the pose,
         and of the share of probability near it.
@@ -64,6 +66,7 @@ class Smoothed:
     votes: NDArray[np.float64]
     velocity: GroundVelocity
     elevation_deg: float
+    px_per_m: float
     confidence_features: tuple[float, float]
 
 
@@ -78,6 +81,15 @@ class _Frame:
     # (N,), by silhouette and landmarks; None where no landmarks were read.
     distances: NDArray[np.float64] | None
     clarity: float  # How far landmarks count, 0 to 1; 0 where none were read.
+
+    def weights(self) -> NDArray[np.float64]:
+        """Weights ``(N,)`` of the hypotheses by their confidences; they sum to 1."""
+        weights = self.confidences + 1e-6
+        return np.asarray(weights / weights.sum())
+
+    def px_per_m(self) -> float:
+        """Scale of the person."""
+        return float(self.weights() @ pixels_per_metre(self.points_3d, self.points_2d, POINTS))
 
     @classmethod
     def of(cls, person: Person, parameters: SmoothingParameters) -> _Frame:
@@ -172,6 +184,7 @@ class PoseSmoother:
             return None
         frame = _Frame.of(person, self._parameters)
         velocity = self._velocity(frame, person.observed, timestamp)
+        px_per_m = frame.px_per_m()
         heading = self._add_states(frame, velocity, timestamp)
         states = self._states[-1]
         probabilities = np.exp(states.log_forward)
@@ -188,6 +201,7 @@ class PoseSmoother:
             ),
             velocity,
             self._ground.elevation_deg,
+            px_per_m,
             features,
         )
 
@@ -223,12 +237,12 @@ class PoseSmoother:
         self, frame: _Frame, observed: ObservedPerson, timestamp: float
     ) -> GroundVelocity:
         """Measure the velocity by the scales and elevations of the hypotheses."""
-        weights = (frame.confidences + 1e-6) / (frame.confidences + 1e-6).sum()
+        weights = frame.weights()
         elevations_deg = np.array([placed.label.elevation_deg for placed in frame.hypotheses])
         return self._ground.update(
             timestamp,
             observed.whole_box,
-            float(weights @ pixels_per_metre(frame.points_3d, frame.points_2d, POINTS)),
+            frame.px_per_m(),
             float(weights @ elevations_deg),
         )
 

@@ -13,13 +13,16 @@ from app.estimation.facing import Facing
 from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import ActionRecogniser
-from app.tracking.events import EventDetector, Reliability
+from app.tracking.events import EventDetector, HipHeight, Reliability
 from app.tracking.parameters import DEFAULTS, BoxParameters, TrackingParameters
 from app.tracking.posture_filter import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
-from app.tracking.smoothing import PoseSmoother
+from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, is_rest, zones_of
 from app.vision.geometry import Box, PersonWindow
+from index.skeleton import side_rows
+
+_HIPS = side_rows("hip")
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,12 @@ class Track:
         presence = 1.0 if observed.presence is None else observed.presence
         self._facing = smoothed.facing
         self._posture, shares = self._posture_filter.update(
-            timestamp, smoothed.votes, observed.landmarks, presence, observed.whole_box
+            timestamp,
+            smoothed.votes,
+            observed.frame_posture,
+            presence,
+            observed.whole_box,
+            self._weight(observed),
         )
         posture = self._posture if observed.landmarks is not None else None
         self._action = self._recogniser.update(timestamp, person, smoothed, posture)
@@ -200,12 +208,17 @@ class Track:
                 self.track_id,
                 timestamp,
                 shares,
-                _reliability(observed, smoothed.pose),
-                height_px=_height_px(observed),
+                _reliability(observed, smoothed.pose, self._weight(observed)),
+                hip_height(person, smoothed),
                 rests=is_rest(self.zones),
             )
         person = replace(person, facing=self._facing, posture=self._posture)
         return self._tracked(person, smoothed.pose), tuple(map(self.annotated, events))
+
+    def _weight(self, observed: ObservedPerson) -> float:
+        """How far the posture of a frame counts: as far as its landmarks are right."""
+        presence = 1.0 if observed.presence is None else observed.presence
+        return 1 - presence * (1 - max(observed.reliability, self._parameters.min_reliability))
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
@@ -240,11 +253,12 @@ class Track:
         )
 
 
-def _reliability(observed: ObservedPerson, pose: SmoothedPose) -> Reliability:
+def _reliability(observed: ObservedPerson, pose: SmoothedPose, weight: float) -> Reliability:
     """How far a frame counts: by the landmark network, without landmarks by the pose."""
     if observed.presence is None:
         return Reliability(pose.confidence, pose.confidence)
-    return Reliability(observed.presence, max(observed.presence, _score(observed)))
+    presence = max(observed.presence, _score(observed))
+    return Reliability(weight * observed.presence, weight * presence)
 
 
 def _score(observed: ObservedPerson) -> float:
@@ -252,8 +266,7 @@ def _score(observed: ObservedPerson) -> float:
     return 1.0 if observed.detection_score is None else observed.detection_score
 
 
-def _height_px(observed: ObservedPerson) -> float | None:
-    """Height of a person in the picture, None where part of them is not seen."""
-    if observed.silhouette is None or observed.silhouette.truncated:
-        return None
-    return observed.silhouette.box.height
+def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
+    """Height of a person's hips, by the best hypothesis."""
+    y_px = float(person.hypotheses[0].points_2d[_HIPS, 1].mean())
+    return HipHeight.seen(y_px, smoothed.px_per_m, smoothed.elevation_deg)

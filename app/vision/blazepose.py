@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from app.vision.crops import resize, sample_window
 from app.vision.geometry import WINDOW_SCALE, PersonWindow, non_max_suppression, transform_points
+from app.vision.network_pass import MAP_SHAPES, POINTS, NetworkPass
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
@@ -32,7 +33,7 @@ LANDMARK_PX = 256
 
 # Points of the landmark network: the landmarks, the centre of the circle about the body, its point
 # in the direction of the head, and others. Each has x, y, z, visibility and presence.
-_POINTS, _POINT_VALUES = 39, 5
+_POINT_VALUES = 5
 _CIRCLE_CENTRE, _CIRCLE_TOP = 33, 34
 _LANDMARKS = len(LANDMARK_NAMES)
 
@@ -63,6 +64,8 @@ class PoseReading:
         The window that the landmarks point to.
     keypoints : ObservedKeypoints, optional
         MoveNet's keypoints of the same person, in pixels of the frame.
+    network_pass : NetworkPass, optional
+        The raw output of the network; None where the reading was made by hand.
     """
 
     window: PersonWindow
@@ -71,6 +74,7 @@ class PoseReading:
     probability: NDArray[np.float32]
     next_window: PersonWindow
     keypoints: ObservedKeypoints | None = None
+    network_pass: NetworkPass | None = None
 
     @property
     def body_px(self) -> float:
@@ -93,7 +97,13 @@ class LandmarkNetwork:
         self._network = TfliteNetwork(
             path,
             (LANDMARK_PX, LANDMARK_PX, 3),
-            [(_POINT_VALUES * _POINTS,), (1,), (LANDMARK_PX, LANDMARK_PX, 1), (3 * _POINTS,)],
+            [
+                (_POINT_VALUES * POINTS,),
+                (1,),
+                (LANDMARK_PX, LANDMARK_PX, 1),
+                (3 * POINTS,),
+                *MAP_SHAPES,
+            ],
             threads=threads,
             copies=copies,
         )
@@ -101,13 +111,14 @@ class LandmarkNetwork:
     def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading:
         """Read the person in a window of a frame ``(H, W, 3)``, BGR."""
         image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
-        values, presence, log_odds, world = self._network.run(image * np.float32(1 / 255))
-        points = values.reshape(_POINTS, _POINT_VALUES).astype(np.float64)
+        values, presence, log_odds, world, *maps = self._network.run(image * np.float32(1 / 255))
+        raw_points, raw_world = values.reshape(POINTS, _POINT_VALUES), world.reshape(POINTS, 3)
+        points = raw_points.astype(np.float64)
         to_frame = window.to_frame(LANDMARK_PX)
         # The network counts pixels from the corner of the first one.
         positions = transform_points(to_frame, points[:, :2] - 0.5)
         visibility = sigmoid(points[:_LANDMARKS, 3])
-        metres = world.reshape(_POINTS, 3)[:_LANDMARKS].astype(np.float64)
+        metres = raw_world[:_LANDMARKS].astype(np.float64)
         rotation = to_frame[:, :2] / (window.side / LANDMARK_PX)
         metres = np.hstack([metres[:, :2] @ rotation.T, metres[:, 2:]])
         return PoseReading(
@@ -116,6 +127,7 @@ class LandmarkNetwork:
             float(presence[0]),
             sigmoid(log_odds[..., 0]),
             PersonWindow.about_circle(positions[_CIRCLE_CENTRE], positions[_CIRCLE_TOP]),
+            network_pass=NetworkPass(raw_points, raw_world, float(presence[0]), *maps),
         )
 
 

@@ -124,6 +124,9 @@ class ReadingParameters:
     # From the frame's border; nearer landmarks are at most as visible as MoveNet's keypoints.
     border_distance: float = 0.3
     hips_to_feet: float = 1.7  # Distance relative to the trunk.
+    # Lean of the trunk up to which a window that is not turned is tried as well: in windows turned
+    # to the trunk of leaning people, the network exchanges left and right at times.
+    max_lean_deg: float = 60.0
 
 
 @dataclass(frozen=True)

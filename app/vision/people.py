@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import cv2
@@ -72,6 +72,10 @@ class ObservedKeypoints:
         return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
 
 
+NETWORK_DEPTH_SD_M = 0.15
+"""Standard deviation of the depths that the landmark network gives."""
+
+
 @dataclass(frozen=True)
 class Landmarks:
     """Where a photograph shows a person's landmarks, and their positions in space.
@@ -83,17 +87,24 @@ class Landmarks:
     visibility : (33,) float64 array
         Probability that each is inside the frame and not hidden, 0 to 1.
     metres : (33, 3) float64 array
-        Relative to the middle of the hips, axes of the camera: x right, y down, z forward.
+        Relative to the middle of the hips, axes of the line of sight to them: x right, y down, z
+        away from the camera.
+    depth_sd : (33,) float64 array
+        Standard deviation of the depths, metres.
     """
 
     positions: NDArray[np.float64]
     visibility: NDArray[np.float64]
     metres: NDArray[np.float64]
+    depth_sd: NDArray[np.float64] = field(
+        default_factory=lambda: np.full(len(LANDMARK_NAMES), NETWORK_DEPTH_SD_M)
+    )
 
     def __post_init__(self) -> None:
         count = len(LANDMARK_NAMES)
-        shapes = (self.positions.shape, self.visibility.shape, self.metres.shape)
-        expected = ((count, 2), (count,), (count, 3))
+        arrays = (self.positions, self.visibility, self.metres, self.depth_sd)
+        shapes = tuple(array.shape for array in arrays)
+        expected = ((count, 2), (count,), (count, 3), (count,))
         if shapes != expected:
             raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
 

@@ -45,6 +45,13 @@ def _nearest_keypoint(landmark: str) -> int:
     return COCO_NAMES.index(f"{side}_{part}" if part else side)
 
 
+_OTHER_SIDE_LANDMARKS = [
+    LANDMARK_NAMES.index(
+        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
+    )
+    for name in COCO_NAMES
+]
+
 _NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
 
 
@@ -84,8 +91,11 @@ class PersonReader:
         if keypoints is None:
             keypoints = self.keypoint_reader.read(frame, box)
         beyond = window_beyond_border(keypoints, box, frame.shape, self.parameters)
-        about = PersonWindow.about_box(box, trunk_roll_deg(keypoints, self.parameters) or 0.0)
-        best = self._best_reading(frame, (*beyond, *windows, about), keypoints)
+        roll_deg = trunk_roll_deg(keypoints, self.parameters) or 0.0
+        about = [PersonWindow.about_box(box, roll_deg)]
+        if 0 < abs(roll_deg) < self.parameters.max_lean_deg:
+            about.append(PersonWindow.about_box(box))
+        best = self._best_reading(frame, (*beyond, *windows, *about), keypoints)
         return best if keypoints is None else fuse(best, keypoints, self.parameters)
 
     def _best_reading(
@@ -167,6 +177,14 @@ def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np
     """Distances ``(17,)`` between both networks' keypoints, in sizes of the body."""
     offsets = keypoints.positions - reading.landmarks.positions[COCO_LANDMARKS]
     return np.asarray(np.linalg.norm(offsets, axis=1) / reading.body_px)
+
+
+def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
+    """Whether MoveNet's keypoints lie nearer to the landmarks of the other side."""
+    offsets = keypoints.positions - reading.landmarks.positions[_OTHER_SIDE_LANDMARKS]
+    exchanged = np.linalg.norm(offsets, axis=1) / reading.body_px
+    scores = keypoints.scores[_COMPARED]
+    return bool(scores @ exchanged[_COMPARED] < scores @ _distances(reading, keypoints)[_COMPARED])
 
 
 def fuse(

@@ -16,6 +16,7 @@ from app.tracking.events import EventDetector, Reliability
 from app.tracking.parameters import DEFAULTS
 from app.tracking.posture_filter import PostureFilter
 from app.tracking.smoothing import PoseSmoother
+from app.tracking.track import hip_height
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.posture import POSTURES
@@ -248,6 +249,6 @@ def count_falls(track: Track, rate: int) -> int:
         box = person.observed.box
         _, shares = postures.update(timestamp, smoothed.votes, None, 1.0, box)
         reliability = Reliability(*2 * [smoothed.pose.confidence])
-        events = detector.update(1, timestamp, shares, reliability, box.height)
+        events = detector.update(1, timestamp, shares, reliability, hip_height(person, smoothed))
         falls += sum(event.event == "fell" for event in events)
     return falls

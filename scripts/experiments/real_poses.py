@@ -19,6 +19,7 @@ from app.vision.geometry import Box
 from app.vision.models import fitted_constants as constants_of
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
+from app.vision.sight import PinholeCamera
 from app.vision.silhouettes import silhouettes_of
 from descriptor.silhouette import normalise
 from index.parameters import DEFAULT_HYPOTHESES
@@ -125,15 +126,18 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     nearest to the landmarks, and the silhouette is the frame of reference.
     """
     person = ObservedPerson(shown.box, "boxes", None, shown.silhouette)
+    camera = PinholeCamera.of_frame(shown.frame.shape)
     if way != SILHOUETTE:
         reading = estimator.finder.reader.read(shown.frame, shown.box)
-        person = make_observation(shown.frame, shown.box, "boxes", None, shown.silhouette, reading)
+        person = make_observation(
+            shown.frame, camera, shown.box, "boxes", None, shown.silhouette, reading
+        )
     if way == LANDMARKS:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.keypoints() is None:
             return None
-        return fit_poses(estimator.index, person, normalised, DEFAULT_HYPOTHESES)
-    scene = Scene(shown.frame, (person,))
+        return fit_poses(estimator.index, person, normalised, camera, DEFAULT_HYPOTHESES)
+    scene = Scene(shown.frame, (person,), camera)
     return estimator.with_hypotheses(scene, DEFAULT_HYPOTHESES, Job())[0]
 
 

@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> dict[str, object] | None:
     index = strict_index(options.shared, options.strict_index)
     filmed = film_segments(options.shared, held, HELD_OUT_AVATARS, VIEWS)
     return measure([
-        (one, match_silhouettes(index, one.silhouettes, DEFAULTS.smoothing.max_states))
+        (one, match_silhouettes(index, one.silhouettes, one.camera, DEFAULTS.smoothing.max_states))
         for one in tqdm(filmed, desc="matching", unit="sequence")
     ])  # fmt: skip
 
@@ -220,7 +220,10 @@ def fit(shared: Path) -> None:
     features, right = [], []
     for filmed in tqdm(film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)):
         poses = smoothed(
-            filmed, match_silhouettes(index, filmed.silhouettes, DEFAULTS.smoothing.max_states)
+            filmed,
+            match_silhouettes(
+                index, filmed.silhouettes, filmed.camera, DEFAULTS.smoothing.max_states
+            ),
         )
         features += [one.confidence_features for one in poses]
         right.append(smooth(filmed, poses).measures()["right"] > 0)

@@ -269,7 +269,7 @@ def match_films(
     """Match every frame and smooth the poses."""
     tracks = []
     for filmed in films:
-        people = match_silhouettes(index, filmed.silhouettes, HYPOTHESES)
+        people = match_silhouettes(index, filmed.silhouettes, filmed.camera, HYPOTHESES)
         smoother = PoseSmoother()
         smoothed = [
             smoother.update(person, timestamp)

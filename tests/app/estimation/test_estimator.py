@@ -17,6 +17,7 @@ from app.settings import Settings
 from app.vision.geometry import Box
 from app.vision.people import Landmarks, silhouette_from_mask
 from app.vision.person_reader import PersonReader
+from app.vision.sight import PinholeCamera
 from index.posture import LOW
 from index.skeleton import rotate_clockwise
 from tests.conftest import WALKERS, Photo, png
@@ -155,7 +156,8 @@ def test_rotated_person_has_the_same_poses(
 
     def answer(turns: int) -> Person:
         frame = np.ascontiguousarray(np.rot90(street, -turns))
-        scene = Scene(frame, (turned(walker, shape, turns, seen),))
+        camera = PinholeCamera.of_frame(frame.shape)
+        scene = Scene(frame, (turned(walker, shape, turns, seen),), camera)
         return estimator.with_hypotheses(scene, 5, Job())[0]
 
     upright, lying = answer(0), answer(quarter_turns)

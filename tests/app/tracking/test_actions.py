@@ -54,7 +54,7 @@ def features_of(
 def smoothed(points_3d: NDArray[np.float64]) -> Smoothed:
     pose = SmoothedPose(points_3d, PX_PER_M * points_3d[:, :2], 0.8, 0)
     votes = vote_posture(["standing"], [1.0])
-    return Smoothed(pose, Facing(1.0, "none"), votes, STILL, 10.0, (0.0, 0.0))
+    return Smoothed(pose, Facing(1.0, "none"), votes, STILL, 10.0, 100.0, (0.0, 0.0))
 
 
 def recognise(

@@ -9,12 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
+from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.detection import TrackedPeopleDetector
 from app.tracking.parameters import DEFAULTS
 from app.tracking.session import CameraSession
 from app.tracking.track import Sighting, Track
 from app.vision.images import decode_image
+from app.vision.sight import PinholeCamera
 from tests.app.tracking.drawn import ColourDetector, draw, ids, send
 
 
@@ -51,17 +53,21 @@ def test_a_detection_larger_than_the_body_moves_no_box(
         assert (box.x, box.width) == (pytest.approx(99.5, abs=2), pytest.approx(30, abs=3))
 
 
+def decoded(pixels: NDArray[np.uint8]) -> DecodedUpload:
+    return DecodedUpload(pixels, None, None, None, PinholeCamera.of_frame(pixels.shape))
+
+
 def followed(drawn: Estimator, left: int, *expected_at: int) -> list[int | None]:
     """Find a person at 100, and at ``left`` a frame later; by the window of which track?
 
     All tracks have the window of the first frame, and each is expected somewhere.
     """
     people = TrackedPeopleDetector(drawn.finder)
-    (first,) = people.find(frame((0, 100)), 0.0, [], Job())
+    (first,) = people.find(decoded(frame((0, 100))), 0.0, [], Job())
     assert first.track is None
     boxes = [replace(first.observed.box, x=place) for place in expected_at]
     tracks = [Track(Sighting(replace(first.observed, box=box)), 0.0) for box in boxes]
-    sightings = people.find(frame((0, left)), 0.1, tracks, Job())
+    sightings = people.find(decoded(frame((0, left))), 0.1, tracks, Job())
     return [None if one.track is None else tracks.index(one.track) for one in sightings]
 
 

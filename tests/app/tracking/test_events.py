@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import pytest
 
 from app.estimation.posture_probability import vote_posture
-from app.tracking.events import EventDetector, Reliability
+from app.tracking.events import DropDetector, EventDetector, HipHeight, Reliability
 from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event
 from index.posture import Posture
@@ -16,12 +16,24 @@ FPS = 10
 STAYS_DOWN_S = DEFAULTS.events.stays_down_s
 
 
+PX_PER_M = 100.0
+HIPS_M: dict[Posture, float] = {
+    "lying": 0.15, "crawling": 0.4, "kneeling": 0.5, "sitting": 0.5, "bending": 0.9
+}  # fmt: skip
+"""Height of the hips over the ground; 0.95 m where not named."""
+
+
+def hips_at(height_m: float) -> HipHeight:
+    return HipHeight(500.0 - PX_PER_M * height_m, PX_PER_M)
+
+
 def watch(
     parts: Iterable[tuple[Posture, float]],
     fps: float = FPS,
     probability: float = 0.9,
     confidence: float = 1.0,
     rests: bool = False,
+    hips_m: dict[Posture, float] = HIPS_M,
 ) -> list[Event]:
     """Events of a person who is in each posture for some seconds."""
     detector = EventDetector()
@@ -32,7 +44,12 @@ def watch(
             other: Posture = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
             events += detector.update(
-                7, frame / fps, shares, Reliability(confidence, confidence), rests=rests
+                7,
+                frame / fps,
+                shares,
+                Reliability(confidence, confidence),
+                hips_at(hips_m.get(posture, 0.95)),
+                rests=rests,
             )
             frame += 1
     return events
@@ -48,7 +65,7 @@ def test_a_fall_is_detected_after_a_while_on_the_ground(fps: float) -> None:
     assert names(events) == [("lying", "begin"), ("fell", "instant")]
     lying, fell = events
     assert 3.6 < lying.timestamp < 4.5
-    assert lying.timestamp + STAYS_DOWN_S <= fell.timestamp < lying.timestamp + STAYS_DOWN_S + 0.3
+    assert lying.timestamp <= fell.timestamp < lying.timestamp + STAYS_DOWN_S + 0.3
     assert all(event.track_id == 7 and 0.5 <= event.probability <= 1 for event in events)
 
 
@@ -65,7 +82,7 @@ RAISED = [("arms_raised", "begin"), ("arms_raised", "end")]
         # Slowly, never seen upright, up again at once.
         ([("standing", 3), ("sitting", 6), ("lying", 5)], LAY),
         ([("lying", 8)], LAY),
-        ([("standing", 3), ("lying", 1), ("standing", 3)], [*LAY, ("lying", "end")]),
+        ([("standing", 3), ("lying", 0.5), ("standing", 3)], [*LAY, ("lying", "end")]),
         # Down, but not flat.
         ([("walking", 3), ("crawling", 4)], [("fell", "instant")]),
         # A single frame neither begins nor ends anything.
@@ -92,17 +109,73 @@ def test_raised_arms_begin_and_end_within_a_second() -> None:
 
 
 def test_doubtful_postures_and_unreliable_frames_make_no_event() -> None:
-    assert watch([("standing", 2), ("lying", 5)], probability=0.4) == []
+    assert watch([("standing", 2), ("lying", 5)], probability=0.2) == []
+    assert watch([("standing", 2), ("lying", 5)], probability=0.4, hips_m={}) == []
     assert watch([("standing", 2), ("lying", 2)], confidence=0.05) == []
 
 
-def test_a_drop_to_half_the_height_is_a_fall_whatever_the_posture() -> None:
+def drops(heights_m: Iterable[float], fps: float = FPS) -> list[bool]:
+    detector, found = DropDetector(), []
+    for frame, height_m in enumerate(heights_m):
+        detector.update(frame / fps, hips_at(height_m))
+        found.append(detector.dropped_at is not None)
+    return found
+
+
+@pytest.mark.parametrize("fps", [2, 5, 10, 30])
+def test_drop_is_fast_and_far(fps: int) -> None:
+    def fall(metres: float, seconds: float) -> list[float]:
+        steps = [0.95 - metres * min(1.0, k / (seconds * fps)) for k in range(round(4 * fps))]
+        return fps * [0.95] + steps
+
+    assert drops(fall(0.6, 0.8), fps)[-1]
+    assert not any(drops(fall(0.3, 0.8), fps))
+    assert not any(drops(fall(0.6, 4.0), fps))
+
+
+def test_hips_that_come_up_again_have_not_dropped() -> None:
+    assert not drops([*[0.95] * 10, 0.7, 0.5, 0.5, 0.8, *[0.95] * 20])[-1]
+
+
+def test_drop_after_an_earlier_one_counts_anew() -> None:
+    detector = DropDetector()
+    for frame, height_m in enumerate([*[1.4] * 5, *[0.95] * 50, *[0.1] * 5]):
+        detector.update(frame / FPS, hips_at(height_m))
+    assert detector.dropped_at == 5.5
+
+
+def test_fall_out_of_bed_is_a_fall_although_the_person_was_lying_before() -> None:
     detector, events = EventDetector(), []
+    lying = vote_posture(["lying"], [1.0])
     for frame in range(60):
-        shares = vote_posture(["standing" if frame < 20 else "bending"], [1.0])
-        height_px = 200.0 if frame < 20 else 100.0
-        events += detector.update(7, frame / FPS, shares, Reliability(1.0, 1.0), height_px)
-    assert names(events) == [("fell", "instant")]
+        height_m = 0.6 if frame < 30 else max(0.1, 0.6 - 0.1 * (frame - 30))
+        events += detector.update(7, frame / FPS, lying, Reliability(1.0, 1.0), hips_at(height_m))
+    assert names(events) == [("lying", "begin"), ("fell", "instant")]
+    assert 3 < events[1].timestamp < 5
+
+
+def test_deep_drop_needs_less_certain_postures() -> None:
+    for height_m, falls in ((0.5, False), (0.15, True)):
+        heights: dict[Posture, float] = {"lying": height_m}
+        events = watch([("standing", 2), ("lying", 3)], probability=0.4, hips_m=heights)
+        assert [event.event for event in events] == (["fell"] if falls else [])
+
+
+def test_lying_down_slowly_is_no_fall() -> None:
+    slowly: list[tuple[Posture, float]] = [("sitting", 2), ("bending", 1), ("lying", 5)]
+    heights: dict[Posture, float] = {"sitting": 0.6, "bending": 0.55, "lying": 0.5}
+    assert names(watch(slowly, hips_m=heights)) == LAY
+
+
+def test_bending_and_sitting_down_are_no_falls() -> None:
+    assert watch([("standing", 2), ("bending", 4)]) == []
+    assert watch([("standing", 2), ("sitting", 4)]) == []
+
+
+def test_heights_seen_from_above_are_foreshortened() -> None:
+    assert HipHeight.seen(10.0, 100.0, 0.0).px_per_m == 100.0
+    assert HipHeight.seen(10.0, 100.0, 60.0).px_per_m == pytest.approx(50.0)
+    assert HipHeight.seen(10.0, 100.0, -90.0).px_per_m == pytest.approx(50.0)
 
 
 def test_in_a_zone_for_resting_lying_is_no_event() -> None:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from app.estimation.posture_probability import vote_posture
 from app.tracking.posture_filter import PostureFilter
+from app.vision.frame_posture import FRAME_POSTURES, FramePosture
 from app.vision.geometry import Box
-from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 UPRIGHT, LEVEL = Box(0, 0, 40, 160), Box(0, 0, 160, 40)
@@ -42,9 +42,15 @@ def test_after_a_long_gap_the_newest_frame_counts_for_most() -> None:
 
 @pytest.mark.parametrize(("box", "lies"), [(UPRIGHT, False), (LEVEL, True)])
 def test_where_the_network_sees_no_person_the_box_decides(box: Box, lies: bool) -> None:
-    rng = np.random.default_rng(0)
-    count = len(LANDMARK_NAMES)
-    landmarks = Landmarks(rng.random((count, 2)), np.full(count, 0.9), rng.random((count, 3)))
-    _, shares = PostureFilter().update(0.0, votes("standing"), landmarks, 0.0, box)
+    frame_posture = FramePosture(np.full(len(FRAME_POSTURES), 1 / len(FRAME_POSTURES)))
+    _, shares = PostureFilter().update(0.0, votes("standing"), frame_posture, 0.0, box)
     share = sum(shares[POSTURES.index(posture)] for posture in ON_THE_GROUND)
     assert (share > 0.9) if lies else (share < 0.1)
+
+
+def test_unreliable_frames_hardly_change_the_posture() -> None:
+    postures = PostureFilter()
+    postures.update(0.0, votes("lying"), None, 1.0, LEVEL)
+    for frame in range(1, 11):
+        posture, _ = postures.update(frame / 10, votes("standing"), None, 1.0, UPRIGHT, 0.1)
+    assert posture.label == "lying"

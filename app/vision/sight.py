@@ -1,0 +1,189 @@
+"""Lines of sight: from pixels to directions, and bodies placed on the lines of their landmarks.
+
+Camera axes: x right, y down, z forward. The axes of a line of sight are the camera's, turned by
+the smallest rotation that brings z onto the line; the landmark network's metres are in those of the
+window's middle, up to the window's roll.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.geometry import PersonWindow
+
+ASSUMED_FOV_DEG = 60.0
+"""Field of view along the longer side of a frame of which nothing is known."""
+
+NEAREST_M = 0.3
+"""Nobody is placed nearer to the camera."""
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A camera without distortion, its axis through the middle of the frame.
+
+    Parameters
+    ----------
+    focal : (2,) float64 array
+        Focal lengths across and down, pixels; alike where pixels are square.
+    centre : (2,) float64 array
+        Principal point, pixels.
+    given : bool
+        Whether the field of view is known rather than assumed.
+    """
+
+    focal: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    given: bool = False
+
+    def __post_init__(self) -> None:
+        finite = np.isfinite(self.focal).all() and np.isfinite(self.centre).all()
+        if self.focal.shape != (2,) or self.centre.shape != (2,) or not finite:
+            raise ValueError(
+                f"expected finite focal lengths and a principal point of shape (2,), "
+                f"got {self.focal} and {self.centre}"
+            )
+        if not (self.focal > 0).all():
+            raise ValueError(f"expected focal lengths above 0, got {self.focal}")
+
+    @classmethod
+    def of_frame(cls, frame_shape: tuple[int, ...], fov_deg: float | None = None) -> PinholeCamera:
+        """The camera of a frame.
+
+        Parameters
+        ----------
+        frame_shape : tuple of int
+            Height and width first.
+        fov_deg : float, optional
+            Horizontal field of view, above 0 and below 180;
+            :data:`ASSUMED_FOV_DEG` along the longer side where it is not given.
+
+        Raises
+        ------
+        ValueError
+            If the field of view is out of range.
+        """
+        height, width = frame_shape[:2]
+        if fov_deg is None:
+            side, angle = max(height, width), ASSUMED_FOV_DEG
+        else:
+            side, angle = width, fov_deg
+        if not 0 < angle < 180:
+            raise ValueError(f"expected a field of view between 0 and 180 degrees, got {angle}")
+        focal = side / 2 / np.tan(np.deg2rad(angle) / 2)
+        centre = np.array([width - 1, height - 1]) / 2
+        return cls(np.array([focal, focal]), centre, given=fov_deg is not None)
+
+    def rays(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Directions ``(..., 3)`` of places ``(..., 2)`` in pixels, of depth 1."""
+        aside = (np.asarray(places, np.float64) - self.centre) / self.focal
+        return np.concatenate([aside, np.ones((*aside.shape[:-1], 1))], axis=-1)
+
+    def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Places ``(..., 2)`` in pixels of points ``(..., 3)`` before the camera."""
+        points = np.asarray(points, np.float64)
+        return np.asarray(points[..., :2] / points[..., 2:] * self.focal + self.centre)
+
+
+def to_line_of_sight(rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations ``(..., 3, 3)`` from camera axes to those of lines of sight ``(..., 3)``.
+
+    ``line @ camera``; the transpose leads back. Rodrigues' formula for the smallest rotation that
+    brings z onto the ray.
+    """
+    x, y, z = np.moveaxis(rays / np.linalg.norm(rays, axis=-1, keepdims=True), -1, 0)
+    rest = 1 / (1 + z)
+    return np.stack(
+        [
+            np.stack([1 - x * x * rest, -x * y * rest, -x], axis=-1),
+            np.stack([-x * y * rest, 1 - y * y * rest, -y], axis=-1),
+            np.stack([x, y, z], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def roll_rotation(roll_deg: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Rotations ``(..., 3, 3)`` from axes of a line of sight to those of a rolled window."""
+    angle = np.deg2rad(np.asarray(roll_deg, np.float64))
+    cosine, sine, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    return np.stack(
+        [
+            np.stack([cosine, sine, zero], axis=-1),
+            np.stack([-sine, cosine, zero], axis=-1),
+            np.stack([zero, zero, zero + 1], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def window_axes(camera: PinholeCamera, window: PersonWindow) -> NDArray[np.float64]:
+    """Rotation ``(3, 3)`` from camera axes to those of a window: z along its line of sight."""
+    line = to_line_of_sight(camera.rays(np.array([window.x, window.y])))
+    return np.asarray(roll_rotation(window.roll_deg) @ line)
+
+
+@dataclass(frozen=True)
+class PlacedBody:
+    """A body on the lines of sight of its landmarks.
+
+    Parameters
+    ----------
+    points : (P, 3) float64 array
+        Metres from the camera, its axes.
+    origin : (3,) float64 array
+        Where the origin of the depths lies, likewise.
+    """
+
+    points: NDArray[np.float64]
+    origin: NDArray[np.float64]
+
+
+def place_on_sight_lines(
+    metres: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    axes: NDArray[np.float64],
+    weights: NDArray[np.float64],
+) -> PlacedBody:
+    """Place points on the lines of sight of their landmarks.
+
+    The body's size says how far away it is: the origin is moved so that the points come as near to
+    their lines as they can, across the line of sight; then each is put onto its line at its depth.
+
+    Parameters
+    ----------
+    metres : (P, 3) float64 array
+        About any origin, axes of a line of sight; z is trusted.
+    rays : (P, 3) float64 array
+        Directions of the landmarks, camera axes.
+    axes : (3, 3) float64 array
+        Camera axes to those of the line of sight.
+    weights : (P,) float64 array
+        How far each counts; not negative, not all zero.
+
+    Returns
+    -------
+    PlacedBody
+    """
+    lines = rays @ axes.T
+    lines = lines / np.maximum(lines[:, 2:], 0.05)
+    x, y, w = lines[:, 0], lines[:, 1], weights
+    # Least squares for the origin (a, b, c): metres_x + a = x * (metres_z + c), likewise y.
+    gap_x, gap_y = x * metres[:, 2] - metres[:, 0], y * metres[:, 2] - metres[:, 1]
+    total = w.sum()
+    normal = np.array(
+        [
+            [total, 0.0, -(w @ x)],
+            [0.0, total, -(w @ y)],
+            [-(w @ x), -(w @ y), w @ (x * x + y * y)],
+        ]
+    )
+    right = np.array([w @ gap_x, w @ gap_y, -(w @ (x * gap_x + y * gap_y))])
+    origin = np.linalg.solve(normal + 1e-9 * total * np.eye(3), right)
+    nearest = NEAREST_M - float(metres[:, 2].min())
+    depths = metres[:, 2] + max(float(origin[2]), nearest)
+    origin[2] = max(float(origin[2]), nearest)
+    return PlacedBody(lines * depths[:, None] @ axes, origin @ axes)

@@ -1,0 +1,126 @@
+"""Small fully connected networks, trained by PyTorch on one core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.dense import DenseNetwork
+
+Loss = Callable[[Any, Any], Any]
+"""Outputs ``(B, O)`` and targets ``(B, T)`` as tensors to a mean."""
+
+
+def fit_dense(
+    features: NDArray[np.floating],
+    targets: NDArray[np.floating],
+    outputs: int,
+    loss: Loss,
+    *,
+    hidden: tuple[int, ...],
+    epochs: int,
+    seed: int,
+    batch: int = 256,
+    rate: float = 1e-3,
+    decay: float = 0.02,
+    dropout: float = 0.1,
+    noise: float = 0.1,
+) -> DenseNetwork:
+    """Train a network; the same one for the same arguments.
+
+    Parameters
+    ----------
+    features : (N, F) array
+    targets : (N, T) array
+        Given to the loss as they are.
+    outputs : int
+    loss : callable
+    hidden : tuple of int
+        Widths of the layers between.
+    epochs, seed, batch : int
+    rate, decay : float
+        Of AdamW; the rate rises and falls over the training.
+    dropout : float
+        Share of the hidden values that is left out.
+    noise : float
+        Added to standardised features.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    torch.use_deterministic_algorithms(True)
+    means = features.mean(axis=0, dtype=np.float64).astype(np.float32)
+    scales = np.maximum(features.std(axis=0, dtype=np.float64), 1e-4).astype(np.float32)
+    inputs = torch.from_numpy(((features - means) / scales).astype(np.float32))
+    truth = torch.from_numpy(targets.astype(np.float32))
+    layers: list[Any] = []
+    width = features.shape[1]
+    for size in hidden:
+        layers += [torch.nn.Linear(width, size), torch.nn.SiLU(), torch.nn.Dropout(dropout)]
+        width = size
+    last = torch.nn.Linear(width, outputs)
+    torch.nn.init.zeros_(last.weight)
+    torch.nn.init.zeros_(last.bias)
+    network = torch.nn.Sequential(*layers, last)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
+    batches = max(1, len(inputs) // batch)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, epochs * batches, pct_start=0.1)
+    network.train()
+    for _ in range(epochs):
+        order = torch.randperm(len(inputs))
+        for number in range(batches):
+            rows = order[number * batch : (number + 1) * batch]
+            given = inputs[rows]
+            found = loss(network(given + noise * torch.randn_like(given)), truth[rows])
+            optimiser.zero_grad()
+            found.backward()
+            optimiser.step()
+            schedule.step()
+    linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    return DenseNetwork(
+        means,
+        scales,
+        tuple(layer.weight.detach().numpy().T.copy() for layer in linear),
+        tuple(layer.bias.detach().numpy().copy() for layer in linear),
+    )
+
+
+def scaled_outputs(network: DenseNetwork, factors: NDArray[np.float64]) -> DenseNetwork:
+    """The same network, its outputs multiplied by factors ``(O,)``."""
+    *weights, weight = network.weights
+    *biases, bias = network.biases
+    by = factors.astype(np.float32)
+    return DenseNetwork(
+        network.means, network.scales, (*weights, weight * by), (*biases, bias * by)
+    )
+
+
+def averaged(networks: Sequence[DenseNetwork]) -> DenseNetwork:
+    """One network that gives the mean of several with one hidden layer and the same inputs."""
+    first = networks[0]
+    if any(len(network.weights) != 2 for network in networks):
+        raise ValueError("expected networks with one hidden layer")
+    last = np.concatenate([network.weights[1] for network in networks])
+    return DenseNetwork(
+        first.means,
+        first.scales,
+        (
+            np.concatenate([network.weights[0] for network in networks], axis=1),
+            np.asarray(last / len(networks), np.float32),
+        ),
+        (
+            np.concatenate([network.biases[0] for network in networks]),
+            np.mean([network.biases[1] for network in networks], axis=0, dtype=np.float32),
+        ),
+    )
+
+
+def moved_outputs(network: DenseNetwork, offsets: NDArray[np.float64]) -> DenseNetwork:
+    """The same network, offsets ``(O,)`` added to its outputs."""
+    *biases, bias = network.biases
+    moved = (bias + offsets).astype(np.float32)
+    return DenseNetwork(network.means, network.scales, network.weights, (*biases, moved))

@@ -1,0 +1,107 @@
+"""Lines of sight: rotations, placing bodies, cameras of frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from app.vision.geometry import PersonWindow
+from app.vision.sight import (
+    PinholeCamera,
+    place_on_sight_lines,
+    roll_rotation,
+    to_line_of_sight,
+    window_axes,
+)
+
+SHAPE = (720, 1280, 3)
+directions = st.tuples(st.floats(-2, 2), st.floats(-2, 2)).map(lambda xy: np.array([*xy, 1.0]))
+
+
+@given(directions)
+def test_a_line_of_sight_becomes_the_z_axis(ray: np.ndarray) -> None:
+    rotation = to_line_of_sight(ray)
+    assert_allclose(rotation @ ray, [0, 0, np.linalg.norm(ray)], atol=1e-9)
+    assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    # The smallest rotation: what is across both directions stays.
+    axis = np.cross(ray, [0, 0, 1])
+    assert_allclose(rotation @ axis, axis, atol=1e-9)
+
+
+@given(st.floats(-180, 180))
+def test_the_sides_of_a_window_are_its_axes(roll: float) -> None:
+    camera = PinholeCamera.of_frame(SHAPE)
+    axes = window_axes(camera, PersonWindow(639.5, 359.5, 200.0, roll))
+    right = np.array([np.cos(np.deg2rad(roll)), np.sin(np.deg2rad(roll)), 0.0])
+    assert_allclose(axes @ right, [1, 0, 0], atol=1e-9)
+
+
+@given(st.floats(20, 120), directions)
+def test_projecting_undoes_a_ray(fov_deg: float, point: np.ndarray) -> None:
+    camera = PinholeCamera.of_frame(SHAPE, fov_deg)
+    ray = camera.rays(camera.project(3 * point))
+    assert_allclose(ray, point, atol=1e-9)
+
+
+def test_the_frame_spans_its_field_of_view() -> None:
+    camera = PinholeCamera.of_frame(SHAPE, 90)
+    left, right = camera.rays(np.array([[-0.5, 0], [1279.5, 0]]))
+    assert left[0] == pytest.approx(-1) and right[0] == pytest.approx(1)
+
+
+def test_sixty_degrees_are_assumed_along_the_longer_side() -> None:
+    wide, high = PinholeCamera.of_frame((720, 1280)), PinholeCamera.of_frame((1280, 720))
+    assert_allclose(wide.focal, high.focal)
+    assert wide.focal[0] == pytest.approx(640 / np.tan(np.deg2rad(30)))
+
+
+@pytest.mark.parametrize("fov_deg", [0.0, 180.0, -3.0, 400.0, float("nan")])
+def test_impossible_fields_of_view_are_refused(fov_deg: float) -> None:
+    with pytest.raises(ValueError, match="field of view between 0 and 180"):
+        PinholeCamera.of_frame(SHAPE, fov_deg)
+
+
+def test_impossible_cameras_are_refused() -> None:
+    with pytest.raises(ValueError, match="above 0"):
+        PinholeCamera(np.array([0.0, 1.0]), np.zeros(2))
+    with pytest.raises(ValueError, match="finite"):
+        PinholeCamera(np.array([np.nan, 1.0]), np.zeros(2))
+
+
+@given(
+    st.integers(0, 10_000), st.floats(1.5, 9.0), st.floats(-0.9, 0.9), st.floats(-0.6, 0.6),
+    st.floats(-180, 180),
+)  # fmt: skip
+def test_a_true_body_is_placed_where_it_is(
+    seed: int, distance: float, x: float, y: float, roll: float
+) -> None:
+    body = np.random.default_rng(seed).normal(0, [0.25, 0.45, 0.25], (33, 3)).clip(-0.9, 0.9)
+    hips = distance * np.array([x, y, 1.0])
+    camera = PinholeCamera.of_frame(SHAPE, 70)
+    places = camera.project(body + hips)
+    axes = roll_rotation(roll) @ to_line_of_sight(hips)
+    placed = place_on_sight_lines(body @ axes.T, camera.rays(places), axes, np.ones(33))
+    assert_allclose(placed.points, body + hips, atol=1e-4)
+    assert_allclose(placed.origin, hips, atol=1e-4)
+
+
+def test_wrong_metres_end_on_the_lines_all_the_same() -> None:
+    generator = np.random.default_rng(3)
+    camera = PinholeCamera.of_frame(SHAPE)
+    places = generator.uniform(300, 420, (33, 2))
+    metres = generator.normal(0, 0.3, (33, 3))
+    placed = place_on_sight_lines(metres, camera.rays(places), np.eye(3), np.ones(33))
+    assert_allclose(camera.project(placed.points), places, atol=1e-6)
+    assert (placed.points[:, 2] > 0).all()
+
+
+def test_a_body_in_one_pixel_is_far_away_and_finite() -> None:
+    camera = PinholeCamera.of_frame(SHAPE)
+    metres = np.random.default_rng(0).normal(0, 0.3, (33, 3))
+    rays = camera.rays(np.full((33, 2), 100.0))
+    placed = place_on_sight_lines(metres, rays, np.eye(3), np.full(33, 0.05))
+    assert np.isfinite(placed.points).all()
