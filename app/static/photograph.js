@@ -1,12 +1,12 @@
 // Photographs made smaller before they are sent, and answers brought back to their own pixels.
 
-/** The service looks for people at half of this: a longer side costs time, and shows it no more. */
+/** The service looks for people at half of this: a longer side costs time and adds nothing. */
 export const LONGEST_PX = 2560;
 
 /** What to send of an upload, and what to draw of it. */
 export async function prepare({ frame, mask, background }) {
-  // Null of formats that the service knows and the browser does not.
-  const bitmap = await createImageBitmap(frame).catch(() => null);
+  // Null where only a mask was given, and for formats that the browser does not read.
+  const bitmap = frame ? await createImageBitmap(frame).catch(() => null) : null;
   const scale = bitmap ? LONGEST_PX / Math.max(bitmap.width, bitmap.height) : 1;
   // A mask and a background have to be of the frame's size.
   if (scale >= 1 || mask || background) return { bitmap, files: { frame, mask, background } };
