@@ -29,14 +29,15 @@ export function holdsLabels(pixels) {
   return values.size === 2 || (values.size > 2 && values.has(0) && Math.max(...values) < MAX_LABELS);
 }
 
-/** Whether two pictures of the same size, as small grey copies, show the same scene. */
+/** Whether two pictures of the same size, as small copies, show one scene at different times. */
 export function showsSameScene(one, other) {
   const grey = (pixels, at) => (pixels[at] + pixels[at + 1] + pixels[at + 2]) / 3;
   let equal = 0;
   for (let at = 0; at < one.length; at += 4) {
     if (Math.abs(grey(one, at) - grey(other, at)) <= EQUAL) equal += 1;
   }
-  return 4 * equal >= EQUAL_SHARE * one.length;
+  const share = 4 * equal / one.length;
+  return share >= EQUAL_SHARE && share < 1;
 }
 
 const decoded = (file) => createImageBitmap(file).catch(() => null);

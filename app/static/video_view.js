@@ -260,7 +260,7 @@ export class VideoView {
       this.#follow();
       return;
     }
-    this.#looked = Math.min(seconds, this.#recording.end);
+    this.#looked = this.#recording.step(seconds, 0);
     if (this.#session?.canPause) this.#session.hold(true);
     this.#timeline.look(this.#looked);
     this.#showButtons();
