@@ -1,10 +1,9 @@
-"""The service: HTTP, images and the one use case, a frame in, persons with hypotheses out."""
+"""The service: HTTP, images, and one use case: a frame in, persons with hypotheses out."""
 
 import os
 
-# Frames are worked on in parallel. Threads inside NumPy's and FAISS' products would only compete
-# for the same cores, and make FAISS answer a single query slower and inexactly. Both read this when
-# they are imported.
+# Frames are worked on in parallel. Threads within NumPy and FAISS would only compete for the same
+# cores, and make FAISS slower and inexact for a single query. Both read this when imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A broken image is answered with a 400; OpenCV's own messages would fill the log.

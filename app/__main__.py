@@ -1,7 +1,7 @@
 """``python -m app``: serve on ``HOST``:``PORT`` with ``WORKERS`` processes.
 
-After SIGTERM or Ctrl-C it finishes the requests that it has accepted and ends with status 0. If a
-setting is invalid or the address cannot be used, it ends at once with status 1 and one sentence.
+After SIGTERM or Ctrl-C it finishes the accepted requests and exits with status 0. If a setting is
+invalid or the address cannot be used, it exits at once with status 1 and one sentence.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ KEEP_ALIVE_S = 65
 
 
 def main() -> None:
-    """Serve until told to stop."""
+    """Serve until a signal stops the server."""
     try:
         settings = read_settings()
         check_address(settings.host, settings.port)
@@ -40,7 +40,7 @@ def main() -> None:
 
 def serve(settings: Settings) -> None:
     """Run the server."""
-    # Once it has shut down, uvicorn raises the signal again, for the handler it found here.
+    # Once it has shut down, uvicorn raises the signal again for the handlers that it found here.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
     uvicorn.run(
@@ -59,14 +59,14 @@ def serve(settings: Settings) -> None:
 
 
 def check_address(host: str, port: int) -> None:
-    """Make sure that the service can listen.
+    """Make sure that the service can listen on an address.
 
-    uvicorn would say so only in its log, after everything else has been loaded.
+    uvicorn would report a failure only in its log, after everything else has been loaded.
 
     Raises
     ------
     SettingsError
-        If the address is not one of this machine, or the port is taken or forbidden.
+        If the address does not belong to this machine, or the port is taken or forbidden.
     """
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)

@@ -1,4 +1,4 @@
-"""The application: its parts put together, its start and its end."""
+"""The application: its assembly, start and shutdown."""
 
 from __future__ import annotations
 
@@ -15,29 +15,25 @@ from starlette.types import Scope
 from app.estimation.estimator import Estimator
 from app.http.access_log import AccessLogMiddleware
 from app.http.admission import AdmissionMiddleware, UploadLimits
-from app.http.error_handlers import register_error_handlers
-from app.http.identity import HEADER as CAMERA_HEADER
-from app.http.identity import camera_stream, sender_of
+from app.http.errors import register_error_handlers
+from app.http.identity import CAMERA_HEADER, Identity, IdentityMiddleware
 from app.http.metrics import Metrics
 from app.http.routing import HeadMiddleware, RouteTable
-from app.routes import cameras, deepstack, index, pose, sequence
-from app.routes import system as health
+from app.routes import cameras, deepstack, index, pose, sequence, system
 from app.routes.cameras import SESSION_HEADER
 from app.routes.openapi import SERVERS, TAGS, add_openapi
-from app.routes.system import add_docs, add_page
 from app.scheduling.executor import Executor
 from app.scheduling.process import configure_process
 from app.serving.loading import become_ready, keep_index_loaded
-from app.serving.milvus import CircuitBreaker
-from app.serving.runtime import Runtime
-from app.serving.version import VERSION
+from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, read_settings
 from app.tracking.session import CameraSession
 from app.tracking.sessions import CameraSessions
 
-# Below that, less than a packet is saved.
+# A smaller answer saves less than a packet.
 GZIP_FROM_BYTES = 1400
-# Shrinks an answer with seven hypotheses to a quarter in half a millisecond; more takes longer.
+# Shrinks an answer with seven hypotheses to a quarter in half a millisecond; higher levels take
+# longer.
 GZIP_LEVEL = 1
 
 _SWEEP_EVERY_S = 10.0
@@ -56,7 +52,7 @@ Errors are `application/problem+json` (RFC 9457).
 
 
 def create_app(settings: Settings | None = None, estimator: Estimator | None = None) -> FastAPI:
-    """Put the service together.
+    """Assemble the service.
 
     Parameters
     ----------
@@ -64,10 +60,6 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         Read from the environment by default.
     estimator : Estimator, optional
         By default it is loaded while the service already answers probes.
-
-    Returns
-    -------
-    FastAPI
     """
     settings = settings or read_settings()
     executor = Executor(settings.concurrency, settings.max_wait_s, settings.request_timeout_s)
@@ -80,19 +72,19 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         on_begin=metrics.sessions_started.inc,
         on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
     )
-    breaker = CircuitBreaker(lambda reason: metrics.search_failures.labels(reason).inc())
-    runtime = Runtime(settings, executor, metrics, sessions, breaker)
-    metrics.observe_sessions(lambda: len(sessions), lambda: runtime.sequences)
-    metrics.observe_breaker(lambda: breaker.is_open)
-    runtime.metrics.observe_load(lambda: executor.line.inside, executor.line.fullness)
-    runtime.metrics.observe_build(VERSION, settings)
+    runtime = Runtime(settings, executor, metrics, sessions)
+    metrics.sessions.set_function(lambda: len(sessions))
+    metrics.sequences.set_function(lambda: runtime.sequences)
+    metrics.in_flight.set_function(lambda: executor.queue.in_flight)
+    metrics.capacity_used.set_function(executor.queue.load)
+    metrics.observe_build(VERSION, settings)
     if estimator is not None:
         become_ready(runtime, estimator)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_process()
-        # Uploads stay in memory, within the limits of admission: no photograph touches a disk.
+        # Uploads stay in memory, within the limits of admission: no photograph reaches a disk.
         MultiPartParser.spool_max_size = max(settings.max_upload_bytes, settings.max_video_bytes)
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
@@ -114,15 +106,15 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # Ours are relative: app/http/error_handlers.py.
+        redirect_slashes=False,  # Ours are relative: app/http/errors.py.
     )
     app.state.runtime = runtime
-    routers = [module.router for module in (pose, cameras, sequence, index, deepstack, health)]
+    routers = [module.router for module in (pose, cameras, sequence, index, deepstack, system)]
     for router in routers:
         app.include_router(router)
     add_openapi(app)
-    add_docs(app)
-    add_page(app)
+    system.add_docs(app)
+    system.add_page(app)
     table = RouteTable(route for router in (*routers, app.router) for route in router.routes)
     register_error_handlers(app, table)
     _add_middleware(app, runtime, table)
@@ -131,18 +123,17 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
 
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     """Add the middleware, the innermost first."""
-    settings, line = runtime.settings, runtime.executor.line
+    settings, queue = runtime.settings, runtime.executor.queue
 
-    def check(scope: Scope) -> None:
+    def check(scope: Scope, identity: Identity) -> None:
         # Frames of a video wait until there is room for them.
         if scope["method"] == "POST" and scope["path"] != sequence.PATH:
-            line.check(sender_of(scope, settings), camera_stream(scope))
+            queue.check(identity.sender, identity.stream)
 
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(
         AdmissionMiddleware,
         check=check,
-        caller_of=lambda scope: sender_of(scope, settings).caller,
         limits=UploadLimits(settings.max_upload_bytes, settings.upload_timeout_s),
         limits_of_paths={
             sequence.PATH: UploadLimits(settings.max_video_bytes, settings.video_upload_timeout_s)
@@ -158,12 +149,13 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
             expose_headers=["Retry-After", "X-Request-ID", SESSION_HEADER],
         )
     app.add_middleware(HeadMiddleware)
+    app.add_middleware(IdentityMiddleware, api_keys=settings.api_keys)
     # The outermost, so that it also sees refused requests.
     app.add_middleware(AccessLogMiddleware, metrics=runtime.metrics, table=table)
 
 
 async def _end_idle_sessions(runtime: Runtime) -> None:
-    """Give back what sessions hold whose cameras have stopped sending."""
+    """End the sessions of cameras that have stopped sending."""
     while True:
         await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
         runtime.sessions.end_idle()

@@ -1,4 +1,4 @@
-"""Pydantic's validation errors, in the words that all errors of the service use."""
+"""Wording of errors: of validation, what was expected and what was given instead."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import Any
 
 from pydantic import BeforeValidator
 
-_LONGEST_VALUE = 60
+# An UnavailableError's own sentence names a server that does not concern clients.
+SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
+
+_MAX_VALUE_CHARACTERS = 60
 _WHOLE = re.compile("[+-]?[0-9]+")
 
 _EXPECTED = {
@@ -47,19 +50,19 @@ def _refuse_all_but_digits(value: object) -> object:
 
 
 NUMBER = BeforeValidator(_refuse_underscores)
-"""For numbers in text: pydantic takes Python's ``1_000`` for one."""
+"""Validator of numbers in text; pydantic alone accepts ``1_000``, as Python does."""
 
 WHOLE_NUMBER = BeforeValidator(_refuse_all_but_digits)
-"""For whole numbers in text: pydantic takes ``1_000`` and ``1.0`` for some."""
+"""Validator of whole numbers in text; pydantic alone accepts ``1_000`` and ``1.0``."""
 
 
 def expected_and_got(error: Mapping[str, Any]) -> str:
-    """Say what was expected and what was found instead.
+    """Word an error of pydantic.
 
     Parameters
     ----------
     error : mapping
-        An element of :meth:`pydantic.ValidationError.errors`.
+        An item of :meth:`pydantic.ValidationError.errors`.
 
     Examples
     --------
@@ -72,8 +75,8 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
     if kind == "value_error":  # A validator of our own, whose sentence is complete.
         return str(context["error"])
     if kind in ("too_short", "too_long"):
-        wanted = context.get("min_length", context.get("max_length"))
-        return f"expected {wanted} values, got {context['actual_length']}"
+        count = context.get("min_length", context.get("max_length"))
+        return f"expected {count} values, got {context['actual_length']}"
     if kind not in _EXPECTED:
         message = str(error["msg"])
         return message[:1].lower() + message[1:]
@@ -82,19 +85,19 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
 
 def shortened(value: object) -> str:
     """Quote a value, shortened if it is long."""
-    text = repr(value)
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+    text, most = repr(value), _MAX_VALUE_CHARACTERS
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def suggestion(name: str, known: Mapping[str, str]) -> str:
-    """Ask whether another name was meant, ``""`` if none is similar.
+    """Suggest a known name as a half-sentence, ``""`` if none is similar.
 
     Parameters
     ----------
     name : str
         The unknown name.
     known : mapping of str to str
-        Known names, and what to suggest for each.
+        The suggestion for each known name.
 
     Examples
     --------

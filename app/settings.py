@@ -14,18 +14,18 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.messages import expected_and_got, shortened, suggestion
 from app.scheduling.process import available_cores
-from app.vision.detector import DetectorName
+from app.vision import DetectorName
+from index import DEFAULT_PATH
 from index.milvus_address import SCHEME, MilvusAddress
-from index.store import DEFAULT_PATH
 
 PREFIX = "POSE_"
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
-# Kubernetes describes a service called "pose" to all containers beside it by such variables.
-_OF_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
+# Kubernetes sets such variables in all containers of a namespace with a service called "pose".
+_KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
 
 class SettingsError(ValueError):
-    """A variable is invalid; the message is one sentence that begins with its name."""
+    """An environment variable is invalid; the message is one sentence that begins with its name."""
 
 
 class Settings(BaseSettings):
@@ -36,13 +36,16 @@ class Settings(BaseSettings):
     host: str = Field(
         default="127.0.0.1",
         validation_alias="HOST",
-        description="Address to listen on; `0.0.0.0` for all of the machine.",
+        description="Address to listen on; `0.0.0.0` for all addresses of the machine.",
     )
     port: int = Field(
         default=8000, ge=1, le=65535, validation_alias="PORT", description="Port to listen on."
     )
     workers: int = Field(
-        default=1, ge=1, validation_alias="WORKERS", description="Processes that serve; see below."
+        default=1,
+        ge=1,
+        validation_alias="WORKERS",
+        description="Number of server processes; see below.",
     )
 
     index: Annotated[Path | MilvusAddress, NoDecode] = Field(
@@ -157,7 +160,7 @@ class Settings(BaseSettings):
         default=(), description="Comma-separated keys; without any, no key is required."
     )
     cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
-        default=(), description="Comma-separated origins whose pages may call the service."
+        default=(), description="Origins, comma-separated, whose pages may call the service."
     )
 
     log_level: Literal["debug", "info", "warning", "error"] = Field(
@@ -178,7 +181,7 @@ class Settings(BaseSettings):
         if not isinstance(value, str):
             return value
         parts = tuple(part.strip() for part in value.split(","))
-        # An empty key would leave a service open that was meant to be locked.
+        # An empty key would open a service that was meant to be locked.
         if not all(parts):
             raise ValueError("expected values separated by commas, got an empty one")
         return parts
@@ -221,7 +224,7 @@ def read_settings() -> Settings:
     Raises
     ------
     SettingsError
-        If a value is invalid, or a variable looks like a setting but is none.
+        If a value is invalid, or a variable looks like a setting but is not one.
     """
     _refuse_unknown(os.environ)
     try:
@@ -230,25 +233,25 @@ def read_settings() -> Settings:
         first = error.errors()[0]
         place = str(first["loc"][0]).upper()
         name = place if place in VARIABLES else f"{PREFIX}{place}"
-        sentence = f"{_as_written(name, os.environ)}: {expected_and_got(first)}"
-    # Raised outside the handler, whose error holds the values, secrets included.
+        sentence = f"{_spelling(name, os.environ)}: {expected_and_got(first)}"
+    # Raised outside the handler: its error holds the values, secrets included.
     raise SettingsError(sentence)
 
 
 def _refuse_unknown(environment: Mapping[str, str]) -> None:
     known = {name.removeprefix(PREFIX): name for name in VARIABLES}
-    for written, value in environment.items():
-        name = written.upper()
+    for spelling, value in environment.items():
+        name = spelling.upper()
         if not name.startswith(PREFIX) or name in VARIABLES:
             continue
-        if _OF_KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
+        if _KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
             continue
         raise SettingsError(
-            f"{written}: expected one of the settings in docs/operations.md"
+            f"{spelling}: expected one of the settings in docs/operations.md"
             + (suggestion(name.removeprefix(PREFIX), known) or ", which has none of this name")
         )
 
 
-def _as_written(name: str, environment: Mapping[str, str]) -> str:
+def _spelling(name: str, environment: Mapping[str, str]) -> str:
     """Return a variable's name in the case in which it was set."""
-    return next((written for written in environment if written.upper() == name), name)
+    return next((spelling for spelling in environment if spelling.upper() == name), name)

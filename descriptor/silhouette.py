@@ -19,10 +19,10 @@ _AXIS_PX = 512
 _LARGEST_PX = 1024
 
 INSIDE = 0.4999
-"""Share of the most that any pixel is covered, from which on a pixel counts as the person's.
+"""A pixel is the person's from this share of the coverage of the most covered pixel.
 
-Of the most, so that a mask too thin to cover half of any pixel is not lost. A little below a half:
-many pixels are covered by exactly half, and rounding differs between processors.
+It is relative, so that a mask too thin to cover half of any pixel is not lost, and a little below a
+half, since many pixels are covered by exactly half and rounding differs between processors.
 """
 
 
@@ -107,7 +107,7 @@ def bounding_box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 def averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
     """Means of the blocks of ``block`` x ``block`` pixels, whose grid is centred on the crop.
 
-    What a block holds beyond the crop counts as background.
+    Pixels of a block beyond the crop count as background.
     """
     if block == 1:
         return crop.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The index artefact, a folder: written whole or not at all, verified when it is read."""
+"""The index artefact: a folder that is written whole or not at all, and verified when read."""
 
 from __future__ import annotations
 
@@ -13,30 +13,36 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.folders import replace_folder, staging
+from index.files import ArtefactError, npy_bytes, read_array, read_bytes, replacing
+from index.reranker import FILES as RERANKER_FILES
 from index.reranker import RankingModel, load_reranker, reranker_files
 from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from index.verified_files import ArtefactError, npy_bytes, read_array, read_bytes
 
 FORMAT_VERSION = 4
+MANIFEST = "manifest.json"
 
 _SILHOUETTES = "silhouettes.npy"
-"""Compressed in itself and stored as it is; every other file is compressed."""
+"""Stored as it is, since its content is compressed; every other file is compressed."""
 
 _LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
-"""Without the context of the byte before and of the place: decompresses a third faster, for 1 %
-more bytes."""
+"""Literals without context (``lc``, ``pb``): decompresses a third faster, for 1 % more bytes."""
 
 
 def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
-    How its vectors are searched is chosen by whoever loads the index.
-    A network that re-ranks is written beside it and is no part of the version.
+    A network that re-ranks is written beside it and does not count for the version.
+
+    Raises
+    ------
+    ArtefactError
+        If ``path`` holds anything but an index; see :func:`check_replaceable`.
     """
+    path = Path(path).resolve()
+    check_replaceable(path)
     files = _files(index)
     manifest: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
@@ -68,14 +74,45 @@ def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> st
     """Seal a manifest and write the folder; return its version."""
     version = _version(manifest)
     manifest = {**manifest, "version": version}
-    path = Path(path)
-    with staging(path) as folder:
+    with replacing(path) as folder:
         for name, content in stored.items():
             (folder / name).write_bytes(content)
-        (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
-        folder.chmod(0o755)
-        replace_folder(folder, path)
+        (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+        # Other files may have appeared since the build began.
+        check_replaceable(path)
     return version
+
+
+def check_replaceable(path: Path) -> None:
+    """Refuse to write an index where anything else would be deleted.
+
+    Raises
+    ------
+    ArtefactError
+        Unless ``path`` is missing, an empty folder, or an index of any format and nothing else.
+    """
+    if path.exists() and not path.is_dir():
+        raise ArtefactError(f"expected a folder for the index, got the file {path}")
+    found = {file.name for file in path.iterdir()} if path.exists() else set()
+    foreign = sorted(found - _own_names(path))
+    if foreign:
+        raise ArtefactError(
+            f"expected {path} to be missing, empty or an index, since it is replaced whole; it "
+            f"holds {len(foreign)} other file{'s' * (len(foreign) > 1)}, such as {foreign[0]}"
+        )
+
+
+def _own_names(path: Path) -> set[str]:
+    """Names of the files of an index of any format; none if there is no index."""
+    try:
+        manifest = json.loads((path / MANIFEST).read_bytes())
+        names = set(manifest["files"])
+        is_index = {"format_version", "version", "descriptor"} <= manifest.keys()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
+    if not is_index:
+        return set()
+    return {MANIFEST, *RERANKER_FILES, *names, *(f"{name}.xz" for name in names)}
 
 
 def load_index(
@@ -126,7 +163,7 @@ def find_artefact(folder: Path, version: str) -> Path:
         If there is no usable artefact of that version.
     """
     found = []
-    for manifest in sorted([*folder.glob("manifest.json"), *folder.glob("[!.]*/manifest.json")]):
+    for manifest in sorted([*folder.glob(MANIFEST), *folder.glob(f"[!.]*/{MANIFEST}")]):
         try:
             version_there = _read_manifest(manifest.parent)["version"]
         except ArtefactError:
@@ -182,7 +219,7 @@ def _restore(
         for name, array in files.items()
         if name.startswith("descriptor-")
     }
-    flat = faiss.deserialize_index(np.asarray(files["descriptors.faiss"], np.uint8))
+    flat = faiss.deserialize_index(np.frombuffer(files["descriptors.faiss"], np.uint8))
     if type(flat) is not faiss.IndexFlatL2:
         raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
     vectors = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d).reshape(flat.ntotal, flat.d)
@@ -210,7 +247,7 @@ def _restore(
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    file = path / "manifest.json"
+    file = path / MANIFEST
     try:
         manifest = json.loads(file.read_bytes())
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The entries nearest to a silhouette, among all entries and their mirror images."""
+"""The entries and mirror images of entries nearest to a silhouette."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from index.store import PoseIndex
 
 @dataclass(frozen=True)
 class Candidates:
-    """Entries near a query, nearest first; each stands for itself or for its mirror image.
+    """Entries near a query, nearest first; each as it is or mirrored.
 
     Parameters
     ----------
-    numbers : (K,) int64 array
+    entry_ids : (K,) int64 array
         Rows of the index.
     mirrored : (K,) bool array
         Whether the candidate is the mirror image of the entry; all other fields then describe the
@@ -29,14 +29,14 @@ class Candidates:
     offsets : (K, D) float32 array
         Descriptors of the candidates minus the descriptor of the query.
     rotation_deg : (K,) float64 array
-        Clockwise rotation in the picture that has been applied to the points.
+        Clockwise rotation in the picture that was applied to the points.
     points_3d : (K, 24, 3) float64 array
         Camera axes, metres, pelvis at the origin.
     points_normalised : (K, 24, 2) float64 array
         Pixels of the normalised frame.
     """
 
-    numbers: NDArray[np.int64]
+    entry_ids: NDArray[np.int64]
     mirrored: NDArray[np.bool_]
     distances: NDArray[np.float64]
     offsets: NDArray[np.float32]
@@ -45,19 +45,19 @@ class Candidates:
     points_normalised: NDArray[np.float64]
 
     def __len__(self) -> int:
-        return len(self.numbers)
+        return len(self.entry_ids)
 
     def take(self, rows: NDArray[np.integer] | slice) -> Candidates:
         """Select candidates by row, in the order given."""
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def in_order(self) -> Candidates:
-        """Bring them into ascending order of distance; those at the same one keep theirs."""
+        """Sort by distance; candidates at the same distance keep their order."""
         return self.take(np.argsort(self.distances, kind="stable"))
 
     @classmethod
     def merged(cls, parts: Sequence[Candidates]) -> Candidates:
-        """Merge the candidates of several queries, in ascending distance."""
+        """Merge the candidates of several queries, nearest first."""
         if len(parts) == 1:
             return parts[0]
         names = [field.name for field in fields(cls)]
@@ -66,22 +66,16 @@ class Candidates:
 
     def unique(self) -> Candidates:
         """Drop repetitions of an entry with the same mirroring and rotation."""
-        keys = np.stack([self.numbers, self.mirrored, self.rotation_deg], axis=1)
+        keys = np.stack([self.entry_ids, self.mirrored, self.rotation_deg], axis=1)
         return self.take(np.sort(np.unique(keys, axis=0, return_index=True)[1]))
 
 
 def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> Candidates:
-    """Find the ``k`` nearest among all entries and all their mirror images.
+    """Find the ``k`` nearest among all entries and all their mirror images, or all if fewer.
 
     The mirror image of a pose, seen by the mirror image of its camera, is as likely as the pose.
-    Searching for the mirrored silhouette as well doubles the poses that an index covers.
-
-    Parameters
-    ----------
-    index : PoseIndex
-    silhouette : (128, 48) uint8 array
-    k : int
-        Fewer are returned only where the index has fewer.
+    Searching for the mirrored silhouette ``(128, 48)`` as well doubles the poses that an index
+    covers.
     """
     return find_candidates_of_each(index, silhouette[None], k)[0]
 
@@ -95,10 +89,10 @@ def find_candidates_of_each(
     """
     queries = index.descriptor.describe(silhouettes)
     variants = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
-    _, numbers, nearest_variant = index.search(variants, k)
-    count = numbers.shape[1]
+    _, entry_ids, nearest_variant = index.search(variants, k)
+    count = entry_ids.shape[1]
     found = _candidates(
-        index, numbers.ravel(), nearest_variant.ravel() == 1, np.repeat(queries, count, axis=0)
+        index, entry_ids.ravel(), nearest_variant.ravel() == 1, np.repeat(queries, count, axis=0)
     )
     ends = count * np.arange(len(queries) + 1)
     return [found.take(slice(*pair)).in_order() for pair in pairwise(ends.tolist())]
@@ -107,37 +101,36 @@ def find_candidates_of_each(
 def compare_entries(
     index: PoseIndex,
     silhouette: NDArray[np.uint8],
-    numbers: NDArray[np.int64],
+    entry_ids: NDArray[np.int64],
     mirrored: NDArray[np.bool_],
 ) -> Candidates:
-    """Compare a silhouette ``(128, 48)`` with given entries ``(K,)``."""
-    queries = np.repeat(index.descriptor.describe(silhouette[None]), len(numbers), axis=0)
-    return _candidates(index, numbers, mirrored, queries).in_order()
+    """Compare a silhouette ``(128, 48)`` with given entries ``(K,)``, mirrored or not."""
+    queries = np.repeat(index.descriptor.describe(silhouette[None]), len(entry_ids), axis=0)
+    return _candidates(index, entry_ids, mirrored, queries).in_order()
 
 
 def _candidates(
     index: PoseIndex,
-    numbers: NDArray[np.int64],
+    entry_ids: NDArray[np.int64],
     mirrored: NDArray[np.bool_],
     queries: NDArray[np.float32],
 ) -> Candidates:
     """Entries ``(K,)``, each with its query ``(K, D)``, in the order given.
 
-    Distances are computed here even where a search has told them: each search rounds in its own
-    way, and differently on another processor.
+    Distances are computed anew, because searches round in different ways, also between processors.
     """
-    vectors = index.vectors[numbers].astype(np.float32)
-    points_3d, points_normalised = index.points(numbers)
+    vectors = index.vectors[entry_ids].astype(np.float32)
+    points_3d, points_normalised = index.points(entry_ids)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])
     points_3d[mirrored] = mirror_3d(points_3d[mirrored])
     points_normalised[mirrored] = mirror_normalised(points_normalised[mirrored])
     offsets = vectors - queries
     return Candidates(
-        numbers,
+        entry_ids,
         mirrored,
         np.linalg.norm(offsets.astype(np.float64), axis=1),
         offsets,
-        np.zeros(len(numbers)),
+        np.zeros(len(entry_ids)),
         points_3d,
         points_normalised,
     )

@@ -24,8 +24,8 @@ FEATURES = (
 )
 """Features of a hypothesis, computed by :func:`index.features.match_features`:
 
-- logarithm of its descriptor distance, and its excess over the smallest of all hypotheses;
-- logarithm of its votes, the weighted share of candidates in its mode, and its deficit to the
+- logarithm of its descriptor distance, and the same relative to the smallest of all hypotheses;
+- logarithm of its votes, the weighted share of candidates in its mode, and the same relative to the
   largest of all hypotheses;
 - logarithm of the distance to the nearest candidate;
 - outline distance in pixels;
@@ -46,8 +46,8 @@ class Calibration:
     ----------
     weights : tuple of float
         Weight of each feature.
-    bias : float
     features : tuple of str
+        Names of the features, as a guard against a calibration over others.
     """
 
     weights: tuple[float, ...]
@@ -60,9 +60,9 @@ class Calibration:
             raise ValueError(f"expected {count} finite weights and a finite bias, got {self}")
 
     @classmethod
-    def none(cls) -> Calibration:
+    def none(cls, features: tuple[str, ...] = FEATURES) -> Calibration:
         """A calibration that gives every hypothesis a probability of 0.5."""
-        return cls((0.0,) * len(FEATURES), 0.0)
+        return cls((0.0,) * len(features), 0.0, features)
 
     def probability(self, features: NDArray[np.floating]) -> NDArray[np.float64]:
         """Probabilities ``(B,)`` of hypotheses with features ``(B, F)``."""

@@ -1,12 +1,11 @@
-"""Landmarks of a photograph: how skeletons agree with them, and skeletons fitted to them.
+"""Landmarks of a photograph: how skeletons agree with them, and the fit of skeletons to them.
 
-The index gives the nearest of its recorded poses. The fit then rotates bones towards the landmarks
-and resets the bones to their lengths. In the picture it goes from coarse to fine, so that limbs far
-from their keypoints are found as well. Points without a landmark keep their position relative to
-their parents.
+The index provides the nearest of its recorded poses. The fit moves joints towards the landmarks and
+restores the bone lengths. In the picture it goes from coarse to fine, so that it also reaches limbs
+far from their keypoints. Points without a landmark keep their position relative to their parents.
 
-In depth the landmarks are one opinion, the pose another. The first skeleton goes most of the way to
-them; the others only where they nearly agree, so that they keep their other ways to read the depth.
+In depth, landmarks and poses may disagree. The first skeleton moves most of the way to the
+landmarks; the others move only where they nearly agree, so that they remain alternatives.
 """
 
 from __future__ import annotations
@@ -16,46 +15,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from index.search import rotate_clockwise
+from index.parameters import KEYPOINTS, KeypointParameters
 from index.skeleton import (
+    LIMB_HIPS,
+    LIMB_ROWS,
     LIMBS,
     OTHER_SIDE,
-    POINT_NAMES,
     POINTS,
     exchange_sides,
     pixels_per_metre,
+    side_rows,
     with_bone_lengths_of,
 )
 
-SPREAD_PX = 8.0
-"""Standard deviation of a point about its keypoint, in pixels of the normalised frame."""
-
-SPREAD_M = 0.15
-"""Standard deviation of a point about its landmark in three dimensions, in metres."""
-
-LIMB_WEIGHT = 0.25
-"""Weight of the landmarks' depths beside their places in the picture, which are surer."""
-
-OUTLIER_WEIGHT = 0.05
-"""Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
-
-_MIN_MASS = 1e-6
-
-LIKELIHOOD_EXPONENT = 0.5
-"""Exponent of the joint likelihood: errors of keypoints are correlated (left for right)."""
-
-STEPS = ((14.0, 0.7, 4), (7.0, 0.7, 10))
-"""Stages of the fit: spread of the keypoints in pixels, share of the way that a point moves in an
-iteration, and iterations. Chosen on the street people of even-numbered photographs."""
-
-DEPTH_SHARE = 0.6
-"""Share of the way to the landmarks' depths that the fit goes in all."""
-
-_LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
-_HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
-_HIP_POINTS = [POINT_NAMES.index("left_hip"), POINT_NAMES.index("right_hip")]
-# Bodies differ in size by no more than this factor from what landmarks say.
-_SIZES = (0.8, 1.25)
+_HIP_POINTS = side_rows("hip")
 
 
 @dataclass(frozen=True)
@@ -65,10 +38,10 @@ class Agreement:
     Parameters
     ----------
     log_likelihood : (K,) float64 array
-        Of the keypoints, given each skeleton or its twin with left and right exchanged, whichever
-        is likelier; at most 0.
+        Log likelihood of the keypoints, given each skeleton or its twin with left and right
+        exchanged, whichever is likelier; at most 0.
     side_log_odds : (K,) float64 array
-        Log odds of the skeleton against that twin. They are kept apart because keypoints are more
+        Log odds of the skeleton against that twin. They are separate because keypoints are more
         reliable about where a joint is than about whether it is the left or the right one.
     residuals : (K, P, 2) float64 array
         Offset from each point of the likelier of the two to its keypoint, in pixels of the
@@ -83,15 +56,15 @@ class Agreement:
         """Select skeletons by row, in the order given."""
         return Agreement(self.log_likelihood[rows], self.side_log_odds[rows], self.residuals[rows])
 
-    def weights(self) -> NDArray[np.float64]:
-        """Weights ``(K,)`` of the skeletons; 1 for the likeliest."""
+    def weights(self, exponent: float) -> NDArray[np.float64]:
+        """Likelihoods ``(K,)`` to the power of ``exponent``, relative to the likeliest."""
         relative = self.log_likelihood - self.log_likelihood.max()
-        return np.asarray(np.exp(LIKELIHOOD_EXPONENT * relative))
+        return np.asarray(np.exp(exponent * relative))
 
 
 @dataclass(frozen=True)
 class Keypoints:
-    """Positions of points of a skeleton in a photograph, and the limbs in three dimensions.
+    """Landmarks of a person: positions in the picture, and the limbs in three dimensions.
 
     Parameters
     ----------
@@ -105,8 +78,6 @@ class Keypoints:
         Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
     limb_scores : (12,) float64 array, optional
         Confidence of each limb joint, from 0 to 1.
-    spread_px : float
-        Standard deviation of a point about its keypoint.
     """
 
     rows: tuple[int, ...]
@@ -114,7 +85,7 @@ class Keypoints:
     scores: NDArray[np.float64]
     limbs_3d: NDArray[np.float64] | None = None
     limb_scores: NDArray[np.float64] | None = None
-    spread_px: float = SPREAD_PX
+    parameters: KeypointParameters = KEYPOINTS
 
     def __post_init__(self) -> None:
         count = len(self.rows)
@@ -136,16 +107,6 @@ class Keypoints:
                     f"expected limbs of shape ({len(LIMBS)}, 3) and scores of shape "
                     f"({len(LIMBS)},), got {shapes[0]} and {shapes[1]}"
                 )
-
-    def rotated(self, angle_deg: float) -> Keypoints:
-        """The same rotated clockwise about the origin."""
-        angle = np.deg2rad(angle_deg)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return replace(
-            self,
-            positions=self.positions @ np.array([[cosine, sine], [-sine, cosine]]),
-            limbs_3d=None if self.limbs_3d is None else rotate_clockwise(self.limbs_3d, angle_deg),
-        )
 
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]
@@ -171,15 +132,15 @@ class Keypoints:
     def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
         """Offsets ``(K, 12, 3)`` from the limbs of skeletons to the landmarks, in metres.
 
-        Landmarks are first given the size of each skeleton.
+        Landmarks are first scaled to the size of each skeleton.
         """
         assert self.limbs_3d is not None and self.limb_scores is not None
-        limbs = np.asarray(points_3d[:, _LIMB_ROWS], np.float64)
-        limbs = limbs - limbs[:, _HIPS].mean(axis=1, keepdims=True)
+        limbs = np.asarray(points_3d[:, LIMB_ROWS], np.float64)
+        limbs = limbs - limbs[:, LIMB_HIPS].mean(axis=1, keepdims=True)
         weights = self.limb_scores[:, None]
         inner = (weights * limbs * self.limbs_3d).sum(axis=(1, 2))
         size = inner / max(float((weights * self.limbs_3d**2).sum()), 1e-9)
-        size = np.clip(size, *_SIZES)[:, None, None]
+        size = np.clip(size, *self.parameters.size_range)[:, None, None]
         return np.asarray(size * self.limbs_3d - limbs)
 
     def compare_sides(
@@ -188,32 +149,32 @@ class Keypoints:
         """Log likelihoods ``(K,)`` and residuals ``(K, P, 2)`` in the picture, sides as given."""
         offsets = self.positions - points[:, list(self.rows)]
         mass = self._mass(offsets)
-        log_likelihood = np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=1)
-        return log_likelihood, _inlier_probability(mass)[..., None] * offsets
+        inlier_probability = mass / (mass + self.parameters.outlier_weight)
+        return self._log_likelihoods(mass), inlier_probability[..., None] * offsets
 
     def inlier_probability(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Probability ``(K, P)`` that keypoints at offsets ``(K, P, 2)`` are no outliers."""
-        return _inlier_probability(self._mass(offsets))
+        """Probability ``(K, P)`` that keypoints at offsets ``(K, P, 2)`` are not outliers."""
+        mass = self._mass(offsets)
+        return np.asarray(mass / (mass + self.parameters.outlier_weight))
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Likelihoods ``(K, P)`` of keypoints at offsets ``(K, P, 2)`` that are not outliers."""
         squares = (offsets**2).sum(axis=-1)
-        mass = self.scores * np.exp(-squares / (2 * self.spread_px**2))
-        # Arithmetic on denormal numbers is slow.
-        mass[mass < _MIN_MASS] = 0
+        mass = self.scores * np.exp(-squares / (2 * self.parameters.sigma_px**2))
+        mass[mass < self.parameters.min_mass] = 0
         return np.asarray(mass)
+
+    def _log_likelihoods(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums ``(K,)`` of the log likelihoods of points, each an inlier or an outlier."""
+        outlier_weight = self.parameters.outlier_weight
+        return np.asarray(np.log((mass + outlier_weight) / (1 + outlier_weight)).sum(axis=1))
 
     def _compare_limbs(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
         """Log likelihoods ``(K,)`` of the limbs in three dimensions."""
         assert self.limb_scores is not None
         squares = (self.limb_offsets(points_3d) ** 2).sum(axis=-1)
-        mass = self.limb_scores * np.exp(-squares / (2 * SPREAD_M**2))
-        return np.asarray(
-            LIMB_WEIGHT * np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=1)
-        )
-
-
-def _inlier_probability(mass: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(mass / (mass + OUTLIER_WEIGHT))
+        mass = self.limb_scores * np.exp(-squares / (2 * self.parameters.sigma_m**2))
+        return np.asarray(self.parameters.limb_weight * self._log_likelihoods(mass))
 
 
 def fit_to_keypoints(
@@ -223,25 +184,25 @@ def fit_to_keypoints(
 
     Parameters
     ----------
-    keypoints : Keypoints
     points_3d : (M, 24, 3) float64 array
-        Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``. The likeliest first.
+        Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``. The likeliest comes
+        first.
     points_normalised : (M, 24, 2) float64 array
         Pixels of the normalised frame.
 
     Returns
     -------
     points_3d, points_normalised
-        Same shapes; bones keep their lengths, and the face moves with the head.
+        Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
     fitted, placed = points_3d, points_normalised
     px_per_metre = pixels_per_metre(points_3d, points_normalised)[:, None, None]
     if keypoints.limbs_3d is not None:
-        fitted = with_bone_lengths_of(points_3d, _deepened(keypoints, points_3d))
+        fitted = with_bone_lengths_of(points_3d, _move_to_landmark_depth(keypoints, points_3d))
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
-    for spread_px, share, iterations in STEPS:
-        blurred = replace(keypoints, spread_px=spread_px)
-        rows = _assigned(blurred, blurred.compare(placed, fitted).side_log_odds < 0)
+    for sigma_px, share, iterations in keypoints.parameters.fit_stages:
+        blurred = replace(keypoints, parameters=replace(keypoints.parameters, sigma_px=sigma_px))
+        rows = _match_sides(blurred, blurred.compare(placed, fitted).side_log_odds < 0)
         for _ in range(iterations):
             moves = share * _residuals(blurred, placed, rows)
             moved = fitted.copy()
@@ -254,23 +215,25 @@ def fit_to_keypoints(
     return fitted, placed
 
 
-def _deepened(keypoints: Keypoints, points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Skeletons moved towards the landmarks' depths."""
+def _move_to_landmark_depth(
+    keypoints: Keypoints, points_3d: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Move skeletons ``(M, 24, 3)`` towards the landmarks in three dimensions."""
     assert keypoints.limb_scores is not None
-    offsets = keypoints.limb_offsets(points_3d)
-    shares = np.repeat(DEPTH_SHARE * keypoints.limb_scores[None], len(points_3d), axis=0)
-    near = np.exp(-(offsets**2).sum(axis=-1) / (2 * SPREAD_M**2))
+    parameters, offsets = keypoints.parameters, keypoints.limb_offsets(points_3d)
+    shares = np.repeat(parameters.depth_share * keypoints.limb_scores[None], len(points_3d), axis=0)
+    near = np.exp(-(offsets**2).sum(axis=-1) / (2 * parameters.sigma_m**2))
     shares[1:] *= near[1:]
     moved = points_3d.copy()
-    moved[:, _LIMB_ROWS] += shares[..., None] * offsets
+    moved[:, LIMB_ROWS] += shares[..., None] * offsets
     return moved
 
 
-def _assigned(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Rows ``(M, P)`` of each skeleton's points that the keypoints are about.
+def _match_sides(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows ``(M, P)`` of each skeleton's points that the keypoints show.
 
-    Left and right are exchanged where that is likelier, but not of the first skeleton where
-    landmarks come with their depth, since it follows them.
+    Left and right are exchanged where that is likelier, but never for the first skeleton if
+    landmarks have a depth, because it follows them.
     """
     rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
     if keypoints.limbs_3d is not None:
@@ -283,7 +246,7 @@ def _residuals(
 ) -> NDArray[np.float64]:
     """Offsets ``(M, 24, 2)`` to the keypoints from the points in ``rows`` ``(M, P)``.
 
-    Where landmarks come with their depth, the first skeleton follows them however far they are.
+    If landmarks have a depth, the first skeleton follows them however far they are.
     """
     skeletons = np.arange(len(points_normalised))[:, None]
     offsets = keypoints.positions - points_normalised[skeletons, rows]

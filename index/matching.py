@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,60 +11,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.features import match_features
-from index.keypoints import Keypoints, fit_to_keypoints
+from index.features import match_features, outline_distances
+from index.keypoints import Agreement, Keypoints, fit_to_keypoints
 from index.modes import Modes, find_modes, mode_weights
-from index.outline import outline_distances
-from index.posture import POSTURES, Posture, camera_up, classify, lying_elevation_deg
-from index.ranking import Ranking, fused_distances
+from index.parameters import MATCHING, MatchParameters
+from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
+from index.ranking import NetworkRanking, fused_distances
 from index.rotations import (
     RotatedQuery,
     compare_rotated_entries,
     find_rotated_candidates,
-    rotations_of_landmarks,
+    landmark_rotations,
     seen_from,
-    usual_rotations,
+    silhouette_rotations,
 )
-from index.search import Nearest, rotate_clockwise
-from index.skeleton import LIMBS, POINTS, mean_joint_distance, wrap_degrees
+from index.search import NearestEntries
+from index.skeleton import (
+    LIMB_HIPS,
+    LIMB_SHOULDERS,
+    POINTS,
+    mean_joint_distance,
+    rotate_clockwise,
+    wrap_degrees,
+)
 from index.store import PoseIndex
-
-CANDIDATES, RANKED_CANDIDATES = 160, 200
-"""Nearest entries considered without keypoints; more add few useful modes, of which a network that
-ranks them finds a few more."""
-
-SILHOUETTE_CANDIDATES, LANDMARK_CANDIDATES = 150, 50
-"""With keypoints: entries nearest to each rotation of the silhouette, and to the landmarks."""
-
-KEPT_CANDIDATES = 200
-"""With keypoints: best candidates of both kinds, of which the modes are made."""
-
-SPARE_MODES, SPARE_MODES_WITH_KEYPOINTS = 4, 4
-"""Modes computed beyond those asked for: a sparse mode may fit best."""
-
-MAX_STANDING_TILT_DEG = 30.0
-"""Who seems tilted by more than this in the picture lies rather than stands."""
-
-FIRST_HYPOTHESES = 7
-"""Hypotheses are found in batches of this size, twice it, and so on, each after the one before, so
-that the first k of n are those that are found where k are asked for."""
-
-MAX_BATCH_GROWTH = 4
-"""A batch this many times as large as the number asked for that adds nothing is the last: somebody
-hardly seen may have few distinct poses, and looking for 50 took seconds."""
-
-CANDIDATES_PER_HYPOTHESIS = 20
-"""Candidates of one kind for each hypothesis asked for, at least."""
-
-MAX_GROWTH = 16
-"""Factor by which the number of candidates may grow where they hold too few distinct poses."""
-
-DISTINCT_M = 0.055
-"""Mean joint distance from which a hypothesis of a later batch is another than those before."""
-
-
-_STANDS_DEG = 12.0
-_LEAST_PX_PER_METRE = 5.0
 
 
 @dataclass(frozen=True)
@@ -72,17 +43,13 @@ class Hypothesis:
 
     Parameters
     ----------
-    entry : int
+    entry_id : int
         The entry at the centre of those that agree on this pose.
     mirrored : bool
         Whether the hypothesis is the mirror image of that entry.
-    distance : float
+    silhouette_distance : float
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose.
-    fused_distance : float
-        The same, shorter where landmarks agree and longer where they disagree; without landmarks,
-        longer where a network finds the joints unlikely, see
-        :meth:`index.ranking.Ranking.distances`. Ascending.
     reprojection_error_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
@@ -93,19 +60,22 @@ class Hypothesis:
     points_normalised : (24, 2) float64 array
         Pixels of the normalised frame.
     posture : str
-        Of :data:`index.posture.POSTURES`.
+        One of :data:`index.posture.POSTURES`.
     rotation_deg : float
         In-plane rotation of the entry, clockwise, in the picture of a camera that is not rolled;
         already applied to the points.
     tilt_deg : float
-        The same and the roll of the entry's camera: the in-plane tilt of the person.
+        ``rotation_deg`` plus the roll of the entry's camera: the in-plane tilt of the person.
+    distance : float
+        The silhouette distance, shortened or lengthened by the agreement with landmarks or, without
+        landmarks, lengthened if a network finds the joints unlikely; see :mod:`index.ranking`.
     adjusted_m : float
         Mean joint distance from the skeleton of the entry.
     """
 
-    entry: int
+    entry_id: int
     mirrored: bool
-    distance: float
+    silhouette_distance: float
     reprojection_error_px: float
     confidence: float
     points_3d: NDArray[np.float64]
@@ -113,7 +83,7 @@ class Hypothesis:
     posture: Posture = "standing"
     rotation_deg: float = 0.0
     tilt_deg: float = 0.0
-    fused_distance: float = 0.0
+    distance: float = 0.0
     adjusted_m: float = 0.0
 
     def __post_init__(self) -> None:
@@ -126,18 +96,18 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Match:
-    """The hypotheses of a silhouette, the nearest first.
+    """The hypotheses of a silhouette, nearest first.
 
     Parameters
     ----------
     hypotheses : list of Hypothesis
-        Where no network has ranked them, usually a few more than asked for, for a caller who
-        re-ranks them.
+        Unless a network has ranked them, usually a few more than requested, so that a caller may
+        choose.
     features : (N, F) float64 array
-        Of each, from which its confidence was computed: :data:`index.confidence.FEATURES`, or
+        Features from which the confidences were computed: :data:`index.confidence.FEATURES`, or
         :data:`index.reranker.RERANKING_FEATURES`.
     first_batch : int
-        How many of them there are however many are asked for.
+        Number of hypotheses that do not depend on how many were requested.
     """
 
     hypotheses: list[Hypothesis]
@@ -153,6 +123,7 @@ def match(
     *,
     roll_deg: float = 0.0,
     whole: bool = True,
+    parameters: MatchParameters = MATCHING,
 ) -> Match:
     """Find distinct poses that fit a silhouette, and landmarks if there are any.
 
@@ -161,47 +132,44 @@ def match(
 
     Parameters
     ----------
-    index : PoseIndex
     silhouette : (128, 48) uint8 array
         Normalised; 1 on the person, 0 elsewhere.
     n : int
-        Number of hypotheses; fewer are returned where few distinct poses fit.
-    keypoints : Keypoints, optional
+        Number of hypotheses; fewer are returned if few distinct poses fit.
     roll_deg : float
-        Roll of the camera in the silhouette and the keypoints: not 0 where they were rotated
-        because the silhouette is wider than high. Skeletons are returned as the camera sees them
-        that is not rolled.
+        Roll of the camera in the silhouette and the keypoints; not 0 if they were rotated because
+        the silhouette is wider than high. Skeletons are returned in the axes of the camera without
+        that roll.
     whole : bool
-        Whether the silhouette shows all of the body. Where it does not and landmarks are given,
-        they alone choose the candidates, and place them.
+        Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
+        candidates.
 
     Returns
     -------
     Match
         The first ``k`` hypotheses do not depend on ``n``.
     """
-    query = _Query(index, silhouette, keypoints, roll_deg, whole)
-    batch = FIRST_HYPOTHESES
-    found = query.match(batch)
-    while len(found.hypotheses) < n or batch < n:
-        batch *= 2
-        more = query.match(batch)
+    query = _Query(index, silhouette, keypoints, roll_deg, whole, parameters)
+    size = parameters.first_batch
+    found = query.batch(size)
+    while len(found.hypotheses) < n or size < n:
+        size *= 2
+        more = query.batch(size)
         known = np.array([hypothesis.points_3d for hypothesis in found.hypotheses])
-        later = [
+        new = [
             row
             for row, hypothesis in enumerate(more.hypotheses)
-            if mean_joint_distance(hypothesis.points_3d[None], known).min() >= DISTINCT_M
+            if mean_joint_distance(hypothesis.points_3d[None], known).min()
+            >= parameters.min_new_pose_m
         ]
-        if not later and batch >= MAX_BATCH_GROWTH * n:
+        if not new and size >= parameters.max_batch_growth * n:
             break
-        farthest = found.hypotheses[-1].fused_distance
+        farthest = found.hypotheses[-1].distance
+        later = (more.hypotheses[row] for row in new)
         found = Match(
             found.hypotheses
-            + [
-                replace(one, fused_distance=max(one.fused_distance, farthest))
-                for one in (more.hypotheses[row] for row in later)
-            ],
-            np.concatenate([found.features, more.features[later]]),
+            + [replace(one, distance=max(one.distance, farthest)) for one in later],
+            np.concatenate([found.features, more.features[new]]),
             found.first_batch,
         )
     return found
@@ -209,172 +177,193 @@ def match(
 
 @dataclass(frozen=True)
 class _Query:
-    """What is asked of an index; see :func:`match`."""
+    """One silhouette with its evidence and the index to search; see :func:`match`."""
 
     index: PoseIndex
     silhouette: NDArray[np.uint8]
     keypoints: Keypoints | None
     roll_deg: float
     whole: bool
+    parameters: MatchParameters
 
     @cached_property
-    def ranking(self) -> Ranking | None:
-        """What the network makes of the silhouette; None with keypoints, or without a network."""
+    def ranking(self) -> NetworkRanking | None:
+        """The network's ranking; None with keypoints, or without a network."""
         if self.keypoints is not None or self.index.reranker is None:
             return None
-        return Ranking.of(self.index.reranker, self.silhouette)
+        return NetworkRanking.of(self.index.reranker, self.silhouette)
 
-    def match(self, n: int) -> Match:
-        """The hypotheses of one batch."""
-        index, keypoints, roll_deg = self.index, self.keypoints, self.roll_deg
-        wanted = CANDIDATES_PER_HYPOTHESIS * n
-        rotations = usual_rotations(self.silhouette, roll_deg)
-        ranking = self.ranking
-        if keypoints is None:
-            queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
-            candidates, modes = _modes_of_silhouette(index, queries, n, wanted, ranking)
-        else:
-            queries, candidates, modes = self._modes_of_both(rotations, keypoints, n, wanted)
-        fused = modes.distances if ranking is None else ranking.distances(modes)
-        # Nobody re-ranks what the network has ranked, so the others need no features.
-        nearest = np.argsort(fused, kind="stable")[: None if ranking is None else n]
-        modes, fused = modes.take(nearest), fused[nearest]
+    def batch(self, n: int) -> Match:
+        """Find the hypotheses of one batch of about ``n``."""
+        index, ranking = self.index, self.ranking
+        queries, candidates, modes = (
+            self._modes_of_silhouette(n)
+            if self.keypoints is None
+            else self._modes_with_keypoints(n, self.keypoints)
+        )
+        distances = modes.distances if ranking is None else ranking.distances(modes)
+        # What the network has ranked is not re-ranked later, so no spare modes are needed.
+        nearest = np.argsort(distances, kind="stable")[: None if ranking is None else n]
+        modes, distances = modes.take(nearest), distances[nearest]
         centres = candidates.take(modes.centres)
-        errors = _outline_errors(index, queries, centres)
-        features = match_features(candidates, modes, errors)
+        errors_px = _outline_errors(index, queries, centres)
+        features = match_features(candidates, modes, errors_px)
         if ranking is not None:
-            features = ranking.features(features, modes, fused)
+            features = ranking.features(features, modes, distances)
         confidences = index.calibration(reranked=ranking is not None).probability(features)
-        rotation_deg = centres.rotation_deg - roll_deg
-        tilt_deg = wrap_degrees(rotation_deg + index.roll_deg(centres.numbers, centres.mirrored))
-        points_3d, points_normalised = modes.points_3d, modes.points_normalised
-        order = np.arange(len(modes))
-        if keypoints is not None:
+        rotation_deg = centres.rotation_deg - self.roll_deg
+        entry_roll_deg = index.roll_deg(centres.entry_ids, centres.mirrored)
+        tilt_deg = wrap_degrees(rotation_deg + entry_roll_deg)
+        if self.keypoints is not None:
             # Compared before the fit: a pose that has to change far to fit is less likely.
-            agreement = keypoints.compare(points_normalised, points_3d)
-            fused = fused_distances(modes.distances, agreement, tilt_deg)
-            order = np.argsort(fused, kind="stable")
-            points_3d, points_normalised = (
-                fitted[np.argsort(order)]
-                for fitted in fit_to_keypoints(
-                    keypoints, points_3d[order], points_normalised[order]
-                )
+            agreement = self.keypoints.compare(modes.points_normalised, modes.points_3d)
+            distances = fused_distances(modes.distances, agreement, tilt_deg)
+            order = np.argsort(distances, kind="stable")
+            modes, centres, features = modes.take(order), centres.take(order), features[order]
+            distances, rotation_deg, tilt_deg, errors_px, confidences = (
+                values[order]
+                for values in (distances, rotation_deg, tilt_deg, errors_px, confidences)
             )
-        moved = mean_joint_distance(points_3d, centres.points_3d)
-        points_3d = rotate_clockwise(points_3d, -roll_deg)
-        postures = _postures(index, centres.numbers, points_3d, tilt_deg)
+            points_3d, points_normalised = fit_to_keypoints(
+                self.keypoints, modes.points_3d, modes.points_normalised
+            )
+            modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
+        adjusted_m = mean_joint_distance(modes.points_3d, centres.points_3d)
+        points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
+        postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
         hypotheses = [
             Hypothesis(
-                entry=int(centres.numbers[row]),
+                entry_id=int(centres.entry_ids[row]),
                 mirrored=bool(centres.mirrored[row]),
-                distance=float(modes.distances[row]),
-                reprojection_error_px=float(errors[row]),
+                silhouette_distance=float(modes.distances[row]),
+                reprojection_error_px=float(errors_px[row]),
                 confidence=float(confidences[row]),
                 points_3d=points_3d[row],
-                points_normalised=points_normalised[row],
+                points_normalised=modes.points_normalised[row],
                 posture=postures[row],
                 rotation_deg=float(rotation_deg[row]),
                 tilt_deg=float(tilt_deg[row]),
-                fused_distance=float(fused[row]),
-                adjusted_m=float(moved[row]),
+                distance=float(distances[row]),
+                adjusted_m=float(adjusted_m[row]),
             )
-            for row in order
+            for row in range(len(modes))
         ]
-        return Match(hypotheses, features[order], len(hypotheses))
+        return Match(hypotheses, features, len(hypotheses))
 
-    def _modes_of_both(
-        self, usual: Sequence[float], keypoints: Keypoints, n: int, wanted: int
+    def _modes_of_silhouette(self, n: int) -> tuple[list[RotatedQuery], Candidates, Modes]:
+        """Take more and more candidates until they hold ``n`` modes or the index has no more."""
+        parameters, ranking = self.parameters, self.ranking
+        rotations = silhouette_rotations(self.silhouette, self.roll_deg)
+        queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
+        usual = parameters.candidates if ranking is None else parameters.ranked_candidates
+        k = max(usual, parameters.candidates_per_hypothesis * n)
+        while True:
+            candidates = find_rotated_candidates(self.index, queries, k)
+            count = n + parameters.spare_modes
+            if ranking is None:
+                modes = find_modes(candidates, count)
+            else:
+                support = ranking.support(candidates)
+                modes = find_modes(candidates, count, support=support, fit=ranking.fit)
+            exhausted = len(candidates) < k
+            if (
+                len(modes) >= n
+                or exhausted
+                or k >= parameters.max_candidate_growth * parameters.candidates
+            ):
+                return queries, candidates, modes
+            k *= 2
+
+    def _modes_with_keypoints(
+        self, n: int, keypoints: Keypoints
     ) -> tuple[list[RotatedQuery], Candidates, Modes]:
-        """Modes of the entries near the silhouette and of those near the landmarks."""
-        index, growth = self.index, _growth(wanted)
-        nearest, rotations = self._near_landmarks(keypoints, growth), list(usual)
+        """The same with the entries near the landmarks and their agreement with the landmarks."""
+        parameters = self.parameters
+        wanted = parameters.candidates_per_hypothesis * n
+        growth = max(1, math.ceil(wanted / parameters.silhouette_candidates))
+        nearest = self._near_landmarks(keypoints, growth)
+        rotations: Sequence[float] = silhouette_rotations(self.silhouette, self.roll_deg)
         if nearest is not None:
-            rotations = rotations_of_landmarks(usual, nearest.roll_deg)
+            rotations = landmark_rotations(rotations, nearest.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         known = 0
         while True:
-            parts = []
-            if nearest is not None:
-                parts.append(compare_rotated_entries(index, queries, nearest))
-            if self.whole or nearest is None:
-                k = growth * SILHOUETTE_CANDIDATES
-                parts.append(find_rotated_candidates(index, queries, k))
-            candidates = Candidates.merged(parts).unique()
+            candidates = self._candidates(queries, nearest, growth)
             exhausted, known = len(candidates) <= known, len(candidates)
-            if not self.whole:
-                candidates = _placed_on(keypoints, candidates)
-            agreement = keypoints.compare(candidates.points_normalised, candidates.points_3d)
-            distances = candidates.distances if self.whole else np.ones(len(candidates))
-            weights = mode_weights(distances, agreement)
-            kept = np.argsort(-weights, kind="stable")[: growth * KEPT_CANDIDATES]
-            kept.sort()  # Back in ascending distance.
-            candidates, agreement = candidates.take(kept), agreement.take(kept)
-            modes = find_modes(candidates, n + SPARE_MODES_WITH_KEYPOINTS, agreement=agreement)
-            if len(modes) >= n or exhausted or growth >= MAX_GROWTH:
+            candidates, agreement = self._likeliest(
+                candidates, keypoints, growth * parameters.kept_candidates
+            )
+            modes = find_modes(candidates, n + parameters.spare_modes, agreement=agreement)
+            if len(modes) >= n or exhausted or growth >= parameters.max_candidate_growth:
                 return queries, candidates, modes
             growth *= 2
             nearest = self._near_landmarks(keypoints, growth)
 
-    def _near_landmarks(self, keypoints: Keypoints, growth: int) -> Nearest | None:
-        """Entries near the landmarks in three dimensions; None where there are none."""
+    def _near_landmarks(self, keypoints: Keypoints, growth: int) -> NearestEntries | None:
+        """Entries near the landmarks in three dimensions; None if there are no such landmarks."""
         if keypoints.limbs_3d is None:
             return None
         limbs_3d = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
+        rolls_deg = likely_rolls(limbs_3d, self.parameters.max_upright_trunk_deg)
         nearest = self.index.landmark_search.nearest(
-            limbs_3d, likely_rolls(limbs_3d), growth * LANDMARK_CANDIDATES
+            limbs_3d, rolls_deg, growth * self.parameters.landmark_candidates
         )
         return seen_from(self.index, nearest, self.roll_deg)
 
+    def _candidates(
+        self, queries: Sequence[RotatedQuery], nearest: NearestEntries | None, growth: int
+    ) -> Candidates:
+        """Entries near the landmarks, and near the silhouette unless it is not whole."""
+        parts = []
+        if nearest is not None:
+            parts.append(compare_rotated_entries(self.index, queries, nearest))
+        if self.whole or nearest is None:
+            k = growth * self.parameters.silhouette_candidates
+            parts.append(find_rotated_candidates(self.index, queries, k))
+        return Candidates.merged(parts).unique()
 
-def _postures(
-    index: PoseIndex,
-    numbers: NDArray[np.int64],
-    points_3d: NDArray[np.float64],
-    tilt_deg: NDArray[np.float64],
-) -> list[Posture]:
-    """Postures of skeletons that were interpolated about entries; the camera is not rolled."""
-    entries = index.entries[numbers]
-    tilted = np.abs(tilt_deg) > MAX_STANDING_TILT_DEG
-    elevation_deg = np.where(tilted, lying_elevation_deg(points_3d), entries["elevation_deg"])
-    up = camera_up(elevation_deg)
-    speeds = index.skeleton_labels["speed"][entries["skeleton"]]
-    return [POSTURES[row] for row in classify(points_3d, up, speeds)]
+    def _likeliest(
+        self, candidates: Candidates, keypoints: Keypoints, count: int
+    ) -> tuple[Candidates, Agreement]:
+        """Candidates of the largest weights, by distance, with their agreement."""
+        if not self.whole:
+            candidates = _placed_by_keypoints(
+                candidates, keypoints, self.parameters.min_px_per_metre
+            )
+        agreement = keypoints.compare(candidates.points_normalised, candidates.points_3d)
+        distances = candidates.distances if self.whole else np.ones(len(candidates))
+        kept = np.argsort(-mode_weights(distances, agreement), kind="stable")[:count]
+        kept.sort()  # Back in ascending distance.
+        return candidates.take(kept), agreement.take(kept)
+
+    def _postures(
+        self,
+        entry_ids: NDArray[np.int64],
+        points_3d: NDArray[np.float64],
+        tilt_deg: NDArray[np.float64],
+    ) -> list[Posture]:
+        """Postures of skeletons interpolated about entries, in a camera that is not rolled."""
+        entries = self.index.entries[entry_ids]
+        tilted = np.abs(tilt_deg) > self.parameters.max_standing_tilt_deg
+        elevation_deg = np.where(tilted, lying_elevation_deg(points_3d), entries["elevation_deg"])
+        speeds = self.index.skeleton_labels["speed"][entries["skeleton"]]
+        return [
+            POSTURES[row] for row in classify_postures(points_3d, camera_up(elevation_deg), speeds)
+        ]
 
 
-def _modes_of_silhouette(
-    index: PoseIndex,
-    queries: Sequence[RotatedQuery],
-    n: int,
-    wanted: int,
-    ranking: Ranking | None,
-) -> tuple[Candidates, Modes]:
-    """Increase the number of candidates until they hold ``n`` modes or the index has no more."""
-    k = max(CANDIDATES if ranking is None else RANKED_CANDIDATES, wanted)
-    while True:
-        candidates = find_rotated_candidates(index, queries, k)
-        if ranking is None:
-            modes = find_modes(candidates, n + SPARE_MODES)
-        else:
-            support = ranking.support(candidates)
-            modes = find_modes(candidates, n + SPARE_MODES, support=support, fit=ranking.fitted)
-        if len(modes) >= n or len(candidates) < k or k >= MAX_GROWTH * CANDIDATES:
-            return candidates, modes
-        k *= 2
-
-
-def likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
-    """Rolls of the camera that a person's limbs ``(12, 3)`` suggest: none, and the trunk's."""
-    ends = [
-        limbs_3d[[LIMBS.index(f"{side}_{part}") for side in ("left", "right")]].mean(axis=0)
-        for part in ("hip", "shoulder")
-    ]
-    right, down, _ = (ends[1] - ends[0]).tolist()
+def likely_rolls(limbs_3d: NDArray[np.float64], max_upright_trunk_deg: float) -> tuple[float, ...]:
+    """Rolls of the camera that limbs ``(12, 3)`` suggest: none, and the tilt of the trunk."""
+    hips, shoulders = (limbs_3d[pair].mean(axis=0) for pair in (LIMB_HIPS, LIMB_SHOULDERS))
+    right, down, _ = (shoulders - hips).tolist()
     roll_deg = float(np.rad2deg(np.arctan2(right, -down)))
-    return (0.0,) if abs(roll_deg) < _STANDS_DEG else (0.0, roll_deg)
+    return (0.0,) if abs(roll_deg) < max_upright_trunk_deg else (0.0, roll_deg)
 
 
-def _placed_on(keypoints: Keypoints, candidates: Candidates) -> Candidates:
-    """Candidates placed in the picture by the keypoints that are seen, by least squares."""
+def _placed_by_keypoints(
+    candidates: Candidates, keypoints: Keypoints, min_px_per_metre: float
+) -> Candidates:
+    """Candidates placed in the picture by the keypoints, by weighted least squares."""
     rows = list(keypoints.rows)
     weights = (keypoints.scores / keypoints.scores.sum())[None, :, None]
     plane = candidates.points_3d[..., :2]
@@ -385,24 +374,19 @@ def _placed_on(keypoints: Keypoints, candidates: Candidates) -> Candidates:
     scale = (weights * from_middle * to_keypoints).sum(axis=(1, 2)) / np.maximum(
         (weights * from_middle**2).sum(axis=(1, 2)), 1e-9
     )
-    placed = (plane - middle) * np.maximum(scale, _LEAST_PX_PER_METRE)[:, None, None] + target
+    placed = (plane - middle) * np.maximum(scale, min_px_per_metre)[:, None, None] + target
     return replace(candidates, points_normalised=placed)
-
-
-def _growth(wanted: int) -> int:
-    """Factor by which more candidates are needed than usual; at least 1."""
-    return max(1, -(-wanted // SILHOUETTE_CANDIDATES))
 
 
 def _outline_errors(
     index: PoseIndex, queries: Sequence[RotatedQuery], centres: Candidates
 ) -> NDArray[np.float64]:
     """Outline distances ``(M,)`` between the silhouettes of entries and the rotated query."""
-    silhouettes = index.silhouettes(centres.numbers)
+    silhouettes = index.silhouettes(centres.entry_ids)
     silhouettes[centres.mirrored] = silhouettes[centres.mirrored, :, ::-1]
-    errors = np.empty(len(centres))
+    errors_px = np.empty(len(centres))
     for query in queries:
         rows = centres.rotation_deg == query.rotation_deg
         if rows.any():
-            errors[rows] = outline_distances(query.silhouette, silhouettes[rows])
-    return errors
+            errors_px[rows] = outline_distances(query.silhouette, silhouettes[rows])
+    return errors_px

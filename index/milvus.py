@@ -1,4 +1,4 @@
-"""The search among vectors by Milvus: as exact as in this process, sharded and replicated there.
+"""The vectors of an index in Milvus: searched as exactly as in this process, sharded, replicated.
 
 A collection holds the vectors of an index and nothing else. Entries, skeletons and silhouettes stay
 in the artefact, because re-ranking reads hundreds of them for each person. A collection never
@@ -22,22 +22,22 @@ import grpc
 import numpy as np
 from numpy.typing import NDArray
 
+from index.files import ArtefactError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 
 with warnings.catch_warnings():
-    # That pkg_resources, which it imports, is deprecated.
+    # pymilvus imports pkg_resources, which is deprecated.
     warnings.simplefilter("ignore", UserWarning)
-    from pymilvus import CollectionSchema, DataType, FieldSchema, MilvusException
+    from pymilvus import CollectionSchema, DataType, FieldSchema, MilvusClient, MilvusException
     from pymilvus.client.grpc_handler import GrpcHandler
 
 from index.search import FailureReason, Neighbours, UnavailableError
 
-# It logs every failure, with a trace of its own; failures are told by our errors.
+# pymilvus logs every failure with its traceback; here failures are errors.
 logging.getLogger("pymilvus").setLevel(logging.CRITICAL)
 
 LARGEST_K = 16_384
-"""Milvus finds no more neighbours of a query."""
+"""Milvus finds at most this many neighbours of a query."""
 
 PREFIX = "poses_"
 
@@ -46,8 +46,8 @@ _SEARCH = {"metric_type": "L2", "params": {}}
 _STRONG, _EVENTUALLY = 0, 3
 _ALIAS_NOT_FOUND, _COLLECTION_NOT_FOUND = 1600, 100
 
-# By default gRPC waits up to two minutes before it tries again to connect, shares connections among
-# channels, and refuses answers over 4 MB.
+# By default gRPC waits up to two minutes before it reconnects, shares connections among channels,
+# and refuses answers over 4 MB.
 _CHANNEL = (
     ("grpc.initial_reconnect_backoff_ms", 200),
     ("grpc.max_reconnect_backoff_ms", 1000),
@@ -106,10 +106,35 @@ class Collection:
     aliases: tuple[str, ...]
 
 
-class Milvus:
-    """A connection to Milvus, made when it is needed and again after Milvus was away.
+class _Client(MilvusClient):  # type: ignore[misc]
+    """MilvusClient that connects when it is first used.
 
-    Safe under several threads. Every method raises :class:`UnavailableError` where Milvus does not
+    The public one of pymilvus 2.4 waits for the server in its constructor, takes no options of
+    gRPC, retries each insert up to 75 times and cannot flush. What is private to pymilvus is used
+    in this class only.
+    """
+
+    def __init__(self, server: str) -> None:
+        channel = grpc.insecure_channel(server, options=_CHANNEL)
+        self._handler = GrpcHandler(address=server, channel=channel)
+
+    def _get_connection(self) -> Any:
+        return self._handler
+
+    def insert(self, collection_name: str, data: list[dict[str, Any]], **once: Any) -> None:
+        self._handler.insert_rows(collection_name, data, **once)
+
+    def flush(self, collection_name: str, timeout: float) -> None:
+        self._handler.flush([collection_name], timeout=timeout)
+
+    def close(self) -> None:
+        self._handler.close()
+
+
+class Milvus:
+    """A connection to Milvus, made when it is needed and again after an outage.
+
+    Safe under several threads. Every method raises :class:`UnavailableError` if Milvus does not
     answer in time.
 
     Parameters
@@ -117,7 +142,7 @@ class Milvus:
     server : str
         Host and port.
     timeout_s : float
-        For each call.
+        Longest time for each call.
     """
 
     def __init__(self, server: str, timeout_s: float) -> None:
@@ -126,16 +151,15 @@ class Milvus:
         self.reconnect()
 
     def reconnect(self) -> None:
-        """Leave the connection to the calls that use it, and make another one for those to come.
+        """Use a new connection for the calls to come; those under way keep the old one.
 
-        A server that is lost without a word leaves a connection behind that fails for minutes.
+        A server that vanishes leaves a connection behind that fails for minutes.
         """
-        channel = grpc.insecure_channel(self._server, options=_CHANNEL)
-        self._calls = GrpcHandler(address=self._server, channel=channel)
+        self._client = _Client(self._server)
 
     def close(self) -> None:
         """Close the connection."""
-        self._calls.close()
+        self._client.close()
 
     def search(
         self, collection: str, queries: NDArray[np.float32], k: int
@@ -144,22 +168,22 @@ class Milvus:
         if k > LARGEST_K:
             raise ValueError(f"expected k of at most {LARGEST_K}, got {k}")
         with self._errors():
-            hits = self._calls.search(
+            found = self._client.search(
                 collection,
                 queries,
-                _VECTOR,
-                _SEARCH,
-                k,
+                limit=k,
+                anns_field=_VECTOR,
+                search_params=_SEARCH,
                 # The collection no longer changes.
                 consistency_level=_EVENTUALLY,
                 **self._once(),
             )
-        if len(hits) != len(queries) or any(len(of_query.ids) != k for of_query in hits):
+        if len(found) != len(queries) or any(len(hits) != k for hits in found):
             raise UnavailableError(
                 f"Milvus at {self._server} found fewer than {k} vectors in {collection}", "refused"
             )
-        squared = np.array([of_query.distances for of_query in hits], np.float32)
-        return squared, np.array([of_query.ids for of_query in hits], np.int64)
+        squared = np.array([[hit["distance"] for hit in hits] for hits in found], np.float32)
+        return squared, np.array([list(map(_number, hits)) for hits in found], np.int64)
 
     def resolve(self, alias: str) -> str:
         """Return the name of the collection that an alias names now.
@@ -170,7 +194,7 @@ class Milvus:
             If there is no such alias.
         """
         with self._errors(absent=f"there is no alias {alias} in Milvus at {self._server}"):
-            return str(self._calls.describe_alias(alias, **self._once())["collection_name"])
+            return str(self._client.describe_alias(alias, **self._once())["collection_name"])
 
     def describe(self, collection: str) -> Collection:
         """Describe a collection.
@@ -178,10 +202,10 @@ class Milvus:
         Raises
         ------
         ArtefactError
-            If there is none of that name, or it holds no index.
+            If there is no collection of that name, or it holds no index.
         """
         with self._errors(absent=f"there is no collection {collection} at {self._server}"):
-            found = self._calls.describe_collection(collection, **self._once())
+            found = self._client.describe_collection(collection, **self._once())
         dimensions = [
             field["params"]["dim"] for field in found["fields"] if field["name"] == _VECTOR
         ]
@@ -192,7 +216,7 @@ class Milvus:
         except (ValueError, KeyError, TypeError, AttributeError):
             raise ArtefactError(
                 f"the collection {collection} at {self._server} holds no index: "
-                "scripts/publish_index.py did not make it"
+                "scripts/publish.py did not make it"
             ) from None
         if dimensions != [contents.dimension]:
             raise ArtefactError(
@@ -203,7 +227,7 @@ class Milvus:
     def collections(self) -> list[Collection]:
         """Describe all collections that hold an index, the newest first."""
         with self._errors():
-            names = self._calls.list_collections(timeout=self._timeout_s)
+            names = self._client.list_collections(timeout=self._timeout_s)
         found = []
         for name in names:
             if name.startswith(PREFIX):
@@ -214,7 +238,7 @@ class Milvus:
         return sorted(found, key=lambda collection: -collection.created)
 
     def create(self, contents: Contents, *, shards: int, replicas: int) -> bool:
-        """Make an empty collection, loaded, where there is none; return whether there was none."""
+        """Make and load an empty collection unless it exists; return whether it is new."""
         name = contents.collection
         schema = CollectionSchema(
             [
@@ -224,19 +248,21 @@ class Milvus:
             description=json.dumps({**asdict(contents), "created": time.time()}),
         )
         with self._errors():
-            absent = not self._calls.has_collection(name, **self._once())
-            if absent:
-                self._calls.create_collection(name, schema, shards_num=shards, **self._once())
+            is_new = not self._client.has_collection(name, **self._once())
+            if is_new:
+                self._client.create_collection(
+                    name, schema=schema, num_shards=shards, **self._once()
+                )
             self._build_and_load(name, replicas)
-        return absent
+        return is_new
 
     def count(self, collection: str, start: int, stop: int) -> int:
         """Count the rows with numbers from ``start`` up to ``stop``."""
         with self._errors():
-            rows = self._calls.query(
+            rows = self._client.query(
                 collection,
                 f"{start} <= {_NUMBER} < {stop}",
-                ["count(*)"],
+                output_fields=["count(*)"],
                 consistency_level=_STRONG,
                 **self._once(),
             )
@@ -247,52 +273,46 @@ class Milvus:
     ) -> None:
         """Write vectors ``(B, D)`` as the rows from ``start`` on.
 
-        ``replace`` where there may be rows of these numbers already, which takes longer.
+        ``replace`` rows of these numbers that may exist already, which takes longer.
         """
-        columns: list[dict[str, Any]] = [
-            {
-                "name": _NUMBER,
-                "type": DataType.INT64,
-                "values": list(range(start, start + len(vectors))),
-            },
-            {"name": _VECTOR, "type": DataType.FLOAT_VECTOR, "values": vectors.tolist()},
+        rows = [
+            {_NUMBER: number, _VECTOR: vector}
+            for number, vector in enumerate(vectors.tolist(), start=start)
         ]
         with self._errors():
-            write = self._calls.upsert if replace else self._calls.batch_insert
-            write(collection, columns, **self._once())
+            write = self._client.upsert if replace else self._client.insert
+            write(collection, rows, **self._once())
 
     def finish(self, collection: str, *, replicas: int) -> None:
-        """Have everything written stored, indexed and loaded anew; it is not searched meanwhile.
+        """Store, index and reload everything written; the collection is not searched meanwhile.
 
-        What was loaded while it was written is searched several times more slowly.
+        Vectors loaded while they are written are searched several times more slowly.
         """
         with self._errors():
-            self._calls.flush([collection], timeout=self._timeout_s)
-            self._calls.release_collection(collection, timeout=self._timeout_s)
+            self._client.flush(collection, timeout=self._timeout_s)
+            self._client.release_collection(collection, timeout=self._timeout_s)
             self._build_and_load(collection, replicas)
 
     def name(self, alias: str, collection: str) -> None:
         """Have an alias name a collection from now on, in one step."""
         try:
             self.resolve(alias)
+            change = self._client.alter_alias
         except ArtefactError:
-            with self._errors():
-                self._calls.create_alias(collection, alias, **self._once())
-        else:
-            with self._errors():
-                self._calls.alter_alias(collection, alias, **self._once())
+            change = self._client.create_alias
+        with self._errors():
+            change(collection, alias, **self._once())
 
     def drop(self, collection: str) -> None:
         """Remove a collection."""
         with self._errors():
-            self._calls.drop_collection(collection, timeout=self._timeout_s)
+            self._client.drop_collection(collection, timeout=self._timeout_s)
 
     def _build_and_load(self, collection: str, replicas: int) -> None:
-        """Index and load a collection, and wait for both; nothing happens where they are done."""
-        self._calls.create_index(
-            collection, _VECTOR, {"index_type": "FLAT", **_SEARCH}, timeout=self._timeout_s
-        )
-        self._calls.load_collection(collection, replicas, timeout=self._timeout_s)
+        """Index and load a collection, and wait for both; does nothing if they are done."""
+        index = self._client.prepare_index_params(_VECTOR, index_type="FLAT", **_SEARCH)
+        self._client.create_index(collection, index, timeout=self._timeout_s)
+        self._client.load_collection(collection, replica_number=replicas, timeout=self._timeout_s)
 
     def _once(self) -> dict[str, Any]:
         """Deadline of a call; pymilvus would try again up to 75 times."""
@@ -302,7 +322,7 @@ class Milvus:
     def _errors(self, absent: str = "") -> Iterator[None]:
         """Turn errors of pymilvus into ours.
 
-        ``absent`` is the sentence where what the call names does not exist.
+        ``absent`` is the sentence to report if the alias or collection does not exist.
         """
         try:
             yield
@@ -322,13 +342,18 @@ class Milvus:
         return f"answered with an error: {message.removeprefix(_NOT_RETRIED)}", "refused"
 
 
+def _number(hit: dict[str, Any]) -> int:
+    """Row that a search found; servers before 2.4 do not name the primary key."""
+    return int(hit[_NUMBER] if _NUMBER in hit else hit["id"])
+
+
 _NOT_RETRIED = "Retry run out of 0 retry times, message="
 
 
 def _code(error: Any) -> object:
     """Code of an error of gRPC or of Milvus."""
     code = error.code
-    # pymilvus hands on the method of gRPC's error where it has given up to try again.
+    # After its last retry, pymilvus sets the code to a method of gRPC's error.
     return code() if callable(code) else code
 
 
@@ -339,7 +364,7 @@ class MilvusNeighbours:
     ----------
     milvus : Milvus
     collection : str
-        The name itself, no alias: what an alias names may change between two searches.
+        Its name, not an alias: what an alias names may change between two searches.
     entries : int
     """
 
@@ -359,12 +384,12 @@ class MilvusNeighbours:
 
 
 def check_vectors(index: PoseIndex, neighbours: Neighbours) -> None:
-    """Make sure that a search finds vectors of an index where they are.
+    """Check that a search is among the vectors of an index.
 
     Raises
     ------
     ArtefactError
-        If it does not: it searches other vectors.
+        If it is among others.
     """
     numbers = np.linspace(0, len(index) - 1, min(len(index), _CHECKED_VECTORS)).astype(np.int64)
     vectors = index.vectors[numbers].astype(np.float32)
@@ -381,7 +406,7 @@ def check_vectors(index: PoseIndex, neighbours: Neighbours) -> None:
 
 
 BATCH = 10_000
-"""Rows in a call: 2 MB."""
+"""Rows written in one call: 2 MB."""
 
 Progress = Callable[[Sequence[int]], Iterable[int]]
 
@@ -404,11 +429,11 @@ def publish(
     index : PoseIndex
         Loaded from an artefact.
     alias : str
-        What services name.
+        Name by which services find the collection.
     shards, replicas : int
-        Of a new collection.
+        Shards of a new collection, and its replicas in memory.
     batch : int
-        Rows in a call.
+        Rows written in one call.
     progress : callable
         Wraps the numbers of the first rows of all batches.
 
@@ -417,7 +442,7 @@ def publish(
     ArtefactError
         If a collection of that name holds something else.
     UnavailableError
-        If Milvus does not answer; run it again.
+        If Milvus does not answer. Publishing again continues.
     """
     contents = Contents.of(index)
     name = contents.collection
@@ -432,7 +457,7 @@ def publish(
             vectors = index.vectors[start:stop].astype(np.float32)
             milvus.write(name, start, vectors, replace=not is_new)
             written = True
-    if written:  # Else it may be searched by services.
+    if written:  # Otherwise services may be searching it.
         milvus.finish(name, replicas=replicas)
     count = milvus.count(name, 0, len(index))
     if count != len(index):
@@ -450,9 +475,9 @@ def remove_older(milvus: Milvus, current: Collection, keep: int) -> list[str]:
     ----------
     milvus : Milvus
     current : Collection
-        The one that was published last; stays.
+        Published last; stays.
     keep : int
-        Others that stay, for services that have not moved over yet and to go back to.
+        Others that stay, for services that have not switched yet and to go back to.
     """
     others = [
         collection

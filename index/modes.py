@@ -3,7 +3,7 @@
 Candidates are weighted by the distance of their descriptors from the query's. The modes of their
 density in pose space are taken greedily, densest first. Each mode is then interpolated to the query
 by locally weighted linear regression [1]_ of the pose on the descriptor, which gives a pose between
-the entries and the remaining distance between the query and the mode.
+the entries and the distance that remains between the query and the mode.
 
 References
 ----------
@@ -23,39 +23,8 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.keypoints import Agreement
+from index.parameters import MODES, ModeParameters
 from index.skeleton import JOINTS, POINTS, with_bone_lengths_of
-
-DISTINCT_M = 0.11
-"""Smallest root mean square joint distance between the centres of two modes.
-
-After interpolation, half of it.
-"""
-
-BANDWIDTH_M = 0.08
-"""Bandwidth of the Gaussian kernel of the density, a root mean square joint distance."""
-
-SUPPRESSION = 1.5
-"""Bandwidth of the kernel by which a mode taken is removed, as a multiple of the bandwidth."""
-
-FALL_OFF, FALL_OFF_WITH_KEYPOINTS = 0.3, 0.6
-"""Fall-off of the candidates' weights with distance, see :func:`candidate_weights`; slower with
-keypoints, which distinguish near candidates better than descriptors do."""
-
-NEAREST_SHARE = 0.02
-"""Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off.
-
-Otherwise an entry that equals the query would outweigh all others.
-"""
-
-RESIDUAL_WEIGHT = 0.5
-"""Descriptor distance equivalent to a pixel between a point and its keypoint."""
-
-RIDGE = 0.45
-"""Ridge of the regression, relative to the variance of a mode's descriptors."""
-
-# Candidates of less than this share of the largest weight in a mode are no members of it.
-_LEAST_WEIGHT = 1e-3
-_DENSITY_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -65,14 +34,15 @@ class Modes:
     Parameters
     ----------
     centres : (M,) int64 array
-        Position of the central candidate of each.
+        Row of each mode's central candidate.
     votes : (M,) float64 array
-        Share of the candidates' total weight that belongs to each.
+        Share of the candidates' total weight that belongs to each mode.
     distances : (M,) float64 array
-        From the query's descriptor to the interpolated descriptor of each.
+        From the query's descriptor to the interpolated descriptor of each mode.
     points_3d : (M, 24, 3) float64 array
+        Interpolated, with the bone lengths of the centre; camera axes, metres.
     points_normalised : (M, 24, 2) float64 array
-        Interpolated; the bones have the lengths of the centre's.
+        Interpolated; pixels of the normalised frame.
     """
 
     centres: NDArray[np.int64]
@@ -112,50 +82,47 @@ def find_modes(
     agreement: Agreement | None = None,
     support: NDArray[np.float64] | None = None,
     fit: Callable[[Modes], Modes] = lambda modes: modes,
-    bandwidth_m: float = BANDWIDTH_M,
+    parameters: ModeParameters = MODES,
 ) -> Modes:
-    """Up to ``count`` distinct modes, densest first.
+    """Find up to ``count`` distinct modes, densest first.
 
     Parameters
     ----------
-    candidates : Candidates
-    count : int
     agreement : Agreement, optional
-        Of the candidates with keypoints: weights the candidates and pulls modes to the keypoints.
+        How the candidates agree with keypoints: weights the candidates and pulls modes towards the
+        keypoints.
     support : (K,) array, optional
         Factors of the candidates' weights.
     fit : callable, optional
-        Takes interpolated modes closer to what is seen; those that then coincide are one.
-    bandwidth_m : float
-        Smaller for an index that covers few motions densely, as in the paper's experiments.
+        Moves interpolated modes towards other evidence; modes that then coincide count as one.
 
     Returns
     -------
     Modes
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
-    weights = mode_weights(candidates.distances, agreement)
+    weights = mode_weights(candidates.distances, agreement, parameters)
     offsets = candidates.offsets.astype(np.float64)
     if support is not None:
         weights = weights * support
     if agreement is not None:
-        residuals = RESIDUAL_WEIGHT * agreement.residuals.reshape(len(candidates), -1)
+        residuals = parameters.residual_weight * agreement.residuals.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -residuals], axis=1)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    densest = _densest(weights, apart, bandwidth_m)
-    modes = fit(_interpolate(candidates, offsets, list(islice(densest, count))))
-    while len(distinct := _distinct(modes)[:count]) < count:
-        # Interpolation or the fit made modes coincide: take as many as should make up for those.
+    densest = _densest(weights, apart, parameters)
+    modes = fit(_interpolate(candidates, offsets, list(islice(densest, count)), parameters))
+    while len(distinct := _distinct(modes, parameters.distinct_m / 2)[:count]) < count:
+        # Interpolation or the fit made modes coincide: take enough others to replace them.
         missing = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
         if not (next_densest := list(islice(densest, missing))):
             break
-        modes = modes.append(fit(_interpolate(candidates, offsets, next_densest)))
+        modes = modes.append(fit(_interpolate(candidates, offsets, next_densest, parameters)))
     return modes.take(distinct)
 
 
-def _distinct(modes: Modes) -> list[int]:
+def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
     """Rows of the interpolated modes that are not too near to an earlier one."""
-    near = _joint_distances(modes.points_3d[:, :JOINTS]) < DISTINCT_M / 2
+    near = _joint_distances(modes.points_3d[:, :JOINTS]) < min_distance_m
     distinct: list[int] = []
     for row, near_row in enumerate(near.tolist()):
         if not any(near_row[earlier] for earlier in distinct):
@@ -164,46 +131,51 @@ def _distinct(modes: Modes) -> list[int]:
 
 
 def _densest(
-    weights: NDArray[np.float64], apart: NDArray[np.float64], bandwidth_m: float
+    weights: NDArray[np.float64], apart: NDArray[np.float64], parameters: ModeParameters
 ) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Centres of modes, densest first, each with its share ``(K,)`` of the candidates' weights."""
-    kernel = np.exp(apart**2 / (-2 * bandwidth_m**2))
+    kernel = np.exp(apart**2 / (-2 * parameters.bandwidth_m**2))
     remaining = weights / weights.sum()
     penalty = np.zeros(len(weights))  # Minus infinity near the centres taken.
     while True:
-        # Of equal densities, rounding must not choose.
-        density = (kernel @ remaining).round(_DENSITY_DIGITS) + penalty
+        density = (kernel @ remaining).round(parameters.density_digits) + penalty
         centre = int(density.argmax())
         if density[centre] == -np.inf:
             return
         yield centre, remaining * kernel[centre]
-        remaining = remaining * (1 - kernel[centre] ** (1 / SUPPRESSION**2))
-        penalty[apart[centre] < DISTINCT_M] = -np.inf
+        remaining = remaining * (1 - kernel[centre] ** (1 / parameters.suppression**2))
+        penalty[apart[centre] < parameters.distinct_m] = -np.inf
 
 
 def mode_weights(
-    distances: NDArray[np.float64], agreement: Agreement | None
+    distances: NDArray[np.float64],
+    agreement: Agreement | None,
+    parameters: ModeParameters = MODES,
 ) -> NDArray[np.float64]:
-    """Weights ``(K,)`` of candidates at ascending distances ``(K,)`` in the density."""
+    """Weights ``(K,)`` in the density of candidates at ascending distances ``(K,)``."""
     if agreement is None:
-        return candidate_weights(distances)
-    return candidate_weights(distances, FALL_OFF_WITH_KEYPOINTS) * agreement.weights()
+        return candidate_weights(distances, parameters.fall_off, parameters.min_nearest_share)
+    return candidate_weights(
+        distances, parameters.fall_off_with_keypoints, parameters.min_nearest_share
+    ) * agreement.weights(parameters.likelihood_exponent)
 
 
 def candidate_weights(
-    distances: NDArray[np.float64], fall_off: float = FALL_OFF
+    distances: NDArray[np.float64],
+    fall_off: float,
+    min_nearest_share: float = MODES.min_nearest_share,
 ) -> NDArray[np.float64]:
     """Weights ``(K,)`` of candidates at ascending distances ``(K,)``: 1 for the nearest.
 
     A candidate farther than the nearest by twice ``fall_off`` times the nearest's distance weighs
     1/e.
     """
-    nearest = max(distances[0], NEAREST_SHARE * distances[-1])
+    nearest = max(distances[0], min_nearest_share * distances[-1])
     return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
 
 
 def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Root mean square joint distance of each pair of skeletons: ``(K, J, 3)`` to ``(K, K)``."""
+    """Root mean square joint distances ``(K, K)`` between skeletons ``(K, J, 3)``."""
     flat = joints.reshape(len(joints), -1)
     squares = (flat**2).sum(axis=1)
     squared = squares[:, None] + squares[None] - 2 * flat @ flat.T
@@ -214,12 +186,13 @@ def _interpolate(
     candidates: Candidates,
     offsets: NDArray[np.float64],
     weighted_centres: Sequence[tuple[int, NDArray[np.float64]]],
+    parameters: ModeParameters,
 ) -> Modes:
     """Interpolate modes, each a centre and weights ``(K,)``, to where offsets ``(K, E)`` vanish."""
     centres = [centre for centre, _ in weighted_centres]
     weights = np.stack([weights for _, weights in weighted_centres])
-    # Each by itself, in double precision: a mode is the same whatever else is asked for.
-    combinations = np.stack([_combination(own, offsets) for own in weights])
+    # One by one, so that a mode does not depend on how many others are computed.
+    combinations = np.stack([_combination(own, offsets, parameters) for own in weights])
     return Modes(
         np.array(centres),
         weights.sum(axis=1),
@@ -231,16 +204,18 @@ def _interpolate(
     )
 
 
-def _combination(weights: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares ``(K,)`` that sum to 1, of the members of a mode with weights ``(K,)``."""
-    members = np.flatnonzero(weights > _LEAST_WEIGHT * weights.max())
+def _combination(
+    weights: NDArray[np.float64], offsets: NDArray[np.float64], parameters: ModeParameters
+) -> NDArray[np.float64]:
+    """Shares ``(K,)``, summing to 1, by which a mode's members make up the interpolated pose."""
+    members = np.flatnonzero(weights > parameters.min_member_weight * weights.max())
     shares = weights[members] / weights[members].sum()
     mean = shares @ offsets[members]
     centred = offsets[members] - mean
     scatter = (shares[:, None] * centred).T @ centred
     # The fewer effective members, the worse the estimate of the scatter and the larger the ridge.
     diagonal = np.einsum("dd->d", scatter)
-    diagonal += RIDGE * diagonal.sum() * (shares**2).sum() + 1e-9
+    diagonal += parameters.ridge * diagonal.sum() * (shares**2).sum() + 1e-9
     combination = np.zeros(len(weights))
     combination[members] = shares * (1 - centred @ np.linalg.solve(scatter, mean))
     return combination

@@ -1,12 +1,12 @@
-"""Where a silhouette's joints may be: a small convolutional network, run by NumPy.
+"""A small convolutional network, in NumPy, that predicts where a silhouette's joints may be.
 
 For each joint it gives three distributions, over columns and rows of the normalised frame and over
-depths [1]_. It is no estimator of its own: it tells how well a skeleton that was found otherwise
-agrees with the silhouette, of which the descriptor keeps 48 values only.
+depths [1]_. It does not estimate poses itself, but measures how well a skeleton found otherwise
+agrees with the silhouette, of which the descriptor keeps only 48 values.
 
-Weights and values are whole numbers of seven bits and a sign, and their sums stay below 2 to the
-24th, so that they are exact in 32-bit floats in whatever order a library adds them up: the network
-sees the same on every processor.
+Weights and activations are quantised to whole numbers of seven bits and a sign, and their sums stay
+below 2 to the 24th. They are therefore exact in 32-bit floats in whatever order a library adds them
+up, and the network gives the same result on every processor.
 
 References
 ----------
@@ -35,10 +35,11 @@ class Axis:
     Parameters
     ----------
     first : float
-        Middle of the first bin.
+        Centre of the first bin.
     step : float
         Width of a bin.
     bins : int
+        Number of bins.
     """
 
     first: float
@@ -46,14 +47,15 @@ class Axis:
     bins: int
 
     @property
-    def middles(self) -> NDArray[np.float64]:
-        """Of the bins."""
+    def centres(self) -> NDArray[np.float64]:
+        """Centres ``(bins,)`` of the bins."""
         return np.asarray(self.first + self.step * np.arange(self.bins), np.float64)
 
 
 AXES = (Axis(-7.5, 2.0, 32), Axis(-7.0, 2.0, 72), Axis(-0.96875, 0.0625, 32))
-"""Columns and rows in pixels of the normalised frame, 8 pixels of which beyond each border since a
-degraded silhouette lacks limbs, symmetric about the middle; metres behind the pelvis."""
+"""Columns and rows in pixels of the normalised frame, symmetric about its middle, and depth in
+metres behind the pelvis. Columns and rows reach 8 pixels beyond each border, because a degraded
+silhouette may lack limbs."""
 
 BINS = sum(axis.bins for axis in AXES)
 
@@ -63,14 +65,13 @@ _BINS_OF_AXIS = np.array([axis.bins for axis in AXES])
 _FIRST_BIN = BINS * np.arange(JOINTS)[:, None] + np.cumsum(_BINS_OF_AXIS) - _BINS_OF_AXIS
 
 CONVOLUTIONS = ((5, 2, 32), (3, 2, 64), (3, 2, 128), (3, 1, 96))
-"""Size, stride and channels of each."""
+"""Kernel size, stride and channels of each convolution."""
 
 HIDDEN = 512
-"""Values of the layer between convolutions and distributions."""
+"""Width of the layer between convolutions and distributions."""
 
-
-MOST = 127
-"""Largest whole number of weights and values."""
+QUANT_MAX = 127
+"""Largest quantised weight and activation."""
 
 EXACT_BELOW = 2**24
 """Sums of whole numbers below this are exact in 32-bit floats."""
@@ -79,7 +80,7 @@ _ROWS, _COLUMNS = HEIGHT // 2, WIDTH // 2
 
 
 def _layer_shapes() -> list[tuple[int, ...]]:
-    """Inputs and outputs of each layer."""
+    """Numbers of inputs and outputs of each layer."""
     shapes, channels, rows, columns = [], 3, _ROWS, _COLUMNS
     for size, stride, features in CONVOLUTIONS:
         shapes.append((size * size * channels, features))
@@ -95,20 +96,20 @@ _COORDINATES = np.stack(
 
 
 def network_input(silhouettes: NDArray[np.uint8]) -> Array:
-    """Silhouettes ``(B, 128, 48)`` as the network sees them, ``(B, 64, 24, 3)``.
+    """Input planes ``(B, 64, 24, 3)`` of silhouettes ``(B, 128, 48)``.
 
-    At half the resolution, as an index stores them, with a column and a row coordinate, since what
-    a limb looks like depends on where it is.
+    The silhouette at half resolution, as an index stores it, and a column and a row coordinate,
+    because the look of a limb depends on its place.
     """
     first = silhouettes[:, ::2, ::2]
     total = first + silhouettes[:, 1::2, ::2] + silhouettes[:, ::2, 1::2]
     total += silhouettes[:, 1::2, 1::2]
-    # What most of four pixels show, and the first where they tie.
+    # The majority of four pixels; the first decides a tie.
     return input_planes(2 * total + first > 4)
 
 
 def input_planes(pictures: NDArray[np.uint8] | NDArray[np.bool_]) -> Array:
-    """Pictures ``(B, 64, 24)`` of 0 and 1 with their coordinates, ``(B, 64, 24, 3)``."""
+    """Stack pictures ``(B, 64, 24)`` of 0 and 1 with their coordinates: ``(B, 64, 24, 3)``."""
     planes = np.empty((*pictures.shape, 3), np.float32)
     planes[..., 0] = pictures
     planes[..., 1:] = _COORDINATES
@@ -118,7 +119,7 @@ def input_planes(pictures: NDArray[np.uint8] | NDArray[np.bool_]) -> Array:
 def joint_positions(
     points_3d: NDArray[np.floating], points_normalised: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Columns, rows and depths ``(N, 19, 3)`` of the joints of skeletons.
+    """Columns, rows and depths ``(N, 19, 3)`` of the joints of skeletons; see :data:`AXES`.
 
     Parameters
     ----------
@@ -132,11 +133,8 @@ def joint_positions(
     return np.concatenate(pairs, axis=-1, dtype=np.float64)
 
 
-def places(positions: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Positions ``(..., 3)`` along the axes as fractional numbers of bins.
-
-    Those beyond the bins are put at the nearest end.
-    """
+def bin_positions(positions: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Positions ``(..., 3)`` along the axes as fractional bin numbers, clipped to the bins."""
     return np.asarray(np.clip((positions - _FIRST) / _STEP, 0, _BINS_OF_AXIS - 1), np.float32)
 
 
@@ -160,88 +158,90 @@ class Distributions:
         positions : (N, 19, 3) array
             See :func:`joint_positions`.
         """
-        place = places(positions)
-        lower = np.minimum(place.astype(np.int64), _BINS_OF_AXIS - 2)
-        share = place - lower
+        fractional = bin_positions(positions)
+        lower = np.minimum(fractional.astype(np.int64), _BINS_OF_AXIS - 2)
+        share = fractional - lower
         lower += _FIRST_BIN
         values = self.log_probabilities.ravel()
         near, far = values.take(lower), values.take(lower + 1)
         return np.asarray((near + share * (far - near)).mean(axis=(1, 2)), np.float64)
 
     def expected_errors(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Mean distance ``(N,)`` in the picture of joints ``(N, 19, 3)`` from where they may be.
+        """Expected errors ``(N,)`` in the picture of joints ``(N, 19, 3)``, in pixels.
 
-        Pixels; of each joint the root of the expected square.
+        The mean over the joints of the root of the expected squared distance.
         """
         squares = np.zeros(positions.shape[:2])
-        for number, (axis, seen) in enumerate(zip(AXES[:2], self.by_axis()[:2], strict=True)):
-            probabilities, middles = np.exp(seen), axis.middles
-            mean = probabilities @ middles
-            variance = probabilities @ middles**2 - mean**2
+        for number, (axis, log_probabilities) in enumerate(
+            zip(AXES[:2], self.by_axis()[:2], strict=True)
+        ):
+            probabilities, centres = np.exp(log_probabilities), axis.centres
+            mean = probabilities @ centres
+            variance = probabilities @ centres**2 - mean**2
             squares += (positions[..., number] - mean) ** 2 + variance
         return np.asarray(np.sqrt(squares).mean(axis=1))
 
     def posterior_means(
         self, positions: NDArray[np.floating], spread: tuple[float, float, float]
     ) -> NDArray[np.float64]:
-        """Where joints are that are normally distributed about some positions, seen all this.
+        """Posterior mean positions of joints, with a normal prior about given positions.
 
         Parameters
         ----------
         positions : (N, 19, 3) array
-            See :func:`joint_positions`.
+            Means of the prior; see :func:`joint_positions`.
         spread : (float, float, float)
-            Standard deviations of columns and rows, pixels, and of depths, metres.
+            Standard deviations of the prior: columns and rows in pixels, depths in metres.
 
         Returns
         -------
         (N, 19, 3) float64 array
         """
         means = np.empty(positions.shape)
-        for number, (axis, seen, sigma) in enumerate(
+        for number, (axis, log_probabilities, sigma) in enumerate(
             zip(AXES, self.by_axis(), spread, strict=True)
         ):
-            middles = axis.middles
-            apart = (middles - positions[..., number, None]) / sigma
-            log_weights = seen - apart**2 / 2
+            centres = axis.centres
+            apart = (centres - positions[..., number, None]) / sigma
+            log_weights = log_probabilities - apart**2 / 2
             weights = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
-            means[..., number] = weights @ middles / weights.sum(axis=-1)
+            means[..., number] = weights @ centres / weights.sum(axis=-1)
         return means
 
     def mirrored(self) -> Distributions:
-        """Those of the mirror image: columns reversed, left and right exchanged."""
+        """Distributions of the mirror image: columns reversed, left and right exchanged."""
         columns, rows, depths = (part[OTHER_SIDE[:JOINTS]] for part in self.by_axis())
         return Distributions(np.concatenate([columns[:, ::-1], rows, depths], axis=1))
 
     def mean(self, other: Distributions) -> Distributions:
-        """The mean of two opinions."""
+        """Mean probabilities of two distributions."""
         either = np.logaddexp(self.log_probabilities, other.log_probabilities)
         return Distributions(either - np.log(2))
 
     def peak(self) -> float:
-        """Mean log probability of the likeliest bins, joints by axes: how sure the network is."""
+        """Mean log probability of the likeliest bins: how certain the network is."""
         return float(np.mean([part.max(axis=1) for part in self.by_axis()]))
 
     def likeliest(self) -> NDArray[np.float64]:
-        """Middles ``(19, 3)`` of the likeliest bins: column, row, depth, each joint by itself."""
+        """Centres ``(19, 3)`` of the likeliest bins: column, row and depth of each joint."""
         bins = np.stack([part.argmax(axis=1) for part in self.by_axis()], axis=1)
         return np.asarray(_FIRST + _STEP * bins, np.float64)
 
     def by_axis(self) -> list[NDArray[np.float64]]:
-        """The logarithms ``(19, bins)`` of each of :data:`AXES`."""
+        """Log probabilities ``(19, bins)`` along each of :data:`AXES`."""
         return np.split(self.log_probabilities, np.cumsum(_BINS_OF_AXIS)[:-1], axis=1)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Weighted sums of whole numbers, scaled.
+    """A linear layer on quantised values.
 
     Parameters
     ----------
     weights : (F, D) float32 array
-        Whole numbers from -127 to 127. Of a convolution, rows in the order row, column, channel.
+        Whole numbers from -127 to 127; rows of a convolution are ordered by row, column, channel.
     factors, offsets : (D,) float32 array
-        Of the sums. What comes out counts in steps of the next layer's values.
+        Applied to the sums, so that outputs count in the quantisation steps of the next layer.
     """
 
     weights: Array
@@ -260,7 +260,7 @@ class Layer:
             raise ValueError(f"expected sums below {EXACT_BELOW}, got up to {largest:.0f}")
 
     def __call__(self, values: Array) -> Array:
-        """Sums ``(..., D)`` of whole numbers ``(..., F)``."""
+        """Outputs ``(..., D)`` of quantised inputs ``(..., F)``."""
         sums = values @ self.weights
         sums *= self.factors
         sums += self.offsets
@@ -268,28 +268,28 @@ class Layer:
 
 
 def largest_sums(weights: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The most ``(D,)`` that sums of values can come to, whatever their order.
+    """Upper bounds ``(D,)`` of sums of activations, in whatever order they are added.
 
-    Values are not negative, so no sum of some of them exceeds that of one sign. Coordinates are,
-    but the first layer has few inputs.
+    Activations are not negative, so no partial sum exceeds the sum of the weights of one sign.
+    Coordinates may be negative, but the first layer has few inputs.
     """
     signs = [np.maximum(sign * weights, 0).sum(axis=0, dtype=np.float64) for sign in (1, -1)]
-    return np.asarray(MOST * np.maximum(*signs))
+    return np.asarray(QUANT_MAX * np.maximum(*signs))
 
 
-def rectified(values: Array) -> Array:
-    """Whole numbers that stand for values, in place: none below 0 or above :data:`MOST`."""
-    return np.clip(np.rint(values, out=values), 0, MOST, out=values)
+def quantised_relu(values: Array) -> Array:
+    """Round to whole numbers from 0 to :data:`QUANT_MAX`, in place."""
+    return np.clip(np.rint(values, out=values), 0, QUANT_MAX, out=values)
 
 
 @dataclass(frozen=True)
 class JointNetwork:
-    """The network; immutable, so safe under several threads.
+    """The network; immutable and therefore thread-safe.
 
     Parameters
     ----------
     layers : tuple of Layer
-        :data:`CONVOLUTIONS`, the hidden layer of 512 values, and the logits ``(2584,)``.
+        The :data:`CONVOLUTIONS`, the hidden layer, and the logits ``(2584,)``.
     """
 
     layers: tuple[Layer, ...]
@@ -300,25 +300,25 @@ class JointNetwork:
             raise ValueError(f"expected layers of shapes {LAYER_SHAPES}, got {got}")
 
     def distributions(self, silhouette: NDArray[np.uint8]) -> Distributions:
-        """Where the joints of a silhouette ``(128, 48)`` may be.
+        """Predict where the joints of a silhouette ``(128, 48)`` may be.
 
-        The network sees the silhouette and its mirror image, of which it knows equally little:
-        the mean of both is the better for it, and that of a mirror image is the mirror image.
+        The result is the mean for the silhouette and for its mirror image, which is more accurate
+        than one pass and exactly symmetric under mirroring.
         """
         planes, mirrored = network_input(np.stack([silhouette, silhouette[:, ::-1]]))
-        return self.look(planes).mean(self.look(mirrored).mirrored())
+        return self.forward(planes).mean(self.forward(mirrored).mirrored())
 
-    def look(self, planes: Array) -> Distributions:
-        """What the network makes of a picture with its coordinates ``(64, 24, 3)``."""
+    def forward(self, planes: Array) -> Distributions:
+        """Run the network on the input planes ``(64, 24, 3)`` of one silhouette."""
         *inner, output = self.layers
-        values = whole_numbers(planes)
+        values = quantise(planes)
         for number, layer in enumerate(inner):
-            values = rectified(layer(inputs_of(number, values)))
+            values = quantised_relu(layer(layer_input(number, values)))
         return Distributions(log_softmax(output(values).reshape(JOINTS, BINS)))
 
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> JointNetwork:
-        """Inverse of :meth:`arrays`; ``KeyError`` or ``ValueError`` if they do not fit."""
+        """Inverse of :meth:`arrays`; ``KeyError`` or ``ValueError`` if the arrays do not fit."""
 
         def layer(number: int) -> Layer:
             names = (f"{name}{number}" for name in ("weights", "factors", "offsets"))
@@ -327,7 +327,7 @@ class JointNetwork:
         return cls(tuple(layer(number) for number in range(1, len(LAYER_SHAPES) + 1)))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """The layers as they are stored, without loss: a weight in 8 bits."""
+        """The layers as they are stored: weights in 8 bits, without loss."""
         stored: dict[str, NDArray[np.generic]] = {}
         for number, layer in enumerate(self.layers, 1):
             stored |= {
@@ -338,13 +338,13 @@ class JointNetwork:
         return stored
 
 
-def whole_numbers(planes: Array) -> Array:
-    """The input ``(64, 24, 3)``, from -1 to 1, in steps of the first layer's values."""
-    return np.rint(MOST * planes)
+def quantise(planes: Array) -> Array:
+    """Quantise input planes ``(64, 24, 3)`` with values from -1 to 1."""
+    return np.rint(QUANT_MAX * planes)
 
 
 def log_softmax(logits: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Logarithms of the probabilities ``(..., 136)``, axis by axis of :data:`AXES`."""
+    """Log probabilities ``(..., 136)`` of logits, normalised along each of :data:`AXES`."""
     result, start = np.empty(logits.shape), 0
     for axis in AXES:
         part = logits[..., start : start + axis.bins].astype(np.float64)
@@ -355,8 +355,8 @@ def log_softmax(logits: NDArray[np.floating]) -> NDArray[np.float64]:
     return result
 
 
-def inputs_of(number: int, values: Array) -> Array:
-    """What a layer sums ``(..., F)``, of the values of the one before."""
+def layer_input(number: int, values: Array) -> Array:
+    """Input ``(..., F)`` of a layer, from the output of the previous one."""
     if number < len(CONVOLUTIONS):
         size, stride, _ = CONVOLUTIONS[number]
         return _windows(values, size, stride)
@@ -364,17 +364,14 @@ def inputs_of(number: int, values: Array) -> Array:
 
 
 def _windows(values: Array, size: int, stride: int) -> Array:
-    """Windows ``(H / stride, W / stride, size * size * C)`` of planes ``(H, W, C)``.
-
-    Beyond the border lie zeros.
-    """
+    """Windows ``(H / stride, W / stride, size * size * C)`` of zero-padded planes ``(H, W, C)``."""
     margin = size // 2
     height, width, channels = values.shape
     padded = np.zeros((height + 2 * margin, width + 2 * margin, channels), np.float32)
     padded[margin:-margin, margin:-margin] = values
     rows, columns = -(-height // stride), -(-width // stride)
     down, right, along = padded.strides
-    # NumPy's own function for windows takes as long as the sums.
+    # sliding_window_view takes as long as the sums.
     cut = np.lib.stride_tricks.as_strided(
         padded,
         (rows, columns, size, size, channels),

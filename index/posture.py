@@ -1,7 +1,8 @@
-"""Which posture a skeleton is in, told by its geometry.
+"""The posture of a skeleton, by rules on its geometry.
 
 Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
-in the order of the table in ``docs/index.md``; the first that holds decides.
+in the order of the table in ``docs/index.md``; the first that holds decides. The posture of a
+*person* is voted on by skeletons: :mod:`app.estimation.posture_probability`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from index.skeleton import JOINT_NAMES, JOINTS
+from index.parameters import POSTURE_RULES, PostureRules
+from index.skeleton import JOINT_NAMES, JOINTS, SIDES, rows
 
 Posture = Literal[
     "standing", "walking", "running", "sitting", "crouching",
@@ -22,44 +24,13 @@ Posture = Literal[
 POSTURES: tuple[Posture, ...] = get_args(Posture)
 
 UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
-"""Postures of straight bodies on their legs: neither low nor bending."""
+"""Postures of a straight body on its legs: neither low nor bending."""
+
+ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
+"""Postures in which the trunk rests on the ground or on a bed, or is carried on all fours."""
 
 LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
-"""Postures in which the legs do not stand."""
-
-HORIZONTAL_DEG = 55.0
-"""Tilt of the trunk from which somebody lies or is on all fours."""
-
-LYING_BELOW = 0.5
-"""Height of pelvis and chest below which a horizontal trunk lies."""
-
-HANDS_DOWN_BELOW, CRAWLING_BELOW = 0.3, 0.85
-"""Height of the lower hand or elbow, and of the pelvis, of somebody on all fours."""
-
-LOWERED_BELOW = 0.8
-"""Height of the pelvis below which the legs no longer stand."""
-
-FLOOR_BELOW = 0.3
-"""Height of a pelvis that rests on the floor."""
-
-KNEE_DOWN_BELOW, SHANK_LEVEL_BELOW = 0.2, 0.2
-"""Height of a knee on the floor, and of that knee over its ankle."""
-
-UNSUPPORTED_FROM = 0.15
-"""Horizontal distance of the centre of mass from the feet beyond which something else carries."""
-
-THIGHS_LEVEL_DEG, UPRIGHT_DEG, SEAT_ABOVE = 25.0, 20.0, 0.5
-"""Thighs this level below a trunk this upright, the pelvis at the height of a seat, sit even where
-the feet could carry the body."""
-
-BENT_DEG, BENT_LOW_DEG = 45.0, 60.0
-"""Tilt of a trunk that is bent over standing legs, and over lowered ones."""
-
-WALKING_FROM, RUNNING_FROM = 0.5, 2.2
-"""Horizontal speed in metres per second."""
-
-MAX_ELEVATION_DEG = 70.0
-"""Cameras look down no more steeply."""
+"""Postures in which the legs are not standing."""
 
 # Shares of the body's mass, lumped at joints.
 _MASSES = {
@@ -68,12 +39,11 @@ _MASSES = {
     "left_ankle": 0.04, "right_ankle": 0.04,
 }  # fmt: skip
 _FEET = ("left_ankle", "left_toe", "right_ankle", "right_toe")
-_SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
 class _Skeletons:
-    """Skeletons ``(N, 19, 3)`` with the direction that is up for each, ``(N, 3)``."""
+    """Skeletons ``(N, 19, 3)``, each with its own direction up, ``(N, 3)``."""
 
     joints: NDArray[np.float64]
     up: NDArray[np.float64]
@@ -85,14 +55,17 @@ class _Skeletons:
         return np.asarray(np.einsum("n...i,ni->n...", vectors, self.up))
 
     def bones(self, start: str, end: str) -> NDArray[np.float64]:
-        """Vectors ``(N, 2, 3)`` of the left and the right one."""
-        return np.stack([self.at(f"{s}_{start}") - self.at(f"{s}_{end}") for s in _SIDES], axis=1)
+        """Vectors ``(N, 2, 3)`` of the left and the right bone, from its end to its start."""
+        return np.stack([self.at(f"{s}_{start}") - self.at(f"{s}_{end}") for s in SIDES], axis=1)
 
 
-def classify(
-    points_3d: NDArray[np.floating], up: ArrayLike, speed: ArrayLike = 0.0
+def classify_postures(
+    points_3d: NDArray[np.floating],
+    up: ArrayLike,
+    speed: ArrayLike = 0.0,
+    rules: PostureRules = POSTURE_RULES,
 ) -> NDArray[np.int64]:
-    """Tell the posture of skeletons.
+    """Classify the postures of skeletons.
 
     Parameters
     ----------
@@ -101,7 +74,7 @@ def classify(
     up : (3,) or (N, 3) float array
         Unit vectors away from the ground, in the same axes.
     speed : float or (N,) array
-        Horizontal, metres per second: tells walking and running from standing.
+        Horizontal, metres per second: separates walking and running from standing.
 
     Returns
     -------
@@ -121,29 +94,37 @@ def classify(
 
     trunk = bodies.at("neck") - bodies.at("pelvis")
     tilt_deg = _degrees(bodies.along_up(trunk) / np.linalg.norm(trunk, axis=1), np.arccos)
-    hand = np.min([height[f"{s}_{j}"] for s in _SIDES for j in ("wrist", "elbow")], axis=0)
-    knees = np.stack([height[f"{s}_knee"] for s in _SIDES], axis=1)
+    hand = np.min([height[f"{s}_{j}"] for s in SIDES for j in ("wrist", "elbow")], axis=0)
+    knees = np.stack([height[f"{s}_knee"] for s in SIDES], axis=1)
     lower = knees.argmin(axis=1)
-    rows = np.arange(len(joints))
-    shank_rise = np.abs(bodies.along_up(shanks)[rows, lower]) / leg
-    on_knee = (knees[rows, lower] < KNEE_DOWN_BELOW) & (shank_rise < SHANK_LEVEL_BELOW)
+    every = np.arange(len(joints))
+    shank_rise = np.abs(bodies.along_up(shanks)[every, lower]) / leg
+    on_knee = (knees[every, lower] < rules.max_knee_height) & (shank_rise < rules.max_shank_rise)
     thigh_deg = np.abs(_degrees((bodies.along_up(thighs) / thigh_lengths).mean(axis=1), np.arcsin))
-    seated = (thigh_deg < THIGHS_LEVEL_DEG) & (tilt_deg < UPRIGHT_DEG) & (pelvis > SEAT_ABOVE)
+    seated = (
+        (thigh_deg < rules.max_level_thigh_deg)
+        & (tilt_deg < rules.max_seated_trunk_deg)
+        & (pelvis > rules.min_seat_height)
+    )
 
-    horizontal = tilt_deg >= HORIZONTAL_DEG
-    lowered, on_floor = pelvis < LOWERED_BELOW, pelvis < FLOOR_BELOW
-    unsupported = _distance_from_feet(bodies) / leg > UNSUPPORTED_FROM
+    horizontal = tilt_deg >= rules.min_horizontal_deg
+    lowered, on_floor = pelvis < rules.max_lowered_height, pelvis < rules.max_floor_height
+    unsupported = _distance_from_feet(bodies) / leg > rules.min_unsupported
     conditions: dict[Posture, NDArray[np.bool_]] = {
-        "lying": horizontal & (pelvis < LYING_BELOW) & (height["chest"] < LYING_BELOW),
-        "crawling": horizontal & (hand < HANDS_DOWN_BELOW) & (pelvis < CRAWLING_BELOW),
+        "lying": horizontal
+        & (pelvis < rules.max_lying_height)
+        & (height["chest"] < rules.max_lying_height),
+        "crawling": horizontal
+        & (hand < rules.max_hand_height)
+        & (pelvis < rules.max_crawling_height),
         "kneeling": lowered & on_knee & ~on_floor,
         "sitting": lowered & (on_floor | unsupported | seated),
-        "bending": (tilt_deg >= np.where(lowered, BENT_LOW_DEG, BENT_DEG)),
+        "bending": (tilt_deg >= np.where(lowered, rules.min_bent_low_deg, rules.min_bent_deg)),
         "crouching": lowered,
         "arms_raised": (height["left_wrist"] > height["head"])
         & (height["right_wrist"] > height["head"]),
-        "running": speed >= RUNNING_FROM,
-        "walking": speed >= WALKING_FROM,
+        "running": speed >= rules.min_running_speed,
+        "walking": speed >= rules.min_walking_speed,
     }
     return np.select(
         list(conditions.values()),
@@ -153,12 +134,12 @@ def classify(
 
 
 def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
-    """Away from the ground in the axes of a level camera: ``(..., 3)`` unit vectors.
+    """Unit vectors ``(..., 3)`` away from the ground, in the axes of a camera that is not rolled.
 
     Parameters
     ----------
-    elevation_deg : float or (N,) array
-        Height angle of the camera above the person.
+    elevation_deg : float or (...) array
+        Elevation of the camera above the horizontal.
     """
     elevation = np.deg2rad(np.asarray(elevation_deg, np.float64))
     return np.stack([np.zeros_like(elevation), -np.cos(elevation), -np.sin(elevation)], axis=-1)
@@ -172,13 +153,13 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     points_3d : (N, P, 3) float array
         Axes of a camera that is not rolled.
     """
-    pelvis, neck = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
+    pelvis, neck = rows("pelvis", "neck")
     trunk = np.asarray(points_3d[:, neck] - points_3d[:, pelvis], np.float64)
     elevation_deg = np.rad2deg(np.arctan2(-trunk[:, 1], trunk[:, 2]))
-    # The trunk has no direction: its other end gives the opposite angle.
+    # Head or hips may be the nearer end: an angle and its opposite mean the same trunk.
     elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
     elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
-    return np.clip(elevation_deg, 0.0, MAX_ELEVATION_DEG)
+    return np.clip(elevation_deg, 0.0, POSTURE_RULES.max_elevation_deg)
 
 
 def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[np.float64]:

@@ -1,4 +1,9 @@
-"""The order of hypotheses: by landmarks, or by a network that reads joints off the silhouette."""
+"""The order of the hypotheses of a match, beyond the distance of the descriptors.
+
+With landmarks their agreement decides; without, a network that sees joints in the silhouette. The
+network itself is in :mod:`index.network`, its file in :mod:`index.reranker`; the choice of the
+hypotheses that a client gets is in :mod:`app.estimation.ordering`.
+"""
 
 from __future__ import annotations
 
@@ -11,56 +16,47 @@ from index.candidates import Candidates
 from index.keypoints import Agreement
 from index.modes import Modes
 from index.network import Distributions, joint_positions
+from index.parameters import RANKING, RankingParameters
 from index.reranker import RankingModel
-from index.skeleton import JOINT_NAMES, JOINTS, pixels_per_metre, with_bone_lengths_of
+from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
-SHARE_POWER = 4.0
-"""Hypotheses share the probability by the inverse of their fused distances to this power."""
-
-DISTANCE_WEIGHT, SIDE_WEIGHT = 4.0, 0.3
-"""Weights of the log distance of the descriptors (against a hypothesis) and of the log odds of its
-sides, beside the landmarks' log likelihood. Chosen on the street people of even-numbered
-photographs."""
-
-TILT_SCALE_DEG = 60.0
-"""Few people are seen tilted: a tilt of this size makes a hypothesis 1/e as likely."""
-
-_PELVIS, _HEAD = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("head")
+(_PELVIS,) = rows("pelvis")
+(_HEAD,) = rows("head")
 
 
 @dataclass(frozen=True)
-class Ranking:
-    """What the network makes of one silhouette.
+class NetworkRanking:
+    """Ranks the poses of one silhouette by where the network sees its joints.
 
     Parameters
     ----------
-    reranker : RankingModel
-    seen : Distributions
+    joints : Distributions
+        Where the joints may be.
     """
 
-    reranker: RankingModel
-    seen: Distributions
+    model: RankingModel
+    joints: Distributions
 
     @classmethod
-    def of(cls, reranker: RankingModel, silhouette: NDArray[np.uint8]) -> Ranking:
-        """Have the network look at a silhouette ``(128, 48)``."""
-        return cls(reranker, reranker.network.distributions(silhouette))
+    def of(cls, model: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRanking:
+        """Run the network on a silhouette ``(128, 48)``."""
+        return cls(model, model.network.distributions(silhouette))
 
     def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
         """Mean log probability ``(N,)`` of the joints of candidates or modes."""
-        return self.seen.log_likelihood(joint_positions(found.points_3d, found.points_normalised))
+        return self.joints.log_likelihood(joint_positions(found.points_3d, found.points_normalised))
 
-    def fitted(self, modes: Modes) -> Modes:
-        """Modes whose joints have moved to where the network sees them nearby.
+    def fit(self, modes: Modes) -> Modes:
+        """Move the joints of modes towards where the network sees them.
 
-        Each to its posterior mean, where the mode's own place is the prior, so that a mode stays
-        another one than the next. Bones keep their lengths, and the face moves with the head.
+        Each joint moves to its posterior mean; its position in the mode is the prior, so that modes
+        remain distinct. Bones keep their lengths, and the face moves with the head.
         """
-        spread = self.reranker.spread
+        spread = self.model.spread
         if not all(spread):
             return modes
         positions = joint_positions(modes.points_3d, modes.points_normalised)
-        moves = self.seen.posterior_means(positions, spread) - positions
+        moves = self.joints.posterior_means(positions, spread) - positions
         scale = pixels_per_metre(modes.points_3d, modes.points_normalised)[:, None, None]
         metres = np.concatenate([moves[..., :2] / scale, moves[..., 2:]], axis=-1)
         moved = modes.points_3d.copy()
@@ -72,45 +68,48 @@ class Ranking:
         return replace(modes, points_3d=moved, points_normalised=placed)
 
     def support(self, candidates: Candidates) -> NDArray[np.float64] | None:
-        """Factors ``(K,)`` of the weights of candidates, 1 for the likeliest; None if all are 1."""
-        if self.reranker.support_weight == 0:
+        """Factors ``(K,)`` of the candidates' weights, 1 for the likeliest; None if all are 1."""
+        if self.model.support_weight == 0:
             return None
         likelihood = self.log_likelihood(candidates)
-        return np.asarray(np.exp(self.reranker.support_weight * (likelihood - likelihood.max())))
+        return np.asarray(np.exp(self.model.support_weight * (likelihood - likelihood.max())))
 
     def distances(self, modes: Modes) -> NDArray[np.float64]:
-        """Distances ``(M,)`` of the descriptors, longer the less likely the joints are.
+        """Descriptor distances ``(M,)``, longer the less likely the joints are.
 
-        The likeliest keeps its distance.
+        The likeliest mode keeps its distance.
         """
         likelihood = self.log_likelihood(modes)
         lacking = likelihood.max() - likelihood
-        return np.asarray(modes.distances * np.exp(self.reranker.order_weight * lacking))
+        return np.asarray(modes.distances * np.exp(self.model.order_weight * lacking))
 
     def features(
-        self, features: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
+        self,
+        features: NDArray[np.float64],
+        modes: Modes,
+        distances: NDArray[np.float64],
+        parameters: RankingParameters = RANKING,
     ) -> NDArray[np.float64]:
-        """Compute :data:`RERANKING_FEATURES` ``(M, F)``.
+        """Compute :data:`index.reranker.RERANKING_FEATURES` ``(M, F)``.
 
         Parameters
         ----------
-        features : (M, F) float64 array
-            See :func:`index.features.match_features`.
-        modes : Modes
+        features : (M, 11) float64 array
+            From :func:`index.features.match_features`.
         distances : (M,) float64 array
-            See :meth:`distances`.
+            From :meth:`distances`.
         """
         positions = joint_positions(modes.points_3d, modes.points_normalised)
-        likelihood = self.seen.log_likelihood(positions)
-        error = np.log(self.seen.expected_errors(positions))
-        odds = -SHARE_POWER * np.log(distances + 1e-6)
+        likelihood = self.joints.log_likelihood(positions)
+        error = np.log(self.joints.expected_errors(positions))
+        odds = -parameters.share_power * np.log(distances + 1e-6)
         odds -= odds.max()
         return np.column_stack(
             [
                 features,
                 likelihood,
                 likelihood - likelihood.max(),
-                likelihood - self.seen.peak(),
+                likelihood - self.joints.peak(),
                 odds - np.log(np.exp(odds).sum()),
                 error,
                 error**2,
@@ -119,22 +118,25 @@ class Ranking:
 
 
 def fused_distances(
-    distances: NDArray[np.float64], agreement: Agreement, tilt_deg: NDArray[np.float64]
+    distances: NDArray[np.float64],
+    agreement: Agreement,
+    tilt_deg: NDArray[np.float64],
+    parameters: RankingParameters = RANKING,
 ) -> NDArray[np.float64]:
-    """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
+    """Distances ``(N,)`` of hypotheses by silhouette and landmarks together.
 
     Parameters
     ----------
     distances : (N,) float64 array
-        Of the descriptors.
+        Between descriptors.
     agreement : Agreement
-        With the landmarks.
+        Of the hypotheses with the landmarks.
     tilt_deg : (N,) float64 array
-        In-plane tilt at which the person would be seen.
+        In-plane tilt of the person according to each hypothesis.
     """
     likelihood = (
         agreement.log_likelihood
-        + SIDE_WEIGHT * agreement.side_log_odds
-        - np.abs(tilt_deg) / TILT_SCALE_DEG
+        + parameters.side_weight * agreement.side_log_odds
+        - np.abs(tilt_deg) / parameters.tilt_scale_deg
     )
-    return np.asarray(distances * np.exp(-likelihood / DISTANCE_WEIGHT))
+    return np.asarray(distances * np.exp(-likelihood / parameters.distance_weight))

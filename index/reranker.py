@@ -1,7 +1,8 @@
-"""What re-ranks the hypotheses of an index: a network, and the constants fitted with it.
+"""The file of the network that re-ranks hypotheses, with the constants fitted to it.
 
-It ships beside the index: ``reranking.npz`` with its weights, and ``reranking.json`` with their
-SHA-256 and the constants. An index without them is matched by distance alone.
+It ships beside the index: ``reranking.npz`` holds the weights, ``reranking.json`` their SHA-256 and
+the constants. Without them, hypotheses are ordered by distance alone. How the network ranks is in
+:mod:`index.ranking`.
 """
 
 from __future__ import annotations
@@ -17,19 +18,13 @@ from typing import Any
 import numpy as np
 
 from index.confidence import FEATURES, Calibration
+from index.files import ArtefactError, npy_bytes
 from index.network import JointNetwork
-from index.verified_files import ArtefactError, npy_bytes
+from index.parameters import RANKING
 
 FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
 
-FORMAT_VERSION = 2
-
-ORDER_WEIGHT, SUPPORT_WEIGHT = 3.0, 1.0
-"""Chosen on clips and bodies that neither the network nor the strict experiment has."""
-
-SPREAD = (3.0, 3.0, 0.04)
-"""How far a joint may be from where a mode has it, one standard deviation: columns and rows in
-pixels, depth in metres. Chosen on every second clip of the strict experiment; 2 to 4 pixels do."""
+RERANKER_FORMAT_VERSION = 2
 
 RERANKING_FEATURES = (
     *FEATURES,
@@ -40,12 +35,13 @@ RERANKING_FEATURES = (
     "log_expected_error_px",
     "log_expected_error_px_squared",
 )
-"""Features of a hypothesis where there is a network: those of the match, and
+"""Features of a hypothesis if there is a network: those of the match, and
 
-- the log-likelihood of its joints, what it lacks of the likeliest hypothesis, and what it lacks of
-  the likeliest places of the joints, each by itself;
-- logarithm of its share of the probability; see :data:`index.ranking.SHARE_POWER`;
-- logarithm of its joint error, expected by the network alone, and the square of that logarithm.
+- the log-likelihood of its joints, and that log-likelihood relative to the likeliest hypothesis and
+  to the likeliest position of each joint by itself;
+- the logarithm of its share of the probability; see
+  :attr:`index.parameters.RankingParameters.share_power`;
+- the logarithm of its joint error as the network expects it, and the square of that logarithm.
 """
 
 
@@ -55,25 +51,20 @@ class RankingModel:
 
     Parameters
     ----------
-    network : JointNetwork
     calibration : Calibration
         Over :data:`RERANKING_FEATURES`.
     training : dict
-        JSON values that say what it was trained on.
-    order_weight, support_weight : float
-        What a unit of the joints' log-likelihood counts, beside the logarithm of the distance, in
-        the order of hypotheses, and in the weights of the candidates that they are made of.
-    spread : (float, float, float)
-        How far joints may move to where the network sees them; see :data:`SPREAD`. Zeros: not at
-        all.
+        JSON values that describe the training data.
+    order_weight, support_weight, spread : float, float, (float, float, float)
+        See :class:`index.parameters.RankingParameters`; with a spread of zeros joints do not move.
     """
 
     network: JointNetwork
     calibration: Calibration
     training: dict[str, Any] = field(default_factory=dict)
-    order_weight: float = ORDER_WEIGHT
-    support_weight: float = SUPPORT_WEIGHT
-    spread: tuple[float, float, float] = SPREAD
+    order_weight: float = RANKING.order_weight
+    support_weight: float = RANKING.support_weight
+    spread: tuple[float, float, float] = RANKING.spread
 
     def __post_init__(self) -> None:
         if self.calibration.features != RERANKING_FEATURES:
@@ -84,22 +75,21 @@ class RankingModel:
 
     @classmethod
     def of(cls, network: JointNetwork) -> RankingModel:
-        """A network with which no confidence has been fitted yet: it is 0.5 for all."""
-        count = len(RERANKING_FEATURES)
-        return cls(network, Calibration((0.0,) * count, 0.0, RERANKING_FEATURES))
+        """A network without a fitted confidence: every hypothesis gets 0.5."""
+        return cls(network, Calibration.none(RERANKING_FEATURES))
 
 
 def reranker_files(reranker: RankingModel) -> dict[str, bytes]:
-    """What is stored beside an index, by file name; the same network gives the same bytes."""
+    """Contents of the files, by name; the same network gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, array in reranker.network.arrays().items():
-            # Without the time of writing.
+            # A ZipInfo of its own has no time of writing.
             member = zipfile.ZipInfo(f"{name}.npy")
             archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
     weights = buffer.getvalue()
     manifest = {
-        "format_version": FORMAT_VERSION,
+        "format_version": RERANKER_FORMAT_VERSION,
         "sha256": hashlib.sha256(weights).hexdigest(),
         "order_weight": reranker.order_weight,
         "support_weight": reranker.support_weight,
@@ -111,13 +101,13 @@ def reranker_files(reranker: RankingModel) -> dict[str, bytes]:
 
 
 def save_reranker(reranker: RankingModel, folder: Path) -> None:
-    """Write the network beside an index, whose own files stay as they are."""
+    """Write the network beside an index without changing the index's own files."""
     for name, content in reranker_files(reranker).items():
         (folder / name).write_bytes(content)
 
 
 def load_reranker(folder: Path) -> RankingModel | None:
-    """Read and verify the network beside an index; None where there is none.
+    """Read and verify the network beside an index; None if there is none.
 
     Raises
     ------
@@ -132,9 +122,9 @@ def load_reranker(folder: Path) -> RankingModel | None:
     try:
         manifest = json.loads(file.read_bytes())
         version = manifest["format_version"]
-        if version != FORMAT_VERSION:
+        if version != RERANKER_FORMAT_VERSION:
             raise ArtefactError(
-                f"{file} has format {version}, this service reads format {FORMAT_VERSION}"
+                f"{file} has format {version}, this service reads format {RERANKER_FORMAT_VERSION}"
             )
         content = weights.read_bytes()
         if hashlib.sha256(content).hexdigest() != manifest["sha256"]:
@@ -159,7 +149,7 @@ def load_reranker(folder: Path) -> RankingModel | None:
 
 
 def _spread(values: list[float]) -> tuple[float, float, float]:
-    """The spread that a manifest names; ``ValueError`` if it is none."""
+    """The spread in a manifest; ``ValueError`` if it is not one."""
     columns, rows, depths = (float(value) for value in values)
     if not min(columns, rows, depths) >= 0:
         raise ValueError(f"expected a spread of 0 or more, got {values}")

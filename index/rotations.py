@@ -1,8 +1,8 @@
-"""In-plane rotation of a query: people who are tilted or lie, cameras that are rolled.
+"""In-plane rotation of a query: people tilted or lying, cameras rolled.
 
-A silhouette wider than high would be small in the normalised frame. It is rotated until its
-principal axis is vertical, and so are the entries that are wider than high: their camera is rolled.
-The head may then be at either end.
+A silhouette wider than high would be small in the normalised frame. It is therefore rotated until
+its principal axis is vertical, and so is an entry wider than high, by rolling its camera. The head
+may then be at either end.
 """
 
 from __future__ import annotations
@@ -16,27 +16,17 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import INSIDE, averaged, normalise, principal_axis_deg
 from index.candidates import Candidates, compare_entries, find_candidates_of_each
-from index.search import Nearest, rotate_clockwise
-from index.skeleton import wrap_degrees
+from index.parameters import ROTATIONS, RotationParameters
+from index.search import NearestEntries
+from index.skeleton import rotate_clockwise, wrap_degrees
 from index.store import PoseIndex
-
-NEARLY_SQUARE = 0.75
-"""Ratio of width and height from which a silhouette is searched for as it is and rotated."""
-
-STEP_DEG = 15.0
-"""With keypoints, rotations are searched in multiples of this."""
-
-MAX_ROTATIONS = 2
-"""Number of rotations that are searched where landmarks tell them."""
-
-MIN_SHARE = 0.2
-"""Smallest share of the entries near the landmarks for which a rotation is searched."""
 
 CANVAS_PX = 256
 """Longer side of a mask while it is rotated."""
 
 MAX_SOURCE_PX = 1024
-"""Longer side from which on means of blocks are rotated instead."""
+"""Longest side of a mask that is rotated pixel by pixel; larger ones are rotated as the means of
+blocks."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +58,12 @@ class RotatedQuery:
 def find_rotated_candidates(
     index: PoseIndex, queries: Sequence[RotatedQuery], k: int
 ) -> Candidates:
-    """Find the ``k`` nearest entries to each rotation of a silhouette.
+    """Find the ``k`` entries nearest to each rotation of a silhouette.
 
     Few cameras of an index are rolled; rotating the query has the same effect.
 
     Parameters
     ----------
-    index : PoseIndex
     queries : sequence of RotatedQuery
         Rotations of the same silhouette.
     k : int
@@ -83,7 +72,7 @@ def find_rotated_candidates(
     Returns
     -------
     Candidates
-        In ascending distance, with the skeletons rotated to fit the query.
+        Nearest first, with the skeletons rotated to fit the query.
     """
     found = find_candidates_of_each(index, np.stack([query.silhouette for query in queries]), k)
     return Candidates.merged(
@@ -92,16 +81,12 @@ def find_rotated_candidates(
 
 
 def compare_rotated_entries(
-    index: PoseIndex, queries: Sequence[RotatedQuery], nearest: Nearest
+    index: PoseIndex, queries: Sequence[RotatedQuery], nearest: NearestEntries
 ) -> Candidates:
     """Compare a silhouette with the entries nearest to its keypoints.
 
-    Each entry is compared with the rotation of the silhouette that is nearest to its own.
-
-    Returns
-    -------
-    Candidates
-        In ascending distance, with the skeletons rotated as in :func:`find_rotated_candidates`.
+    Each entry is compared with the rotation of the silhouette that is nearest to its own. The
+    result is as in :func:`find_rotated_candidates`.
     """
     rotations_deg = np.array([query.rotation_deg for query in queries])
     apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
@@ -112,7 +97,7 @@ def compare_rotated_entries(
                 compare_entries(
                     index,
                     query.silhouette,
-                    nearest.numbers[assigned == position],
+                    nearest.entry_ids[assigned == position],
                     nearest.mirrored[assigned == position],
                 ),
                 query,
@@ -123,47 +108,56 @@ def compare_rotated_entries(
     )
 
 
-def usual_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
-    """Rotations that are searched whatever the keypoints.
+def silhouette_rotations(
+    silhouette: NDArray[np.uint8], roll_deg: float, parameters: RotationParameters = ROTATIONS
+) -> tuple[float, ...]:
+    """Rotations in degrees that the silhouette by itself suggests.
 
     Parameters
     ----------
     silhouette : (128, 48) uint8 array
     roll_deg : float
-        Roll of its camera: not 0 where it was rotated to stand.
+        Roll of its camera; not 0 if the silhouette was rotated to stand upright.
     """
     if roll_deg:
         both_ends: tuple[float, ...] = (0.0, -180.0)
         unrolled, _ = rotate_silhouette(silhouette, -roll_deg)
-        return (*both_ends, roll_deg) if _ratio(unrolled) < 1 / NEARLY_SQUARE else both_ends
-    if _ratio(silhouette) < NEARLY_SQUARE:
+        return (
+            (*both_ends, roll_deg) if _ratio(unrolled) < 1 / parameters.nearly_square else both_ends
+        )
+    if _ratio(silhouette) < parameters.nearly_square:
         return (0.0,)
     axis_deg = principal_axis_deg(silhouette)
     return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
 
 
-def rotations_of_landmarks(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
-    """The rotations that are searched where landmarks tell them.
+def landmark_rotations(
+    usual: Sequence[float],
+    roll_deg: NDArray[np.float64],
+    parameters: RotationParameters = ROTATIONS,
+) -> list[float]:
+    """Rotations in degrees that the entries near the landmarks suggest.
 
     Parameters
     ----------
     usual : sequence of float
-        Those that are searched without landmarks.
+        From :func:`silhouette_rotations`.
     roll_deg : (K,) float64 array
-        Rotations of the entries near the landmarks; see :class:`index.search.Nearest`.
+        Rotations of the entries near the landmarks; see :class:`index.search.NearestEntries`.
 
     Returns
     -------
     list of float
-        The usual ones or multiples of :data:`STEP_DEG`, those of most entries first.
+        Usual ones or multiples of ``step_deg``, the most frequent first.
     """
-    rounded = wrap_degrees(np.rint(roll_deg / STEP_DEG) * STEP_DEG)
+    step_deg = parameters.step_deg
+    rounded = wrap_degrees(np.rint(roll_deg / step_deg) * step_deg)
     apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
     nearest = np.array(usual)[apart.argmin(axis=1)]
-    rounded = np.where(apart.min(axis=1) <= STEP_DEG / 2, nearest, rounded)
+    rounded = np.where(apart.min(axis=1) <= step_deg / 2, nearest, rounded)
     rotations, counts = np.unique(rounded, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[:MAX_ROTATIONS]
-    likely = rotations[order][counts[order] >= MIN_SHARE * len(rounded)]
+    order = np.argsort(-counts, kind="stable")[: parameters.max_rotations]
+    likely = rotations[order][counts[order] >= parameters.min_share * len(rounded)]
     return [float(one) for one in (likely if len(likely) else rotations[order[:1]])]
 
 
@@ -173,17 +167,15 @@ def _ratio(silhouette: NDArray[np.uint8]) -> float:
     return width / max(height, 1)
 
 
-def seen_from(index: PoseIndex, nearest: Nearest, roll_deg: float) -> Nearest:
-    """Change rolls from those of cameras that are not rolled to rotations of a query.
+def seen_from(index: PoseIndex, nearest: NearestEntries, roll_deg: float) -> NearestEntries:
+    """Convert rolls, relative to unrolled cameras, into rotations of a query.
 
     Parameters
     ----------
-    index : PoseIndex
-    nearest : Nearest
     roll_deg : float
         Roll of the query's camera.
     """
-    entry_roll_deg = index.roll_deg(nearest.numbers, nearest.mirrored)
+    entry_roll_deg = index.roll_deg(nearest.entry_ids, nearest.mirrored)
     return replace(nearest, roll_deg=nearest.roll_deg - entry_roll_deg + roll_deg)
 
 
@@ -196,7 +188,6 @@ def rotate_silhouette(
     ----------
     mask : (H, W) uint8 or bool array
         0 is background.
-    angle_deg : float
 
     Returns
     -------
@@ -204,7 +195,7 @@ def rotate_silhouette(
     inverse : (2, 3) float64 array
         Affine transform from its pixels to those of ``mask``.
     """
-    # OpenCV takes no longer sides than 32,767 pixels, and huge masks are slow.
+    # OpenCV accepts sides of at most 32,767 pixels, and huge masks are slow.
     block = max(1, max(mask.shape) // MAX_SOURCE_PX)
     covered = averaged(mask != 0, block)
     height, width = covered.shape
@@ -227,7 +218,7 @@ def rotate_silhouette(
     from_canvas = cv2.invertAffineTransform(to_canvas)
     linear = from_canvas[:, :2] / placement.scale
     inverse = np.column_stack([linear, from_canvas[:, 2] - linear @ offset])
-    # Blocks and mask have their centre in common.
+    # Blocks and mask share their centre.
     inverse[:, 2] -= (np.array([width, height]) - 1) / 2
     inverse *= block
     inverse[:, 2] += (np.array([mask.shape[1], mask.shape[0]]) - 1) / 2
@@ -235,6 +226,7 @@ def rotate_silhouette(
 
 
 def _rotate_candidates(candidates: Candidates, query: RotatedQuery) -> Candidates:
+    """Rotate the skeletons of candidates as the query was rotated."""
     if query.rotation_deg == 0:
         return candidates
     linear, offset = query.to_query[:, :2], query.to_query[:, 2]

@@ -18,33 +18,31 @@ import faiss
 import numpy as np
 from numpy.typing import NDArray
 
-from index.skeleton import LIMBS, POINT_NAMES
+from index.skeleton import LIMB_HIPS, LIMBS, SIDES, other_side, rotate_clockwise, rows
 
-STEPS = np.float32(8)
-"""Values of descriptors are multiples of 1/8, far below what noise does to them: files compress to
-a quarter, and a byte holds each value exactly."""
+STEPS_PER_UNIT = np.float32(8)
+"""Values of descriptors are multiples of 1/8, far below the effect of noise: files compress to a
+quarter, and a byte holds each value exactly."""
 
-BYTES = faiss.ScalarQuantizer.QT_8bit_direct_signed
-"""FAISS's code for whole numbers from -128 to 127, which holds them exactly."""
+_BYTES = faiss.ScalarQuantizer.QT_8bit_direct_signed
+"""FAISS's code for whole numbers from -128 to 127, which are stored exactly."""
 
-_LARGEST_STEP = 127
+_MAX_STEPS = 127
 
-_BLOCK = 65_536
-"""Vectors converted at a time: all of a large index would take gigabytes."""
-
+_VECTORS_PER_BLOCK = 65_536
+"""Vectors converted at a time: converting all of a large index would take gigabytes."""
 
 FailureReason = Literal["deadline", "unreachable", "refused"]
-"""Why a search by another server failed: too slow, not there, or answered with an error."""
+"""Why a search on a server failed: too slow, not reachable, or answered with an error."""
 
 
 class UnavailableError(Exception):
-    """A search by another server failed, though it may succeed later.
+    """A search on a server failed, but may succeed later.
 
     Parameters
     ----------
     message : str
         One sentence for the operator.
-    reason : FailureReason
     """
 
     def __init__(self, message: str, reason: FailureReason) -> None:
@@ -53,10 +51,10 @@ class UnavailableError(Exception):
 
 
 class Neighbours(Protocol):
-    """A search for the nearest of a fixed set of vectors; safe under several threads."""
+    """A search among a fixed set of vectors; thread-safe."""
 
     def __len__(self) -> int:
-        """Count the vectors."""
+        """Number of vectors."""
 
     def search(
         self, queries: NDArray[np.float32], k: int
@@ -72,32 +70,28 @@ class Neighbours(Protocol):
         Returns
         -------
         squared : (Q, k) float32 array
-            Squared Euclidean distances, ascending, as exact as the search: queries may be rounded
-            to the steps of the vectors.
-        numbers : (Q, k) int64 array
+            Squared Euclidean distances, ascending. A search may round queries to the steps of the
+            vectors.
+        ids : (Q, k) int64 array
+            Rows of the vectors.
 
         Raises
         ------
         UnavailableError
-            If the search is done by a server that does not answer.
+            If the search runs on a server that does not answer.
         """
 
 
 class ExactNeighbours:
-    """Compares each query with all vectors, in this process.
-
-    Parameters
-    ----------
-    vectors : (E, D) float array
-    """
+    """Compares each query with all vectors ``(E, D)``, in this process."""
 
     def __init__(self, vectors: NDArray[np.floating]) -> None:
         dimension = vectors.shape[1]
         self._factor = scale_factor(vectors)
         self._faiss: Any
-        if self._factor == STEPS:
+        if self._factor == STEPS_PER_UNIT:
             # As exact as floats, in half the time.
-            self._faiss = faiss.IndexScalarQuantizer(dimension, BYTES, faiss.METRIC_L2)
+            self._faiss = faiss.IndexScalarQuantizer(dimension, _BYTES, faiss.METRIC_L2)
         else:
             self._faiss = faiss.IndexFlatL2(dimension)
         for block in _blocks(vectors):
@@ -111,48 +105,44 @@ class ExactNeighbours:
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`.
 
-        Among vectors that are bytes, queries are rounded to steps as well: some versions of FAISS
-        drop what follows the point, and take a number beyond a byte's range for one from its other
-        end.
+        If the vectors are bytes, queries are rounded to steps as well: some versions of FAISS
+        truncate the fraction and let numbers beyond a byte's range overflow.
         """
         scaled = np.ascontiguousarray(queries * self._factor, np.float32)
-        if self._factor == STEPS:
-            scaled = np.rint(scaled).clip(-_LARGEST_STEP, _LARGEST_STEP)
-        squared, numbers = self._faiss.search(scaled, k)
-        return squared / self._factor**2, numbers
+        if self._factor == STEPS_PER_UNIT:
+            scaled = np.rint(scaled).clip(-_MAX_STEPS, _MAX_STEPS)
+        squared, ids = self._faiss.search(scaled, k)
+        return squared / self._factor**2, ids
 
 
 def scale_factor(vectors: NDArray[np.floating]) -> np.float32:
-    """The factor by which FAISS is given vectors ``(E, D)``.
+    """Factor by which vectors ``(E, D)`` are multiplied for FAISS.
 
-    :data:`STEPS` where that makes every value a whole number that a byte holds, else 1.
+    :data:`STEPS_PER_UNIT` if that makes every value a whole number that fits a byte, else 1.
     """
     for block in _blocks(vectors):
-        steps = block * STEPS
-        if np.abs(steps).max() > _LARGEST_STEP or not np.array_equal(steps, np.rint(steps)):
+        steps = block * STEPS_PER_UNIT
+        if np.abs(steps).max() > _MAX_STEPS or not np.array_equal(steps, np.rint(steps)):
             return np.float32(1)
-    return STEPS
+    return STEPS_PER_UNIT
 
 
 def _blocks(vectors: NDArray[np.floating]) -> Iterator[NDArray[np.float32]]:
-    for start in range(0, len(vectors), _BLOCK):
-        yield np.ascontiguousarray(vectors[start : start + _BLOCK], np.float32)
+    for start in range(0, len(vectors), _VECTORS_PER_BLOCK):
+        yield np.ascontiguousarray(vectors[start : start + _VECTORS_PER_BLOCK], np.float32)
 
-
-SEARCHED = tuple(POINT_NAMES.index(name) for name in LIMBS)
-"""Rows of ``POINT_NAMES`` that are compared: shoulders, elbows, wrists, hips, knees, ankles."""
 
 STEPS_PER_BODY = 150.0
 """Coordinates are whole numbers of this part of a body's size, so that a byte holds each: about a
-centimetre, far less than landmarks err by."""
+centimetre, far less than the error of landmarks."""
 
-DIMENSION = 48
-"""Numbers of a vector: three a limb joint, then zeros, since FAISS compares vectors of a multiple
-of 16 bytes twelve times faster than others."""
-_HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
+LANDMARK_DIMENSION = 48
+"""Values of a vector: three for each limb joint, then zeros, because FAISS compares vectors of a
+multiple of 16 bytes twelve times faster than others."""
+
 _BONES = [
-    (LIMBS.index(f"{side}_{start}"), LIMBS.index(f"{side}_{end}"))
-    for side in ("left", "right")
+    rows(f"{side}_{start}", f"{side}_{end}", among=LIMBS)
+    for side in SIDES
     for start, end in (
         ("shoulder", "elbow"),
         ("elbow", "wrist"),
@@ -161,47 +151,50 @@ _BONES = [
         ("knee", "ankle"),
     )
 ]
-# Shoulder to wrist, shoulder to hip and hip to ankle of a body 1.7 m tall, both sides.
-_SIZE_M = 3.6
+_HEIGHT_PER_BONES = 1.7 / 3.6
+"""A body 1.7 m tall measures 3.6 m along shoulder to wrist, shoulder to hip and hip to ankle, both
+sides."""
+
+_OTHER_SIDE = rows(*(other_side(name) for name in LIMBS), among=LIMBS)
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestEntries:
     """Entries nearest to landmarks, nearest first.
 
     Parameters
     ----------
-    numbers : (K,) int64 array
+    entry_ids : (K,) int64 array
     mirrored : (K,) bool array
         Whether the mirror image of the entry was found.
     roll_deg : (K,) float64 array
-        Clockwise rotation in the picture, of the entry seen by a camera that is not rolled, for
-        which it was found.
+        Clockwise rotation in the picture of the entry found, as seen by a camera that is not
+        rolled.
     distances : (K,) float64 array
         Root mean square joint distance, as a share of the size of a body, ascending.
     """
 
-    numbers: NDArray[np.int64]
+    entry_ids: NDArray[np.int64]
     mirrored: NDArray[np.bool_]
     roll_deg: NDArray[np.float64]
     distances: NDArray[np.float64]
 
 
 class LandmarkSearch:
-    """Exhaustive search over skeletons about the hips, all of one size; immutable.
+    """Exhaustive search over skeletons of one size, about the hips; immutable.
 
     Parameters
     ----------
     vectors : (E, 48) float32 array
-        Of :func:`pose_vectors`, of cameras that are not rolled.
+        From :func:`pose_vectors`, of cameras that are not rolled.
     """
 
     def __init__(self, vectors: NDArray[np.float32]) -> None:
-        if vectors.ndim != 2 or vectors.shape[1] != DIMENSION:
-            raise ValueError(f"expected vectors of shape (E, {DIMENSION}), got {vectors.shape}")
-        self._faiss = faiss.IndexScalarQuantizer(
-            vectors.shape[1], faiss.ScalarQuantizer.QT_8bit_direct_signed, faiss.METRIC_L2
-        )
+        if vectors.ndim != 2 or vectors.shape[1] != LANDMARK_DIMENSION:
+            raise ValueError(
+                f"expected vectors of shape (E, {LANDMARK_DIMENSION}), got {vectors.shape}"
+            )
+        self._faiss = faiss.IndexScalarQuantizer(LANDMARK_DIMENSION, _BYTES, faiss.METRIC_L2)
         self._faiss.add(np.ascontiguousarray(vectors, np.float32))
 
     def __len__(self) -> int:
@@ -209,7 +202,7 @@ class LandmarkSearch:
 
     def nearest(
         self, points_3d: NDArray[np.float64], rolls_deg: tuple[float, ...], k: int
-    ) -> Nearest:
+    ) -> NearestEntries:
         """Find the ``k`` nearest among all entries and their mirror images.
 
         Parameters
@@ -218,34 +211,32 @@ class LandmarkSearch:
             Camera axes, of any origin and unit; rows are ``LIMBS``.
         rolls_deg : tuple of float
             Clockwise rotations in the picture that the person may have.
-        k : int
         """
         queries = []
         for roll_deg in rolls_deg:
-            turned = rotate_clockwise(points_3d, -roll_deg)
-            queries += [turned, mirrored_limbs(turned)]
+            unrolled = rotate_clockwise(points_3d, -roll_deg)
+            queries += [unrolled, mirrored_limbs(unrolled)]
         k = min(k, len(self))
-        squared, numbers = self._faiss.search(pose_vectors(np.stack(queries)), k)
+        squared, ids = self._faiss.search(pose_vectors(np.stack(queries)), k)
         variants = np.repeat(np.arange(len(queries)), k)
-        squared, numbers = squared.ravel(), numbers.ravel()
-        order = np.lexsort((numbers, variants, squared))[:k]
+        squared, ids = squared.ravel(), ids.ravel()
+        order = np.lexsort((ids, variants, squared))[:k]
         variants = variants[order]
-        return Nearest(
-            numbers[order],
+        return NearestEntries(
+            ids[order],
             variants % 2 == 1,
             np.array(rolls_deg)[variants // 2],
-            np.sqrt(np.maximum(squared[order].astype(np.float64), 0) / len(SEARCHED))
-            / STEPS_PER_BODY,
+            np.sqrt(np.maximum(squared[order].astype(np.float64), 0) / len(LIMBS)) / STEPS_PER_BODY,
         )
 
 
 def pose_vectors(points_3d: NDArray[np.floating]) -> NDArray[np.float32]:
     """Skeletons ``(N, 12, 3)`` as vectors ``(N, 48)`` of whole numbers, about the hips."""
-    points = points_3d - points_3d[:, _HIPS].mean(axis=1, keepdims=True)
+    points = points_3d - points_3d[:, LIMB_HIPS].mean(axis=1, keepdims=True)
     size = body_sizes(points_3d)[:, None, None]
     steps = np.rint(points * (STEPS_PER_BODY / size))
-    vectors = np.zeros((len(points), DIMENSION), np.float32)
-    flat = np.clip(steps, -_LARGEST_STEP, _LARGEST_STEP).reshape(len(points), -1)
+    vectors = np.zeros((len(points), LANDMARK_DIMENSION), np.float32)
+    flat = np.clip(steps, -_MAX_STEPS, _MAX_STEPS).reshape(len(points), -1)
     vectors[:, : flat.shape[1]] = flat
     return vectors
 
@@ -255,7 +246,7 @@ def body_sizes(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     lengths = sum(
         np.linalg.norm(points_3d[:, start] - points_3d[:, end], axis=-1) for start, end in _BONES
     )
-    return np.asarray(np.maximum(lengths, 1e-6) * (1.7 / _SIZE_M), np.float64)
+    return np.asarray(np.maximum(lengths, 1e-6) * _HEIGHT_PER_BONES, np.float64)
 
 
 def mirrored_limbs(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -263,19 +254,3 @@ def mirrored_limbs(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
     mirrored = points_3d[_OTHER_SIDE].copy()
     mirrored[:, 0] *= -1
     return mirrored
-
-
-def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
-    """Rotate points ``(..., 3)`` in camera axes about the optical axis, clockwise as seen."""
-    angle = np.deg2rad(angle_deg)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-    return np.asarray(points_3d @ rotation)
-
-
-_OTHER_SIDE = [
-    LIMBS.index(
-        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-    )
-    for name in LIMBS
-]

@@ -14,31 +14,31 @@ from descriptor.silhouette import HEIGHT, WIDTH, unpack
 PACKED_BYTES = HEIGHT * WIDTH // 8
 
 _WINDOW_BYTES = 32 * 1024
-"""How far back deflate looks, and therefore the most that is of use in a dictionary."""
+"""How far back deflate looks; a longer dictionary would be of no use."""
 
 _BLOCK = 4096
-"""Silhouettes decompressed at a time where all are."""
+"""Silhouettes decompressed at a time."""
 
 _LEVEL = 6
 _RAW_DEFLATE = -15
-"""No header and no checksum, since the artefact has its own."""
+"""Neither header nor checksum: the artefact has its own."""
 
 
 @dataclass(frozen=True)
 class Silhouettes:
     """Normalised silhouettes, deflated separately with a shared dictionary.
 
-    A sixth of the packed size; decompressing a silhouette takes microseconds.
+    They take a sixth of their packed size; decompressing one takes microseconds.
 
     Parameters
     ----------
     data : (B,) uint8 array
         The deflated silhouettes, concatenated.
     ends : (E,) int64 array
-        End of each in ``data``; ascending, the last is B.
+        End of each silhouette in ``data``; ascending, the last is B.
     dictionary : (D,) uint8 array
     step : int
-        Pixels of the normalised frame for each stored one, both ways: 1, or 2 after
+        Pixels of the normalised frame for each stored pixel, along both axes: 1, or 2 after
         :meth:`halved`.
     """
 
@@ -75,7 +75,8 @@ class Silhouettes:
         ----------
         bits : (E, 768) uint8 array
         sample : (S, 768) uint8 array, optional
-            Silhouettes that make the dictionary; by default :func:`sampled` ones of ``bits``.
+            Silhouettes that make up the dictionary; by default those of ``bits`` that
+            :func:`sampled` chooses.
         """
         if bits.ndim != 2 or bits.shape[1] != PACKED_BYTES or len(bits) == 0:
             raise ValueError(f"expected silhouettes of shape (E, {PACKED_BYTES}), got {bits.shape}")
@@ -96,7 +97,7 @@ class Silhouettes:
 
     @classmethod
     def joined(cls, parts: Sequence[Silhouettes]) -> Silhouettes:
-        """Put silhouettes of the same dictionary one after another."""
+        """Concatenate silhouettes of the same dictionary."""
         first = parts[0]
         if any(
             part.step != first.step or not np.array_equal(part.dictionary, first.dictionary)
@@ -140,7 +141,7 @@ class Silhouettes:
 
 
 def sampled(count: int, *, step: int = 1) -> NDArray[np.int64]:
-    """Rows of ``count`` silhouettes that make their dictionary: spread evenly."""
+    """Evenly spaced rows of ``count`` silhouettes, which make up their dictionary."""
     fitting = _WINDOW_BYTES * step**2 // PACKED_BYTES
     return np.linspace(0, count - 1, min(count, fitting)).astype(np.int64)
 
@@ -159,7 +160,7 @@ def _deflate(
 
 
 def _halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Silhouettes ``(B, 64, 24)``: what most of four pixels show, and the first where they tie."""
+    """Silhouettes ``(B, 64, 24)``: the majority of four pixels, or the first pixel in a tie."""
     blocks = silhouettes.reshape(len(silhouettes), HEIGHT // 2, 2, WIDTH // 2, 2)
     return np.asarray(2 * blocks.sum(axis=(2, 4)) + blocks[:, :, 0, :, 0] > 4, np.uint8)
 
@@ -167,7 +168,7 @@ def _halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _by_columns(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Pack silhouettes ``(B, H, W)``, one column of bytes after the other.
 
-    Most outlines are vertical, which compresses better so.
+    Outlines are mostly vertical and compress better in this order.
     """
     packed = np.packbits(silhouettes, axis=2).swapaxes(1, 2)
     return np.ascontiguousarray(packed).reshape(len(silhouettes), -1)
@@ -181,10 +182,10 @@ def _from_columns(columns: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
 
 
 def _double(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Enlarge silhouettes ``(B, H, W)`` to twice the size by Scale2x [1]_, which cuts stairs off.
+    """Enlarge silhouettes ``(B, H, W)`` to twice the size by Scale2x [1]_, which smooths stairs.
 
-    A quarter of a pixel takes the value of its two neighbours where they agree and the opposite
-    two do not agree with them.
+    Each quarter of a pixel takes the value of its two neighbours if they agree and differ from the
+    opposite two.
 
     References
     ----------

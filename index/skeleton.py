@@ -1,17 +1,20 @@
-"""The skeleton: its points, the keypoint sets offered to callers, and the camera.
+"""The skeleton: its points, the keypoint sets of the API, the camera, and geometry of skeletons.
 
-Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, rotated
-about the vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
+Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis, rotated about the
+vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from descriptor.silhouette import WIDTH
+
+SIDES = ("left", "right")
 
 JOINT_NAMES = (
     "pelvis", "spine", "chest", "neck", "head",
@@ -25,12 +28,12 @@ LIMBS = (
     "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
     "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
 )  # fmt: skip
-"""The 12 limb joints that annotations of photographs have as well."""
+"""The 12 limb joints, which annotations of photographs have as well."""
 
 FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 
 POINT_NAMES = JOINT_NAMES + FACE_NAMES
-"""The points that an index stores of a skeleton: 19 joints, then 5 points of the face."""
+"""The points of a skeleton in an index: 19 joints, then 5 points of the face."""
 
 BODY_UP = (0.0, 1.0, 0.0)
 """Away from the ground, in body axes."""
@@ -39,13 +42,47 @@ JOINTS = len(JOINT_NAMES)
 POINTS = len(POINT_NAMES)
 
 
+def rows(*names: str, among: Sequence[str] = POINT_NAMES) -> list[int]:
+    """Rows of the named points.
+
+    Examples
+    --------
+    >>> rows("pelvis", "head")
+    [0, 4]
+    """
+    return [among.index(name) for name in names]
+
+
+def side_rows(*parts: str, among: Sequence[str] = POINT_NAMES) -> list[int]:
+    """Rows of paired points, part by part, left before right.
+
+    Examples
+    --------
+    >>> side_rows("shoulder", "hip")
+    [5, 8, 11, 15]
+    """
+    return rows(*(f"{side}_{part}" for part in parts for side in SIDES), among=among)
+
+
+def other_side(name: str) -> str:
+    """Name of the same point on the other side of the body."""
+    side, _, part = name.partition("_")
+    return f"{SIDES[side == 'left']}_{part}" if side in SIDES else name
+
+
+LIMB_ROWS = rows(*LIMBS)
+"""Rows of the limb joints among :data:`POINT_NAMES`."""
+
+LIMB_SHOULDERS, LIMB_HIPS = (side_rows(part, among=LIMBS) for part in ("shoulder", "hip"))
+"""Rows among :data:`LIMBS`."""
+
+
 @dataclass(frozen=True)
 class KeypointSet:
     """A named selection of the stored points, in its own order.
 
     Parameters
     ----------
-    name : str
     names : tuple of str
         Names of the keypoints.
     indices : tuple of int
@@ -66,7 +103,7 @@ def _keypoint_set(
     bones: tuple[tuple[str, str], ...],
     points: dict[str, str] | None = None,
 ) -> KeypointSet:
-    """A set whose keypoints are points of the same name, or those that ``points`` gives."""
+    """A set whose keypoints are the points of the same name, or of the name in ``points``."""
     renamed = points or {}
     return KeypointSet(
         name,
@@ -150,16 +187,7 @@ H36M17 = _keypoint_set(
     {"spine": "chest", "thorax": "neck"},
 )  # fmt: skip
 
-OTHER_SIDE = np.array(
-    [
-        POINT_NAMES.index(
-            name.replace("left_", "right_")
-            if name.startswith("left_")
-            else name.replace("right_", "left_")
-        )
-        for name in POINT_NAMES
-    ]
-)
+OTHER_SIDE = np.array(rows(*(other_side(name) for name in POINT_NAMES)))
 """Row of the same point on the other side of the body, for each of ``POINT_NAMES``."""
 
 
@@ -184,7 +212,7 @@ def mirror_normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 KEYPOINT_SETS = {keypoints.name: keypoints for keypoints in (NATIVE, COCO17, H36M17)}
 KEYPOINT_SETS["cmu19"] = NATIVE
-"""By name; ``cmu19`` is another one for ``native``, after the motion capture of its joints."""
+"""Sets by name; ``cmu19`` is an alias of ``native``, after the motion capture of its joints."""
 
 
 def mean_joint_distance(
@@ -192,15 +220,23 @@ def mean_joint_distance(
 ) -> NDArray[np.float64]:
     """Mean distances ``(...)`` between the joints of skeletons ``(..., P, D)``, broadcast.
 
-    Points beyond the 19 joints are left out.
+    Only the first 19 points, the joints, count.
     """
     joints = np.s_[..., :JOINTS, :]
     return np.asarray(np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1))
 
 
 def wrap_degrees(angle_deg: ArrayLike) -> NDArray[np.float64]:
-    """The same angles from -180 up to 180 degrees."""
+    """The same angles in the interval [-180, 180) degrees."""
     return np.asarray((np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0)
+
+
+def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+    """Rotate points ``(..., 3)`` in camera axes about the optical axis, clockwise as seen."""
+    angle = np.deg2rad(angle_deg)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    return np.asarray(points_3d @ rotation)
 
 
 def camera_rotation(
@@ -257,33 +293,37 @@ def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.flo
     points = np.asarray(points, np.float64)
     depth = np.asarray(distance, np.float64)[..., None]
     nearer = depth / (depth + points[..., 2])
-    # Along axes of length two NumPy is several times slower.
+    # NumPy is several times slower along axes of length two.
     plane = np.empty((*nearer.shape, 2))
     for axis in range(2):
         np.multiply(points[..., axis], nearer, out=plane[..., axis])
     return plane
 
 
-def with_bone_lengths_of(
-    skeleton: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Reset the bone lengths of skeletons to those of others, keeping the directions.
+def bone_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths ``(..., 18)`` of the bones of skeletons ``(..., 24, D)``, as in ``NATIVE.bones``."""
+    return _bones(points)[0]
 
-    Averaging skeletons shortens their bones.
+
+def with_bone_lengths(
+    points: NDArray[np.float64], lengths: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Set the bone lengths of skeletons, keeping the directions of their bones.
+
+    It undoes the shortening of bones by averaging.
 
     Parameters
     ----------
-    skeleton : (..., 24, 3) array
-        Source of the lengths.
     points : (..., 24, 3) array
-        Source of the directions.
+        Skeletons, in any axes.
+    lengths : (..., 18) array
+        Lengths in the order of ``NATIVE.bones``.
 
     Returns
     -------
     (..., 24, 3) float64 array
         Pelvis at the origin; the face moves with the head.
     """
-    lengths, _ = _bones(skeleton)
     current, bones = _bones(points)
     bones = bones * (lengths / np.maximum(current, 1e-6))[..., None]
     joints = _PATHS @ bones
@@ -291,24 +331,41 @@ def with_bone_lengths_of(
     return np.concatenate([joints, joints[..., _HEAD : _HEAD + 1, :] + face], axis=-2)
 
 
-def pixels_per_metre(
-    points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
+def with_bone_lengths_of(
+    skeleton: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares."""
-    metres = points_3d[:, :JOINTS, :2] - points_3d[:, :JOINTS, :2].mean(axis=1, keepdims=True)
-    pixels = points_normalised[:, :JOINTS]
+    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of others, ``skeleton``."""
+    return with_bone_lengths(points, bone_lengths(skeleton))
+
+
+def pixels_per_metre(
+    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], points: int = JOINTS
+) -> NDArray[np.float64]:
+    """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares.
+
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Camera axes, metres.
+    points_2d : (M, 24, 2) float64 array
+        Pixels.
+    points : int
+        Number of leading points that count; by default the joints.
+    """
+    metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
+    pixels = points_2d[:, :points]
     pixels = pixels - pixels.mean(axis=1, keepdims=True)
     return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))
 
 
 def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lengths ``(..., 18)`` of the bones, and the bones ``(..., 18, 3)`` from parent to child."""
+    """Lengths ``(..., 18)`` of the bones, and vectors ``(..., 18, 3)`` from parent to child."""
     bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
     return np.sqrt((bones**2).sum(axis=-1)), bones
 
 
 def _paths_from_pelvis() -> NDArray[np.float64]:
-    """Bones on the path from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
+    """Which bones lead from the pelvis to each joint: ``(19, 18)`` of 0 and 1."""
     paths = np.zeros((JOINTS, len(NATIVE.bones)))
     for bone, (parent, child) in enumerate(NATIVE.bones):
         paths[child] = paths[parent]
@@ -318,4 +375,4 @@ def _paths_from_pelvis() -> NDArray[np.float64]:
 
 _PARENTS, _CHILDREN = np.array(NATIVE.bones).T
 _PATHS = _paths_from_pelvis()
-_HEAD = NATIVE.names.index("head")
+(_HEAD,) = rows("head")

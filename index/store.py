@@ -4,27 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
+from index import DEFAULT_PATH as DEFAULT_PATH
 from index.confidence import Calibration
 from index.reranker import RankingModel
 from index.search import (
-    DIMENSION,
-    SEARCHED,
+    LANDMARK_DIMENSION,
     ExactNeighbours,
     LandmarkSearch,
     Neighbours,
     pose_vectors,
 )
 from index.silhouettes import Silhouettes
-from index.skeleton import POINTS, camera_rotation, mirror_3d, mirror_normalised, project
-
-DEFAULT_PATH = Path(__file__).parent / "data"
+from index.skeleton import (
+    LIMB_ROWS,
+    POINTS,
+    camera_rotation,
+    mirror_3d,
+    mirror_normalised,
+    project,
+)
 
 SKELETON_DTYPE = np.dtype(
     [("clip", "<u2"), ("frame", "<u4"), ("subject", "<u2"), ("action", "<u2"), ("speed", "<f2")]
@@ -42,22 +46,17 @@ ENTRY_DTYPE = np.dtype(
     ]
 )
 
-_BLOCK = 8192
-
-
-def _compact(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The same vectors in half precision where that holds them exactly."""
-    half = vectors.astype(np.float16)
-    return half if np.array_equal(half, vectors) else vectors.astype(np.float32)
+_SKELETONS_PER_BLOCK = 8192
+"""Skeletons turned at a time: all points of a large index would take gigabytes."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """Where an entry comes from: motion, avatar and camera.
+    """The source of an entry: motion, avatar and camera.
 
     Parameters
     ----------
-    number : int
+    entry_id : int
         Row of the index.
     action, clip, subject : str
         Label of the motion, name of the motion capture clip, name of the avatar.
@@ -65,14 +64,14 @@ class Label:
         Frame of the BVH file, zero-based.
     mirrored : bool
         Whether left and right are exchanged, in the pose and in the camera: each entry also
-        stands for its mirror image.
+        represents its mirror image.
     azimuth_deg, elevation_deg, roll_deg : float
         Camera, as in :func:`index.skeleton.camera_rotation`.
     distance_m : float
         From the camera to the pelvis.
     """
 
-    number: int
+    entry_id: int
     action: str
     clip: str
     subject: str
@@ -86,7 +85,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Entry(Label):
-    """A label and the skeleton.
+    """An entry's label and its skeleton.
 
     Parameters
     ----------
@@ -106,28 +105,26 @@ class PoseIndex:
 
     Parameters
     ----------
-    name : str
     descriptor : Descriptor
         The descriptor of the vectors, and of queries.
     vectors : (E, D) float array
     entries : (E,) array of ENTRY_DTYPE
-        Skeleton, camera, and placement in the normalised frame. Entries wider than high are seen by
-        a camera rolled so that they stand.
+        Skeleton, camera, and placement in the normalised frame. The camera of an entry wider than
+        high is rolled so that the silhouette stands upright.
     skeletons : (S, 24, 3) float16 array
         Body axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     skeleton_labels : (S,) array of SKELETON_DTYPE
-        Origin of each skeleton; clip, subject and action are positions in the next three.
-    clips, subjects, actions : tuple of str
+        Origin of each skeleton; clip, subject and action are positions in the tuples below.
     silhouette_store : Silhouettes
         Compressed silhouettes of the entries.
     parameters : dict
-        JSON values: the settings of the build, and what was fitted in it.
+        JSON values: the settings of the build and what it fitted.
     version : str
-        ``sha256:`` and the hash of the content; empty unless the index was loaded.
+        ``sha256:`` and the hash of the content; empty unless the index was loaded from files.
     reranker : RankingModel, optional
-        Re-ranks the hypotheses of silhouettes.
+        The network that ranks the hypotheses of silhouettes.
     searched_by : Neighbours, optional
-        Searches ``vectors``; by default exactly, in this process.
+        Search over ``vectors``; by default exact, in this process.
     """
 
     name: str
@@ -145,7 +142,7 @@ class PoseIndex:
     reranker: RankingModel | None = None
     searched_by: InitVar[Neighbours | None] = None
     neighbours: Neighbours = field(init=False, repr=False, compare=False)
-    """The search among ``vectors``."""
+    """Search over ``vectors``."""
     landmark_search: LandmarkSearch = field(init=False, repr=False, compare=False)
     """Search for entries by landmarks in three dimensions."""
 
@@ -171,15 +168,18 @@ class PoseIndex:
         neighbours = ExactNeighbours(self.vectors) if searched_by is None else searched_by
         if len(neighbours) != count:
             raise ValueError(f"expected a search of {count} vectors, got one of {len(neighbours)}")
+        # Half precision takes half the memory, and mostly holds the vectors exactly.
+        half = self.vectors.astype(np.float16)
+        exact = np.array_equal(half, self.vectors)
         object.__setattr__(self, "neighbours", neighbours)
-        object.__setattr__(self, "vectors", _compact(self.vectors))
+        object.__setattr__(self, "vectors", half if exact else self.vectors.astype(np.float32))
         object.__setattr__(self, "landmark_search", LandmarkSearch(self._pose_vectors()))
 
     def __len__(self) -> int:
         return len(self.entries)
 
     def calibration(self, *, reranked: bool) -> Calibration:
-        """The confidence of hypotheses of a silhouette, re-ranked by the network or not."""
+        """The confidence of hypotheses, re-ranked by the network or not."""
         if reranked and self.reranker is not None:
             return self.reranker.calibration
         return Calibration.restore(self.parameters["confidence"])
@@ -187,7 +187,7 @@ class PoseIndex:
     def search(
         self, vectors: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-        """The ``k`` nearest entries to any variant of each query, as :attr:`neighbours` finds them.
+        """Find the ``k`` entries nearest to any variant of each query.
 
         Parameters
         ----------
@@ -200,39 +200,39 @@ class PoseIndex:
         -------
         distances : (B, K) float32 array
             Euclidean, ascending.
-        numbers : (B, K) int64 array
+        entry_ids : (B, K) int64 array
         variants : (B, K) int64 array
-            The variant each was found for.
+            The variant for which each entry was found.
         """
         queries, variants, dimension = vectors.shape
         flat = np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
-        squared, numbers = self.neighbours.search(flat, min(k, len(self)))
-        squared, numbers = squared.reshape(queries, -1), numbers.reshape(queries, -1)
-        variant = np.arange(variants).repeat(numbers.shape[1] // variants)
-        variant = np.broadcast_to(variant, numbers.shape)
+        squared, entry_ids = self.neighbours.search(flat, min(k, len(self)))
+        squared, entry_ids = squared.reshape(queries, -1), entry_ids.reshape(queries, -1)
+        variant = np.arange(variants).repeat(entry_ids.shape[1] // variants)
+        variant = np.broadcast_to(variant, entry_ids.shape)
         # Equal distances: the first variant first, then the first entry.
-        order = np.lexsort((numbers, variant, squared))[:, :k]
-        distances, numbers, variant = (
+        order = np.lexsort((entry_ids, variant, squared))[:, :k]
+        distances, entry_ids, variant = (
             np.take_along_axis(array, order, axis=1)
-            for array in (np.sqrt(np.maximum(squared, 0)), numbers, variant)
+            for array in (np.sqrt(np.maximum(squared, 0)), entry_ids, variant)
         )
-        return distances, numbers, variant
+        return distances, entry_ids, variant
 
     def roll_deg(
-        self, numbers: NDArray[np.integer], mirrored: NDArray[np.bool_]
+        self, entry_ids: NDArray[np.integer], mirrored: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
         """Roll ``(B,)`` of the cameras of entries, or of their mirror images."""
-        roll_deg = self.entries["roll_deg"][numbers].astype(np.float64)
+        roll_deg = self.entries["roll_deg"][entry_ids].astype(np.float64)
         return np.asarray(np.where(mirrored, -roll_deg, roll_deg))
 
     def points(
-        self, numbers: NDArray[np.integer], rows: Sequence[int] | slice = slice(None)
+        self, entry_ids: NDArray[np.integer], rows: Sequence[int] | slice = slice(None)
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Skeletons of the given entries.
 
         Parameters
         ----------
-        numbers : (B,) int array
+        entry_ids : (B,) int array
         rows : sequence of int, optional
             Rows of ``POINT_NAMES``; by default all 24.
 
@@ -243,7 +243,7 @@ class PoseIndex:
         points_normalised : (B, P, 2) float64 array
             Pixels of the normalised frame.
         """
-        entries = self.entries[numbers]
+        entries = self.entries[entry_ids]
         rotations = camera_rotation(
             entries["azimuth_deg"], entries["elevation_deg"], entries["roll_deg"]
         )
@@ -257,29 +257,26 @@ class PoseIndex:
         return points_3d, points_normalised
 
     def _pose_vectors(self) -> NDArray[np.float32]:
-        """Vectors ``(E, 48)`` of all entries for the search by landmarks, cameras upright."""
-        vectors = np.empty((len(self), DIMENSION), np.float32)
-        # In blocks, because all points of a large index would take gigabytes.
-        for start in range(0, len(self), _BLOCK):
-            entries = self.entries[start : start + _BLOCK]
+        """Vectors ``(E, 48)`` of all entries for the landmark search, without the cameras' roll."""
+        vectors = np.empty((len(self), LANDMARK_DIMENSION), np.float32)
+        for start in range(0, len(self), _SKELETONS_PER_BLOCK):
+            entries = self.entries[start : start + _SKELETONS_PER_BLOCK]
             rotations = camera_rotation(entries["azimuth_deg"], entries["elevation_deg"])
-            body = self.skeletons[entries["skeleton"]][:, SEARCHED].astype(np.float32)
-            turned = body @ np.ascontiguousarray(rotations.swapaxes(1, 2).astype(np.float32))
-            vectors[start : start + len(entries)] = pose_vectors(turned)
+            body = self.skeletons[entries["skeleton"]][:, LIMB_ROWS].astype(np.float32)
+            seen = body @ np.ascontiguousarray(rotations.swapaxes(1, 2).astype(np.float32))
+            vectors[start : start + len(entries)] = pose_vectors(seen)
         return vectors
 
-    def entry(self, number: int, *, mirrored: bool = False) -> Entry:
+    def entry(self, entry_id: int, *, mirrored: bool = False) -> Entry:
         """An entry, or its mirror image; raises as :meth:`label` does."""
-        label = self.label(number, mirrored=mirrored)
-        points_3d, points_normalised = (points[0] for points in self.points(np.array([number])))
+        label = self.label(entry_id, mirrored=mirrored)
+        points_3d, points_normalised = (points[0] for points in self.points(np.array([entry_id])))
         if mirrored:
-            points_3d, points_normalised = (
-                mirror_3d(points_3d),
-                mirror_normalised(points_normalised),
-            )
+            points_3d = mirror_3d(points_3d)
+            points_normalised = mirror_normalised(points_normalised)
         return Entry(**vars(label), points_3d=points_3d, points_normalised=points_normalised)
 
-    def label(self, number: int, *, mirrored: bool = False) -> Label:
+    def label(self, entry_id: int, *, mirrored: bool = False) -> Label:
         """The label of an entry, or of its mirror image.
 
         Raises
@@ -287,15 +284,15 @@ class PoseIndex:
         IndexError
             If there is no such entry.
         """
-        if not 0 <= number < len(self):
-            raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {number}")
+        if not 0 <= entry_id < len(self):
+            raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {entry_id}")
         # As a tuple: reading a row field by field takes three times as long.
-        row = self.entries[number].item()
+        row = self.entries[entry_id].item()
         skeleton, azimuth_deg, elevation_deg, roll_deg, distance_m, *_ = row
         clip, frame, subject, action, _ = self.skeleton_labels[skeleton].item()
         side = -1.0 if mirrored else 1.0
         return Label(
-            number=number,
+            entry_id=entry_id,
             action=self.actions[action],
             clip=self.clips[clip],
             subject=self.subjects[subject],
@@ -308,10 +305,10 @@ class PoseIndex:
             distance_m=distance_m,
         )
 
-    def silhouettes(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
+    def silhouettes(self, entry_ids: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
         """Normalised silhouettes of the given entries, ``(B, 128, 48)`` uint8 of 0 and 1."""
-        return self.silhouette_store.take(numbers)
+        return self.silhouette_store.take(entry_ids)
 
-    def silhouette(self, number: int) -> NDArray[np.uint8]:
+    def silhouette(self, entry_id: int) -> NDArray[np.uint8]:
         """The normalised silhouette of an entry, ``(128, 48)`` uint8 of 0 and 1."""
-        return np.asarray(self.silhouettes([number])[0])
+        return np.asarray(self.silhouettes([entry_id])[0])

@@ -1,6 +1,6 @@
 """Draw every step of one photograph, to see where an answer comes from.
 
-    python -m scripts.debug_frame photo.jpg --out /tmp/steps
+    python -m scripts debug-frame photo.jpg --out /tmp/steps
 
 Writes ``detections.png`` (boxes with scores, and the windows in which people are read) and, for
 each person from left to right, ``person-1.png``: the window as the landmark network saw it, the
@@ -11,7 +11,7 @@ silhouette of its entry and its skeleton on the photograph. Prints what was deci
 from __future__ import annotations
 
 import argparse
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -19,18 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
-from app.estimation.estimator import Estimator
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person
-from app.estimation.upload import Upload, UploadError
+from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.geometry import Detection
-from app.vision.windows import cut_window, window_about, window_corners, window_to_frame
+from app.vision.crops import sample_window
+from app.vision.geometry import PersonWindow
+from app.vision.people import Detection
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from scripts.entry_pictures import placed_entry
+from scripts.helpers import place_entry
+from scripts.outputs import check_outputs
 
 CELL_PX = 360
 """Height of the pictures of a person."""
@@ -39,7 +41,7 @@ Picture = NDArray[np.uint8]
 
 
 def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
-    """Boxes with their scores; windows as squares, the side of the head doubled."""
+    """Draw boxes with their scores, and windows as squares, thicker at the head."""
     picture = frame.copy()
     line = max(1, round(max(frame.shape) / 600))
     for number, one in enumerate(found):
@@ -49,19 +51,19 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
         cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2 * line)
         write_text(picture, f"{one.score:.2f}", (corners[0], corners[1] - 3), 10 * line, colour)
         for window in one.windows:
-            corners = np.round(window_corners(window)).astype(np.int32)
+            corners = np.round(window.corners()).astype(np.int32)
             cv2.polylines(picture, [corners], True, colour, line)
             cv2.line(picture, corners[0].tolist(), corners[1].tolist(), colour, 3 * line)
     return picture
 
 
 def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
-    """The steps of one person, and below them the hypotheses."""
+    """Draw the steps of one person, and below them the hypotheses."""
     observed = person.observed
-    window = observed.next_window or window_about(observed.whole_box)
-    to_cell = np.asarray(cv2.invertAffineTransform(window_to_frame(window, CELL_PX)), np.float64)
-    photograph = cut_window(frame, window, CELL_PX)
-    cells = [_titled(cut_window(frame, window, LANDMARK_PX), "window")]
+    window = observed.next_window or PersonWindow.about_box(observed.whole_box)
+    to_cell = np.asarray(cv2.invertAffineTransform(window.to_frame(CELL_PX)), np.float64)
+    photograph = sample_window(frame, window, CELL_PX)
+    cells = [_titled(sample_window(frame, window, LANDMARK_PX), "window")]
     cells.append(_titled(_landmarks(photograph, to_cell, observed), "landmarks"))
     if observed.silhouette is not None:
         mask = observed.silhouette.mask(frame.shape)
@@ -71,15 +73,14 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
         title = f"128x48, roll {normalised.roll_deg:.0f} deg"
         cells.append(_titled(np.repeat(enlarged[..., None], 3, axis=2), title))
         steps, cells = cells, []
-        for rank, placed in enumerate(person.hypotheses, start=1):
-            hypothesis = placed.hypothesis
-            entry, to_frame = placed_entry(index, normalised, hypothesis)
+        for rank, hypothesis in enumerate(person.hypotheses, start=1):
+            entry, to_frame = place_entry(index, normalised, hypothesis)
             drawn = _warped(entry, np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]])))
-            cells.append(_titled(drawn, f"{rank}: entry {hypothesis.entry}"))
+            cells.append(_titled(drawn, f"{rank}: entry {hypothesis.entry_id}"))
             skeleton = photograph.copy()
-            points = placed.points_2d[list(NATIVE.indices)]
+            points = hypothesis.points_2d[list(NATIVE.indices)]
             draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
-            cells.append(_titled(skeleton, f"confidence {placed.confidence:.2f}"))
+            cells.append(_titled(skeleton, f"confidence {hypothesis.confidence:.2f}"))
         rows = [np.hstack(steps), np.hstack(cells)]
         widest = max(row.shape[1] for row in rows)
         return np.vstack([np.pad(r, ((0, 0), (0, widest - r.shape[1]), (0, 0))) for r in rows])
@@ -87,22 +88,21 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
 
 
 def describe(number: int, person: Person) -> str:
-    """What was decided about a person, in lines of text."""
+    """Return what was decided about a person, in lines of text."""
     observed, posture = person.observed, person.posture
     presence = "-" if observed.presence is None else f"{observed.presence:.2f}"
-    told = "-" if posture is None else f"{posture.label} ({posture.probability:.2f})"
+    reported = "-" if posture is None else f"{posture.label} ({posture.probability:.2f})"
     lines = [
         f"person {number}: box {observed.box.x:.0f} {observed.box.y:.0f} {observed.box.width:.0f} "
         f"{observed.box.height:.0f}, detection score {observed.detection_score or 1:.2f}, "
-        f"presence {presence}, posture {told}",
+        f"presence {presence}, posture {reported}",
         "  rank  entry    distance  fused  outline px  moved mm  confidence  clip",
     ]
-    for rank, placed in enumerate(person.hypotheses, start=1):
-        one = placed.hypothesis
+    for rank, one in enumerate(person.hypotheses, start=1):
         lines.append(
-            f"  {rank:4d}  {one.entry:6d}  {one.distance:8.2f}  {placed.distance:5.2f}  "
+            f"  {rank:4d}  {one.entry_id:6d}  {one.silhouette_distance:8.2f}  {one.distance:5.2f}  "
             f"{one.reprojection_error_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
-            f"{placed.confidence:10.2f}  {placed.label.clip}, frame {placed.label.frame}"
+            f"{one.confidence:10.2f}  {one.label.clip}, frame {one.label.frame}"
         )
     return "\n".join(lines)
 
@@ -126,7 +126,7 @@ def _warped(mask: NDArray[np.generic], matrix: NDArray[np.float64]) -> Picture:
 
 
 def _titled(picture: Picture, title: str) -> Picture:
-    """A picture scaled to the height of a cell, with a line of text above and a gap beside it."""
+    """Scale a picture to the height of a cell, with a line of text above and a gap beside it."""
     width = round(CELL_PX * picture.shape[1] / picture.shape[0])
     cell = np.asarray(cv2.resize(picture, (width, CELL_PX), interpolation=cv2.INTER_AREA), np.uint8)
     framed = np.pad(cell, ((22, 0), (0, 8), (0, 0)))
@@ -134,32 +134,25 @@ def _titled(picture: Picture, title: str) -> Picture:
     return framed
 
 
-def main() -> int:
-    """Command line."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("photograph", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder, made if missing")
     parser.add_argument("-n", type=int, default=3, help="hypotheses a person")
-    options = parser.parse_args()
-    try:
-        upload = Upload(options.photograph.read_bytes())
-        estimator = Estimator.load(Settings())
-        estimate = estimator.estimate(upload, options.n, Job())
-        options.out.mkdir(parents=True, exist_ok=True)
-    except (OSError, UploadError) as error:
-        print(f"debug_frame: {error}", file=sys.stderr)
-        return 1
+    options = parser.parse_args(arguments)
+    upload = Upload(options.photograph.read_bytes())
+    estimator = load_estimator(Settings())
+    estimate = estimator.estimate(upload, options.n, Job())
+    options.out.mkdir(parents=True, exist_ok=True)
     detections = estimator.detector.detect(estimate.frame)
     pictures = {"detections.png": draw_detections(estimate.frame, detections)}
     for number, person in enumerate(estimate.persons, start=1):
         pictures[f"person-{number}.png"] = draw_person(estimate.frame, estimator.index, person)
         print(describe(number, person))
-    for name, picture in pictures.items():
-        cv2.imwrite(str(options.out / name), picture)
+    files = {options.out / name: picture for name, picture in pictures.items()}
+    check_outputs(files, (options.photograph,))
+    for file, picture in files.items():
+        cv2.imwrite(str(file), picture)
     print(", ".join(f"{stage} {spent:.0f} ms" for stage, spent in estimate.timings_ms.items()))
     print(f"Written to {options.out}: {', '.join(pictures)}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

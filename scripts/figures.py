@@ -1,9 +1,9 @@
 """Keep the figures that documents quote equal to the results that measured them.
 
-    python -m scripts.figures [--check]
+    python -m scripts figures [--check]
 
-A quoted number is followed by a comment with its key: ``63.0<!-- simulation.low.right_at_1 -->``
-is ``figures.low.right_at_1`` of ``docs/results/simulation.json``. The command rewrites such
+A quoted number is followed by a comment with its key: ``377<!-- bench.memory_mb -->`` is
+``figures.memory_mb`` of ``docs/results/bench.json``. The command rewrites such
 numbers with as many decimals as stand in the text; ``--check`` changes nothing and exits with 1
 where one differs.
 """
@@ -13,14 +13,11 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
-from scripts.results import ROOT
-
-RESULTS = ROOT / "docs" / "results"
+from scripts.results import RESULTS, ROOT
 
 _QUOTED = re.compile(r"(?P<number>-?\d[\d,]*(?:\.\d+)?)<!-- (?P<key>[^\s>]+) -->")
 _COMMENT = re.compile(r"<!--\s*[\w-]+(?:\.[\w-]+)+\s*-->")
@@ -85,11 +82,11 @@ def _figures(file: Path) -> object:
     return json.loads(file.read_text())["figures"]
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; 1 where ``--check`` finds a figure that differs."""
     parser = argparse.ArgumentParser(description="Write measured figures into the documents.")
     parser.add_argument("--check", action="store_true", help="only say what would change")
-    check = parser.parse_args().check
+    check = parser.parse_args(arguments).check
     changed = False
     for document in documents():
         before = document.read_text()
@@ -100,7 +97,3 @@ def main() -> int:
         if not check and after != before:
             document.write_text(after)
     return 1 if check and changed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

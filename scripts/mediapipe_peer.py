@@ -3,8 +3,8 @@
     python3.11 -m venv /tmp/mediapipe && /tmp/mediapipe/bin/pip install mediapipe==0.10.21
     /tmp/mediapipe/bin/python scripts/mediapipe_peer.py --shared ../shared
 
-It finds one person a photograph; somebody is on the ground whose trunk is tilted by more than 50
-degrees. This file imports nothing of the project.
+It finds one person in a photograph. A person counts as on the ground if the trunk is tilted by more
+than 50 degrees. This file imports nothing of the project.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Peer:
         self._pose: Any = pose.Pose(static_image_mode=True, model_complexity=1)
 
     def joints(self, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Limb joints ``(12, 2)`` in pixels and ``(12, 3)`` in metres; None if nobody is found."""
+        """Limb joints ``(12, 2)`` in pixels and ``(12, 3)`` in metres; None if none is found."""
         result = self._pose.process(np.ascontiguousarray(frame[..., ::-1]))
         if result.pose_landmarks is None:
             return None
@@ -61,7 +61,7 @@ def on_the_ground(places: np.ndarray) -> bool:
 
 
 def sport(peer: Peer, folder: Path) -> None:
-    """Print who is found, and the limb joints within a fifth of the trunk."""
+    """Print the share of people found, and of limb joints within a fifth of the trunk."""
     document = json.loads((folder / "joints.json").read_text())
     order = [document["joint_names"].index(name) for name in NAMES]
     rows = []
@@ -82,7 +82,7 @@ def sport(peer: Peer, folder: Path) -> None:
 
 
 def falls(peer: Peer, folder: Path) -> None:
-    """Print of whom who fell and who did not the rule says that they are on the ground."""
+    """Print how often a person is on the ground, with a fall and without."""
     for kind in ("fall", "not-fall"):
         answers = [peer.joints(read(file)) for file in sorted((folder / kind).glob("*.jpg"))]
         found = 100 * np.mean([answer is not None for answer in answers])

@@ -1,8 +1,7 @@
-"""Files of results: each measurement owns a section and leaves the others alone."""
+"""What every measurement states beside its figures: revision and machine."""
 
 from __future__ import annotations
 
-import argparse
 import platform
 import subprocess
 from collections.abc import Sequence
@@ -10,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from index.store import DEFAULT_PATH
-
 ROOT = Path(__file__).resolve().parent.parent
-RELIABILITY = ROOT / "docs" / "results" / "reliability.md"
+SHARED = ROOT.parent / "shared"
+RESULTS = ROOT / "docs" / "results"
 
 
 def machine() -> str:
@@ -34,38 +32,6 @@ def revision() -> str:
     return result.stdout.strip() or "unknown"
 
 
-def percentile(values: list[float], share: float) -> float:
+def percentile(values: Sequence[float], share: float) -> float:
     """Return a percentile, 0 where there are no values."""
     return float(np.percentile(values, share)) if values else 0.0
-
-
-def measurement_parser(description: str) -> argparse.ArgumentParser:
-    """Make a command line with what every measurement of a server takes."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
-    parser.add_argument("--write", action="store_true", help=f"into {RELIABILITY.name}")
-    return parser
-
-
-def conclude(title: str, body: str, failed: Sequence[str], *, write: bool) -> int:
-    """Print a section, put it into the page where that is asked, and return the exit status."""
-    body += f"\n\n{'Failed: ' + '; '.join(failed) if failed else 'Passed.'}"
-    print(body)
-    if write:
-        write_section(RELIABILITY, title, body)
-    return 1 if failed else 0
-
-
-def write_section(file: Path, title: str, body: str) -> None:
-    """Put a section into a Markdown file, in place of the one of that title if there is one."""
-    text = file.read_text() if file.exists() else f"# {file.stem.capitalize()}\n"
-    heading = f"\n## {title}\n"
-    section = f"{heading}\n{body.strip()}\n"
-    start = text.find(heading)
-    if start < 0:
-        text = text.rstrip("\n") + "\n" + section
-    else:
-        end = text.find("\n## ", start + 1)
-        text = text[:start] + section + (text[end:] if end >= 0 else "")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(text)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
@@ -30,10 +31,10 @@ from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
-from scripts.load.server import free_ports
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.ports import free_ports
 
-# Tests do not time: the machine may be busy.
+# No deadlines: the machine may be busy.
 property_settings.register_profile(
     "untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -43,11 +44,11 @@ ROOT = Path(__file__).resolve().parent.parent
 PIXELS_PER_METRE = 100.0
 CANVAS = 256
 WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
-"""A street with three walkers, and two people far away."""
+"""A street with three walkers and two distant people."""
 
 CAMERA_DISTANCE_M = 4.0
 CALIBRATION = Calibration(tuple(0.3 if name == "log_votes" else -0.3 for name in FEATURES), 1.0)
-"""Surer where a hypothesis is near, fits well and many candidates agree on it."""
+"""Higher where a hypothesis is near, fits well and has many votes."""
 
 
 def stick_figure(rng: np.random.Generator) -> NDArray[np.float64]:
@@ -99,7 +100,7 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
     entries = np.zeros(poses * views, ENTRY_DTYPE)
     silhouettes = []
     for number, entry in enumerate(entries):
-        # No view exactly from the side: which way it faces would be left to rounding.
+        # No view exactly from the side: rounding would decide which way it faces.
         azimuth, elevation = 20.0 + 360.0 / views * (number % views), 10.0
         points = skeletons[number // views] @ camera_rotation(azimuth, elevation).T
         silhouette, placement = normalise(draw_figure(project(points, CAMERA_DISTANCE_M)))
@@ -136,7 +137,7 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
 
 @pytest.fixture(scope="session")
 def anyio_backend() -> str:
-    """Coroutines of tests run where the service does."""
+    """Asynchronous tests run on asyncio, like the service."""
     return "asyncio"
 
 
@@ -211,7 +212,7 @@ def settings(index_path: Path) -> Settings:
 @pytest.fixture(scope="session")
 def estimator(settings: Settings) -> Estimator:
     """An estimator over the tiny index."""
-    return Estimator.load(settings)
+    return load_estimator(settings)
 
 
 @pytest.fixture
@@ -235,25 +236,28 @@ class Server:
 
 
 def start_server(
-    index: Path | None, root: Path = ROOT, python: Path | str = sys.executable, **environment: str
+    index: Path | None,
+    root: Path = ROOT,
+    python: Path | str = sys.executable,
+    log: Path | None = None,
+    **environment: str,
 ) -> Server:
     """Start ``python -m app`` in ``root`` on a free port; it may not be ready yet.
 
     Without an index, it serves the one of its package.
     """
-    (port,) = free_ports(1)
-    process = subprocess.Popen(
-        [python, "-m", "app"],
-        cwd=root,
-        env={
-            **os.environ,
-            "HOST": "127.0.0.1",
-            "PORT": str(port),
-            **({"POSE_INDEX": str(index)} if index else {}),
-            **environment,
-        },
-    )
-    return Server(f"http://127.0.0.1:{port}", process)
+    variables = {"HOST": "127.0.0.1", "PORT": str(free_ports(1)[0]), **environment}
+    if index:
+        variables.setdefault("POSE_INDEX", str(index))
+    with log.open("ab") if log else nullcontext() as output:
+        process = subprocess.Popen(
+            [python, "-m", "app"],
+            cwd=root,
+            env={**os.environ, **variables},
+            stdout=output,
+            stderr=subprocess.STDOUT if output else None,
+        )
+    return Server(f"http://127.0.0.1:{variables['PORT']}", process)
 
 
 def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Response:
@@ -307,7 +311,7 @@ Serving = Callable[..., TestClient]
 
 @pytest.fixture(scope="session")
 def serving(settings: Settings, estimator: Estimator) -> Serving:
-    """Makes a client of an application over the tiny index, some of whose settings are changed."""
+    """Makes a client of an application over the tiny index with some settings changed."""
 
     def make(**changed: object) -> TestClient:
         return TestClient(create_app(settings.model_copy(update=changed), estimator))

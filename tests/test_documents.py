@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from tests.conftest import ROOT
 
 DOCUMENTS = sorted(

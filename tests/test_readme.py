@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
 
 README = ROOT / "README.md"

@@ -18,13 +18,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.api.replies import LEAST_SCORE
+from app.api.replies import MIN_SCORE
 from app.estimation.estimator import Estimator
 from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.geometry import LANDMARK_NAMES, Box
+from app.vision.geometry import Box
+from app.vision.people import LANDMARK_NAMES
+from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
 from tests.conftest import ROOT
 
@@ -35,7 +38,6 @@ pytestmark = pytest.mark.skipif(
     reason=f"no photographs to evaluate in {REAL}; set SHARED to the folder above it",
 )
 
-LOW = ("lying", "crawling")
 ORIENTATIONS = {"upright": (0, 45), "horizontal": (45, 135), "inverted": (135, 181)}
 LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 10, 4
 PCK_WITHIN = 0.2
@@ -60,7 +62,7 @@ _ROWS = [POINT_NAMES.index(name) for name in LIMBS]
 @pytest.fixture(scope="module")
 def real() -> Estimator:
     """An estimator over the index of the package."""
-    return Estimator.load(Settings())
+    return load_estimator(Settings())
 
 
 def persons(real: Estimator, frame: bytes, boxes: tuple[Box, ...] | None = None) -> list[Person]:
@@ -99,7 +101,7 @@ def best_score(found: Sequence[Person], truth: dict[str, Any], names: list[str])
         read = 0.0
         if landmarks is not None:
             own = [LANDMARK_NAMES.index(name) for name in LIMBS]
-            read = within(landmarks.positions[own], landmarks.visibility[own] >= LEAST_SCORE)
+            read = within(landmarks.positions[own], landmarks.visibility[own] >= MIN_SCORE)
         first = within(person.hypotheses[0].points_2d[_ROWS]) if person.hypotheses else 0.0
         best = max(best, (1.0, read, first), key=lambda one: one[1] + one[2] + one[0] / 1e3)
     return best
@@ -131,7 +133,10 @@ def test_photographs_of_falls(real: Estimator, kind: str) -> None:
     found = [persons(real, path.read_bytes()) for path in evenly(paths, FALLS_EACH)]
     seen = 100 * np.mean([bool(one) for one in found])
     low = 100 * np.mean(
-        [any(person.posture and person.posture.label in LOW for person in one) for one in found]
+        [
+            any(person.posture and person.posture.label in ON_THE_GROUND for person in one)
+            for one in found
+        ]
     )
     assert seen >= 95
     if kind == "fall":
@@ -176,8 +181,8 @@ def test_joints_in_three_dimensions(real: Estimator, camera: str) -> None:
     errors, low = [], []
     for frame, truth, box in frames_of(camera):
         (person,) = persons(real, cv2.imencode(".png", frame)[1].tobytes(), (box,))
-        errors.append([error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses])
-        low.append(bool(person.posture and person.posture.label in LOW))
+        errors.append([error_mm(one.points_3d, truth) for one in person.hypotheses])
+        low.append(bool(person.posture and person.posture.label in ON_THE_GROUND))
     assert len(errors) == FRAMES_EACH
     assert np.mean([of_one[0] for of_one in errors]) <= MOST_MM[camera][0]
     assert np.mean([min(of_one) for of_one in errors]) <= MOST_MM[camera][1]

@@ -1,4 +1,4 @@
-"""Silhouettes in the forms of COCO's annotations: run lengths and polygons."""
+"""Silhouettes in the formats of COCO's annotations: run lengths and polygons."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import Silhouette
+from app.vision.people import Silhouette
 
 
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
@@ -34,10 +34,10 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
 
 
 def compressed(counts: NDArray[np.int64]) -> str:
-    """Write run lengths as the string that pycocotools writes.
+    """Write run lengths as pycocotools does.
 
-    From the fourth on, a count is written as its difference to the last but one. Each number is
-    written in groups of five bits, the lowest first, with a sixth that says whether more follow.
+    From the fourth on, a count is replaced by its difference from the last but one. Each number is
+    written in groups of five bits, the lowest first; a sixth bit says whether more follow.
     """
     differences = counts.copy()
     differences[3:] -= counts[1:-2]
@@ -52,10 +52,10 @@ def compressed(counts: NDArray[np.int64]) -> str:
 
 
 def polygon(silhouette: Silhouette) -> list[list[float]]:
-    """Outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in pixels of the frame.
+    """Return the outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in frame pixels.
 
     They run through the centres of the outermost pixels and have at least three points, as COCO
-    requires; holes are left out.
+    requires; holes are omitted.
     """
     outlines, _ = cv2.findContours(
         silhouette.crop.astype(np.uint8),

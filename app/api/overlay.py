@@ -1,4 +1,4 @@
-"""Pictures of what was found: the overlay and the label image."""
+"""Pictures of the people in a frame: the overlay and the label image."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Estimate, Person, Scene
-from app.vision.geometry import LANDMARK_NAMES
+from app.vision.people import LANDMARK_NAMES
 from index.skeleton import POINT_NAMES, KeypointSet
 
 PEOPLE = (
@@ -18,10 +18,10 @@ PEOPLE = (
     (25, 195, 224), (196, 196, 35), (138, 92, 255), (255, 123, 157),
     (60, 221, 180), (90, 138, 201), (255, 184, 143), (208, 159, 255),
 )  # fmt: skip
-"""Colours of people, BGR, as on the debug page; bright enough for night, dark enough for snow."""
+"""Colours of people (BGR) as on the debug page: bright enough for night, dark enough for snow."""
 
 SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
-"""Colours of limbs, BGR, as on the debug page: the person's own left orange, right blue."""
+"""Colours of limbs (BGR) as on the debug page: the person's own left is orange, right blue."""
 
 OUTLINE = (255, 255, 255)
 
@@ -31,17 +31,17 @@ LEGEND = (
     ("unsure", SIDES["middle"], True),
     ("silhouette", OUTLINE, False),
 )
-"""What a line means, its colour, and whether it is dashed."""
+"""The meaning of each line, its colour, and whether it is dashed."""
 
-SURE = 0.5
-"""Visibility of a landmark, and confidence of a hypothesis, below which lines are dashed."""
+DASHED_BELOW = 0.5
+"""Lines are dashed below this visibility of a landmark, or confidence of a hypothesis."""
 
-# Drawn parts of a dashed line, as shares of its length.
+# The drawn parts of a dashed line, as shares of its length.
 _DASHES = ((0.0, 0.2), (0.4, 0.6), (0.8, 1.0))
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_PX = 22
-"""Height of a capital letter at scale 1."""
+"""Height of a capital letter at scale 1, pixels."""
 
 
 def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
@@ -51,7 +51,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     ----------
     estimate : Estimate
     keypoints : KeypointSet
-        What to draw of the skeletons.
+        Keypoints and bones to draw.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     line, letter = max(1, round(longer / 500)), max(11, longer // 50)
     for number, person in enumerate(estimate.persons, start=1):
         _draw_person(picture, person, PEOPLE[(number - 1) % len(PEOPLE)], keypoints, line)
-    # Afterwards, so that no person covers another one's number.
+    # After all people, so that nobody covers another person's number.
     labels: list[_Label] = []
     for number, person in enumerate(estimate.persons, start=1):
         box = person.observed.box
@@ -80,7 +80,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
 
 
 class _Label(NamedTuple):
-    """Where a text stands: its columns, and its lowest row."""
+    """The place of a text: its first and last column, and its lowest row."""
 
     left: int
     right: int
@@ -103,7 +103,7 @@ def _draw_person(
     line: int,
 ) -> None:
     box, silhouette = person.observed.box, person.observed.silhouette
-    # Small people would vanish under lines that suit the frame.
+    # Lines that suit the frame would hide small people.
     thin = min(line, max(1, round(box.height / 100)))
     corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
     cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, thin)
@@ -122,19 +122,19 @@ def _draw_person(
 
 
 def _unsure(person: Person, keypoints: KeypointSet) -> list[bool]:
-    """Which keypoints of a person the photograph does not show well."""
+    """Return for each keypoint whether the photograph does not show it well."""
     landmarks = person.observed.landmarks
-    if person.hypotheses[0].confidence < SURE:
+    if person.hypotheses[0].confidence < DASHED_BELOW:
         return [True] * len(keypoints.names)
     if landmarks is None:
         return [False] * len(keypoints.names)
-    seen = dict(zip(LANDMARK_NAMES, (landmarks.visibility >= SURE).tolist(), strict=True))
+    seen = dict(zip(LANDMARK_NAMES, (landmarks.visibility >= DASHED_BELOW).tolist(), strict=True))
     names = [POINT_NAMES[row].replace("_toe", "_foot_index") for row in keypoints.indices]
     return [not seen.get(name, True) for name in names]
 
 
 def _legend(width: int, letter: int) -> NDArray[np.uint8]:
-    """Draw a strip that explains the colours; in a narrow one the letters shrink."""
+    """Draw a strip that explains the colours; its letters shrink to fit."""
     text = "   ".join(name for name, *_ in LEGEND)
     samples = 2 * letter * len(LEGEND)
     wide = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0] + samples + 2 * letter
@@ -160,7 +160,7 @@ def write_text(
     letter: int,
     colour: tuple[int, int, int],
 ) -> int:
-    """Write with a dark outline from the bottom left corner; return the column where it ends.
+    """Write text with a dark outline; return the column where it ends.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def write_text(
         Changed.
     text : str
     corner : (int, int)
-        Column and row, pixels.
+        Column and row of the bottom left, pixels.
     letter : int
         Height of a capital letter, pixels.
     colour : (int, int, int)
@@ -218,7 +218,7 @@ def draw_skeleton(
     line : int
         Pixels.
     unsure : sequence of bool, optional
-        Of each keypoint.
+        Whether each keypoint is unsure.
     """
     # OpenCV takes fixed-point coordinates, here with four fractional bits.
     fixed = np.round(np.nan_to_num(points) * 16).astype(int)
@@ -238,6 +238,6 @@ def draw_skeleton(
 
 
 def _side(keypoints: KeypointSet, *points: int) -> str:
-    """``left`` or ``right`` if a bone ends on that side, else ``middle``."""
+    """Return ``left`` or ``right`` if a bone ends on that side, else ``middle``."""
     sides = {keypoints.names[point].split("_")[0] for point in points} & {"left", "right"}
     return sides.pop() if len(sides) == 1 else "middle"

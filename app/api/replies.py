@@ -1,9 +1,9 @@
-"""Estimates as models of the public contract."""
+"""Estimates, tracked frames, sessions and videos as models of the public contract."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -11,45 +11,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.api import schemas
+from app.api import schemas, tracking_schemas
 from app.api.coco import compressed, polygon, run_lengths
-from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
-from app.vision.detector import DetectorName
-from app.vision.geometry import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
+from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
+from app.tracking.sessions import CameraSummary
+from app.tracking.summary import TrackSummary, VideoSummary
+from app.tracking.video_run import VideoEnd
+from app.tracking.zones import Zone
+from app.vision import DetectorName
+from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
-METRE_DIGITS, PIXEL_DIGITS = 4, 2
-"""Joints are rounded to tenths of millimetres and hundredths of pixels."""
+METRE_DIGITS, PIXEL_DIGITS, SECOND_DIGITS = 4, 2, 4
+"""Decimals of joints and of times."""
 
 SIGNIFICANT_DIGITS = 4
-"""Of distances in which a network's single precision has a part."""
+"""Digits of distances that depend on a network, which has single precision."""
 
 DISTANCE_DIGITS = 4
-"""Distances are rounded to far more than double precision loses on the way to them, so that the
-same request has the same answer on every processor."""
+"""Decimals of silhouette distances: few enough that every processor gives the same answer."""
 
-
-LEAST_SCORE = 0.05
-"""Keypoints below were not read."""
+MIN_SCORE = 0.05
+"""A keypoint with a lower score is null."""
 
 
 @dataclass(frozen=True)
 class ReplyForm:
-    """The form in which a caller wants an answer.
-
-    Parameters
-    ----------
-    keypoints : KeypointSet
-    silhouettes : str
-        ``none``, or COCO's ``rle`` or ``polygon``.
-    observed : str
-        Keypoints of the photograph: ``coco17`` or ``blazepose33``.
-    joints : str
-        ``full``: as objects; ``compact``: as plain numbers; ``none``.
-    """
+    """The form of an answer, as the query parameters of the same names choose it."""
 
     keypoints: KeypointSet
     silhouettes: schemas.SilhouetteForm = "none"
@@ -79,7 +69,7 @@ def frame_fields(
     index: PoseIndex,
     form: ReplyForm,
 ) -> dict[str, Any]:
-    """Write what answers say of a frame besides its people."""
+    """Write the fields of a frame besides its people."""
     height, width = frame.shape[:2]
     return {
         "image": schemas.ImageSize(width=width, height=height),
@@ -115,7 +105,7 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     """Describe an entry of an index."""
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse(
-        entry=entry.number,
+        entry=entry.entry_id,
         source=_source(entry),
         camera=_camera(entry),
         keypoints=_keypoints(chosen),
@@ -125,26 +115,32 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
 
 
 def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> dict[str, Any]:
-    """Write what a frame tells of a person."""
-    observed, facing, silhouette = person.observed, person.facing, person.observed.silhouette
+    """Write the fields of a person in a single frame."""
+    observed, facing, posture = person.observed, person.facing, person.posture
+    box, score = observed.box, observed.detection_score
+    silhouette, landmarks = observed.silhouette, observed.landmarks
     return {
         "box": schemas.Box(
-            x=round(observed.box.x, 2),
-            y=round(observed.box.y, 2),
-            width=round(observed.box.width, 2),
-            height=round(observed.box.height, 2),
+            x=round(box.x, 2),
+            y=round(box.y, 2),
+            width=round(box.width, 2),
+            height=round(box.height, 2),
         ),
-        "detection_score": _rounded(observed.detection_score, 4),
+        "detection_score": None if score is None else round(score, 4),
         "source": observed.source,
-        "silhouette": _silhouette(silhouette, frame_shape, form) if silhouette else None,
-        "observed_keypoints": (
-            _observed(observed.landmarks, form.observed) if observed.landmarks else None
+        "silhouette": silhouette and _silhouette(silhouette, frame_shape, form),
+        "observed_keypoints": landmarks and _observed(landmarks, form.observed),
+        "facing": None
+        if facing is None
+        else schemas.Facing(
+            front_probability=round(facing.front_probability, 4), evidence=facing.evidence
         ),
-        "facing": _facing(facing) if facing else None,
-        "posture": _posture(person.posture) if person.posture else None,
+        "posture": None
+        if posture is None
+        else schemas.Posture(label=posture.label, probability=round(posture.probability, 4)),
         "hypotheses": [
-            _hypothesis(placed, rank, form)
-            for rank, placed in enumerate(person.hypotheses, start=1)
+            _hypothesis(projected, rank, form)
+            for rank, projected in enumerate(person.hypotheses, start=1)
         ],
     }
 
@@ -152,18 +148,17 @@ def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm)
 def _silhouette(
     silhouette: Silhouette, frame_shape: tuple[int, ...], form: ReplyForm
 ) -> schemas.SilhouetteSummary:
+    rle = None
+    if form.silhouettes == "rle":
+        counts = compressed(run_lengths(silhouette, frame_shape))
+        rle = schemas.RunLengths(counts=counts, size=list(frame_shape[:2]))
     return schemas.SilhouetteSummary(
         area_px=silhouette.area_px,
         segmenter=silhouette.segmenter,
         truncated=silhouette.truncated,
-        rle=_run_lengths(silhouette, frame_shape) if form.silhouettes == "rle" else None,
+        rle=rle,
         polygon=polygon(silhouette) if form.silhouettes == "polygon" else None,
     )
-
-
-def _run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> schemas.RunLengths:
-    counts = compressed(run_lengths(silhouette, frame_shape))
-    return schemas.RunLengths(counts=counts, size=list(frame_shape[:2]))
 
 
 def _observed(
@@ -178,49 +173,34 @@ def _observed(
         schemas.ObservedKeypoint(
             name=name, x=round(x, 2), y=round(y, 2), z=round(z, 4), score=round(score, 4)
         )
-        if score >= LEAST_SCORE
+        if score >= MIN_SCORE
         else None
         for name, (x, y, z, score) in zip(names, values.tolist(), strict=True)
     ]
 
 
-def _facing(facing: Facing) -> schemas.Facing:
-    return schemas.Facing(
-        front_probability=round(facing.front_probability, 4), evidence=facing.evidence
-    )
-
-
-def _posture(posture: EstimatedPosture) -> schemas.Posture:
-    return schemas.Posture(label=posture.label, probability=round(posture.probability, 4))
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None else round(value, digits)
-
-
-def _hypothesis(placed: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
-    hypothesis, label = placed.hypothesis, placed.label
-    # Not validated: for its hundreds of points that would take a third of the time of writing an
-    # answer, and the values are our own. The tests validate whole answers.
+def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
+    # Not validated: its hundreds of points would add a third to the time that writing an answer
+    # takes, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
-        entry=hypothesis.entry,
-        distance=significant(placed.distance),
-        silhouette_distance=round(hypothesis.distance, DISTANCE_DIGITS),
+        entry=hypothesis.entry_id,
+        distance=significant(hypothesis.distance),
+        silhouette_distance=round(hypothesis.silhouette_distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
-        confidence=round(placed.confidence, 4),
+        confidence=round(hypothesis.confidence, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
-        **joint_fields(hypothesis.points_3d, placed.points_2d, form),
-        source=_source(label),
-        camera=_camera(label),
+        **joint_fields(hypothesis.points_3d, hypothesis.points_2d, form),
+        source=_source(hypothesis.label),
+        camera=_camera(hypothesis.label),
     )
 
 
 def joint_fields(
     points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], form: ReplyForm
 ) -> dict[str, Any]:
-    """Write joints in the form wanted; the fields of the other forms are null."""
+    """Write joints in the chosen form; the fields of the other forms are null."""
     keypoints, full, compact = form.keypoints, form.joints == "full", form.joints == "compact"
     return {
         "joints_3d": _points_3d(points_3d, keypoints) if full else None,
@@ -260,7 +240,7 @@ def _bones(keypoints: KeypointSet) -> list[schemas.Bone]:
 
 
 def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point3D | None]:
-    """A point that the entry lacks is NaN there and null here."""
+    """Write points; one that the entry lacks is NaN in the array and null here."""
     return [
         {"x": x, "y": y, "z": z} if math.isfinite(x + y + z) else None
         for x, y, z in points.take(keypoints.indices, axis=0).round(METRE_DIGITS).tolist()
@@ -268,7 +248,7 @@ def _points_3d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
 
 
 def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[schemas.Point2D | None]:
-    """A point that the entry lacks is NaN there and null here."""
+    """Write points; one that the entry lacks is NaN in the array and null here."""
     return [
         {"x": x, "y": y} if math.isfinite(x + y) else None
         for x, y in points.take(keypoints.indices, axis=0).round(PIXEL_DIGITS).tolist()
@@ -276,6 +256,130 @@ def _points_2d(points: NDArray[np.float64], keypoints: KeypointSet) -> list[sche
 
 
 def _flat(points: NDArray[np.float64], keypoints: KeypointSet, digits: int) -> list[float | None]:
-    """All coordinates in one list; a point that the entry lacks is NaN there and nulls here."""
+    """Write all coordinates in one list; a point that the entry lacks becomes nulls."""
     rows: list[list[float]] = points.take(keypoints.indices, axis=0).round(digits).tolist()
     return [v for row in rows for v in (row if math.isfinite(sum(row)) else [None] * len(row))]
+
+
+def track_reply(
+    frame: TrackedFrame, camera_id: str, index: PoseIndex, form: ReplyForm
+) -> tracking_schemas.TrackResponse:
+    """Write the answer to a frame of a camera."""
+    return tracking_schemas.TrackResponse(
+        camera_id=camera_id, **_tracked_fields(frame, index, form)
+    )
+
+
+def sequence_frame_reply(
+    frame: TrackedFrame, video_frame: int, index: PoseIndex, form: ReplyForm
+) -> tracking_schemas.SequenceFrame:
+    """Write the line of a frame of a video."""
+    return tracking_schemas.SequenceFrame(
+        type="frame", video_frame=video_frame, **_tracked_fields(frame, index, form)
+    )
+
+
+def sequence_end_reply(summary: VideoSummary, end: VideoEnd) -> tracking_schemas.SequenceEnd:
+    """Write the last line of the answer to a video."""
+    return tracking_schemas.SequenceEnd(
+        type="end",
+        reason=end.reason,
+        detail=end.detail,
+        frames=summary.frames,
+        tracks=[_track_summary(track) for _, track in sorted(summary.tracks.items())],
+        events=[_event(event) for event in summary.events],
+    )
+
+
+def sequence_line(reply: tracking_schemas.SequenceLine) -> bytes:
+    """Write a line of the answer to a video."""
+    return reply.model_dump_json().encode() + b"\n"
+
+
+def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
+    """Describe a camera."""
+    session = camera.session
+    return tracking_schemas.CameraState(
+        camera_id=camera.camera_id,
+        zones=[
+            tracking_schemas.Zone(name=zone.name, kind=zone.kind, polygon=zone.polygon.tolist())
+            for zone in camera.zones
+        ],
+        frames=session.frames if session else 0,
+        timestamp=round(session.timestamp, SECOND_DIGITS) if session else None,
+        image=schemas.ImageSize(width=session.width, height=session.height) if session else None,
+        track_ids=list(session.track_ids) if session else [],
+        age_s=round(session.age_s, SECOND_DIGITS) if session else None,
+        idle_s=round(session.idle_s, SECOND_DIGITS) if session else None,
+        memory_bytes=session.memory_bytes if session else 0,
+    )
+
+
+def zones_from(zones: Iterable[tracking_schemas.Zone]) -> tuple[Zone, ...]:
+    """Read the zones that a caller sets."""
+    return tuple(Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in zones)
+
+
+def _tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
+    return {
+        **frame_fields(frame.frame, frame.timings_ms, index, form),
+        "frame_index": frame.frame_index,
+        "timestamp": round(frame.timestamp, SECOND_DIGITS),
+        "reset": frame.reset,
+        "persons": [_tracked_person(tracked, frame.frame.shape, form) for tracked in frame.persons],
+        "events": [_event(event) for event in frame.events],
+    }
+
+
+def _tracked_person(
+    tracked: TrackedPerson, frame_shape: tuple[int, ...], form: ReplyForm
+) -> tracking_schemas.TrackedPerson:
+    return tracking_schemas.TrackedPerson(
+        **person_fields(tracked.person, frame_shape, form),
+        track_id=tracked.track_id,
+        age_frames=tracked.age_frames,
+        pose=_smoothed_pose(tracked.pose, form) if tracked.pose else None,
+        action=_action(tracked.action) if tracked.action else None,
+        zones=list(tracked.zones),
+        caller_track_id=tracked.caller_track_id,
+    )
+
+
+def _smoothed_pose(pose: SmoothedPose, form: ReplyForm) -> tracking_schemas.SmoothedPose:
+    # Not validated; see _hypothesis.
+    return tracking_schemas.SmoothedPose.model_construct(
+        entry=pose.entry,
+        confidence=round(pose.confidence, 4),
+        **joint_fields(pose.points_3d, pose.points_2d, form),
+    )
+
+
+def _action(action: RecognisedAction) -> tracking_schemas.Action:
+    return tracking_schemas.Action(label=action.label, probability=round(action.probability, 4))
+
+
+def _event(event: Event) -> tracking_schemas.Event:
+    return tracking_schemas.Event(
+        event=event.event,
+        track_id=event.track_id,
+        state=event.state,
+        timestamp=round(event.timestamp, SECOND_DIGITS),
+        probability=round(event.probability, 4),
+        zones=list(event.zones),
+        caller_track_id=event.caller_track_id,
+    )
+
+
+def _track_summary(track: TrackSummary) -> tracking_schemas.TrackSummary:
+    action = track.action()
+    return tracking_schemas.TrackSummary(
+        track_id=track.track_id,
+        first_timestamp=round(track.first_timestamp, SECOND_DIGITS),
+        last_timestamp=round(track.last_timestamp, SECOND_DIGITS),
+        frames=track.frames,
+        action=_action(action) if action else None,
+        postures=[
+            tracking_schemas.PostureTime(label=label, seconds=round(seconds, SECOND_DIGITS))
+            for label, seconds in track.postures()
+        ],
+    )

@@ -1,4 +1,4 @@
-"""The public contract: every model a caller sends or gets, with units and examples."""
+"""The public contract: the models that clients send and receive, with units and examples."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
+from app.estimation.facing import FacingSource
+from app.estimation.results import Source
+from app.vision import DetectorName
 from index.posture import Posture as PostureLabel
 
 KeypointSetName = Literal["native", "cmu19", "coco17", "h36m17"]
 ObservedSetName = Literal["coco17", "blazepose33"]
-PersonSource = Literal["detector", "mask", "boxes", "background", "track"]
-Evidence = Literal["photograph", "silhouette"]
 SilhouetteForm = Literal["none", "rle", "polygon"]
 JointForm = Literal["full", "compact", "none"]
 
@@ -45,8 +46,8 @@ class FrameUpload(Model):
     )
     background: bytes | None = Field(
         default=None,
-        description="The empty scene, of the frame's size and from the same fixed camera: "
-        "people are what differs.",
+        description="The empty scene, in the frame's size and from the same fixed camera: people "
+        "are where the frame differs from it.",
     )
     boxes: str | None = Field(
         default=None,
@@ -79,13 +80,13 @@ class Problem(Model):
     )
     field: str | None = Field(
         default=None,
-        description="The parameter or form field it is about, if any.",
+        description="The parameter or form field at fault, if any.",
         examples=["mask"],
     )
 
 
-# Points are dictionaries, checked with the model that holds them: an answer has hundreds, and
-# creating them as models would take as long as all the rest.
+# Points are dictionaries, validated with the model that holds them: an answer has hundreds, and
+# creating them as models would take as long as everything else.
 @with_config(ConfigDict(extra="forbid"))
 class Point2D(TypedDict):
     """A point in an image."""
@@ -148,7 +149,7 @@ class Keypoints(Model):
 
 
 class IndexVersion(Model):
-    """Which index answered."""
+    """The index that answered."""
 
     name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
     version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
@@ -175,12 +176,13 @@ class SilhouetteSummary(Model):
 
     area_px: int = Field(ge=0, description="Pixels of the frame.", examples=[3120])
     segmenter: str = Field(
-        description="What cut it out: `network`, `background`, or the caller's `mask`.",
+        description="What segmented it: `network`, `background` (the difference from it), or the "
+        "caller's `mask`.",
         examples=["network"],
     )
     truncated: bool = Field(
         description="Whether part of the person is missing: the edge of the frame cuts the body "
-        "(told by the silhouette, and by keypoints of head and feet that are not seen), or "
+        "(recognised by the silhouette, and by keypoints of head and feet that are not seen), or "
         "a nearer person hides it.",
         examples=[False],
     )
@@ -196,14 +198,14 @@ class SilhouetteSummary(Model):
 
 
 class ObservedKeypoint(Model):
-    """Where the photograph shows a keypoint."""
+    """A keypoint in the photograph."""
 
     name: str = Field(description="Left and right are the person's own.", examples=["nose"])
     x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
     y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
     z: FiniteFloat = Field(
         description="Metres behind the middle of the hips, negative in front of it, as the network "
-        "reads it.",
+        "estimates it.",
         examples=[-0.21],
     )
     score: Probability = Field(
@@ -214,53 +216,53 @@ class ObservedKeypoint(Model):
 
 
 class Facing(Model):
-    """Whether the person faces the camera, which a silhouette alone cannot tell."""
+    """Whether the person faces the camera, which a silhouette alone cannot show."""
 
     front_probability: Probability = Field(
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
-    evidence: Literal["image", "motion", "none"] = Field(
+    evidence: FacingSource = Field(
         description="What it rests on: `image`, the keypoints that the photograph shows; `motion`, "
-        "the way a tracked person moves; `none`, the silhouette alone, which cannot tell. In a "
+        "the way a tracked person moves; `none`, the silhouette alone, which cannot show it. In a "
         "single frame it is the share of the hypotheses' confidence that faces the camera.",
         examples=["image"],
     )
 
 
 class Posture(Model):
-    """What the person's body does, told by its 3D skeleton."""
+    """The person's posture, recognised from the 3D skeleton."""
 
     label: PostureLabel | Literal["unclear"] = Field(
-        description="The likeliest posture; `unclear` where none is right with a probability of a "
+        description="The likeliest posture; `unclear` if no posture reaches a probability of one "
         "half.",
         examples=["walking"],
     )
     probability: Probability = Field(
-        description="Calibrated probability that the label is right; of `unclear`, that of the "
+        description="Calibrated probability that the label is right; for `unclear`, that of the "
         "likeliest posture.",
         examples=[0.88],
     )
 
 
 class MotionSource(Model):
-    """Where an entry's pose comes from."""
+    """The source of an entry's pose."""
 
     clip: str = Field(description="Name of the motion capture clip.", examples=["07_01"])
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
     action: str = Field(
-        description="Label of what the clip shows there, not of what the person in the photograph "
-        "does, which a single frame cannot tell.",
+        description="Action that the clip shows there, not the action of the person in the "
+        "photograph, which a single frame cannot show.",
         examples=["walk"],
     )
     mirrored: bool = Field(
-        description="Whether left and right of the clip were exchanged.", examples=[False]
+        description="Whether left and right of the clip were swapped.", examples=[False]
     )
 
 
 class Camera(Model):
-    """Position of the virtual camera that saw an entry."""
+    """Position of the virtual camera of an entry."""
 
     azimuth_deg: FiniteFloat = Field(
         description="Degrees; 0: it looks the person in the face, 90: it sees the person's left "
@@ -284,10 +286,10 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="By silhouette and keypoints; ascends with the rank: where a hypothesis after "
-        "the seventh is nearer, it is that of the one before. It is the distance of the "
-        "silhouettes if `facing.evidence` is `none`; otherwise keypoints that support a hypothesis "
-        "make it shorter, and keypoints that contradict it longer.",
+        description="Distance by silhouette and keypoints. It never decreases with the rank: after "
+        "the seventh, a nearer hypothesis has the distance of the one before. It is the distance "
+        "of the silhouettes if `facing.evidence` is `none`; otherwise keypoints that support a "
+        "hypothesis shorten it, and keypoints that contradict it lengthen it.",
         examples=[0.031],
     )
     silhouette_distance: FiniteFloat = Field(
@@ -351,14 +353,14 @@ class Person(Model):
 
     box: Box
     detection_score: FiniteFloat | None = Field(
-        description="The detector's probability that this is a person; of somebody who is followed "
-        "over frames, the highest so far. Null if the caller said where people are.",
+        description="The detector's probability that this is a person; for a tracked person, the "
+        "highest so far. Null if the caller located the people.",
         examples=[0.93],
     )
-    source: PersonSource = Field(
+    source: Source = Field(
         description="What found the person: the service's detector (`GET /index` names it), the "
         "caller's mask or boxes, or the difference from the background. In camera sessions also "
-        "`track`: the person is expected there by what was seen before.",
+        "`track`: the person is predicted there from earlier frames.",
         examples=["detector"],
     )
     silhouette: SilhouetteSummary | None = Field(
@@ -416,18 +418,18 @@ class DescriptorSummary(Model):
 
 
 class ServiceVersion(Model):
-    """Which build of the service runs."""
+    """The build of the service that runs."""
 
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
-    detector: Literal["network", "hog"] = Field(
-        description="What finds people: MoveNet with HOG beside it, or HOG alone.",
+    detector: DetectorName = Field(
+        description="Person detector: MoveNet with HOG beside it, or HOG alone.",
         examples=["network"],
     )
 
 
 class IndexResponse(Model):
-    """What the index holds and how it was built."""
+    """The content of the index and how it was built."""
 
     name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
     version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
@@ -506,6 +508,6 @@ class DeepstackResponse(Model):
 
 
 class Health(Model):
-    """All is well; otherwise the answer is a problem."""
+    """The service is well; otherwise the answer is a problem."""
 
     status: Literal["ok"] = Field(default="ok", description="Always `ok`.", examples=["ok"])

@@ -16,21 +16,15 @@ from app.api.schemas import (
     PoseResponse,
     Probability,
 )
+from app.tracking.results import EventName, EventState
+from app.tracking.video_run import VideoEndReason
+from app.tracking.zones import ZoneKind
 from index.posture import Posture as PostureLabel
-
-EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end", "instant"]
-ZoneKind = Literal["rest", "watch"]
-SequenceEndReason = Literal[
-    "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"
-]
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock says in seconds, earlier than today in milliseconds."""
 
-
-MOST_TRACK_ID_CHARACTERS = 64
-MOST_ZONES, MOST_CORNERS = 32, 64
+MAX_TRACK_ID_CHARACTERS, MAX_ZONES, MAX_CORNERS = 64, 32, 64
 
 
 class TrackUpload(FrameUpload):
@@ -40,7 +34,7 @@ class TrackUpload(FrameUpload):
         default=None,
         description="The caller's own identities of the people in `boxes`, for callers who track "
         "people themselves: a JSON list of texts or whole numbers, one for each box. They come "
-        "back as `caller_track_id`, as text; who has the same one is the same person.",
+        "back as `caller_track_id`, as text; the same identity means the same person.",
         examples=['["17", "18"]'],
     )
     timestamp: float | None = Field(
@@ -48,21 +42,21 @@ class TrackUpload(FrameUpload):
         ge=0,
         le=LATEST_TIMESTAMP_S,
         allow_inf_nan=False,
-        description="When the frame was taken: seconds on any clock that does not go back, later "
-        "than that of the last frame. By default the time of arrival counts.",
+        description="When the frame was taken: seconds on any clock that never goes back, later "
+        "than that of the last frame. By default, the time of arrival is used.",
         examples=[12.4],
     )
 
 
 class Zone(Model):
-    """A part of a camera's picture."""
+    """A region of a camera's image."""
 
     name: str = Field(
         min_length=1, max_length=64, description="Unique for the camera.", examples=["bed"]
     )
     kind: ZoneKind = Field(
-        description="`rest`: a bed or a sofa, where lying is no event: neither `lying` nor `fell` "
-        "begins there; `watch`: any other place that persons and events shall name.",
+        description="`rest`: a bed or a sofa, where lying is normal: neither `lying` nor `fell` "
+        "begins there; `watch`: any other region to name with persons and events.",
         examples=["rest"],
     )
     polygon: list[
@@ -71,17 +65,17 @@ class Zone(Model):
         ]
     ] = Field(
         min_length=3,
-        max_length=MOST_CORNERS,
+        max_length=MAX_CORNERS,
         description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
 
 
 class CameraConfiguration(Model):
-    """What is known of a camera beforehand."""
+    """The configuration of a camera."""
 
     zones: list[Zone] = Field(
-        max_length=MOST_ZONES, description="All of them; an empty list removes them."
+        max_length=MAX_ZONES, description="All zones of the camera; an empty list removes them."
     )
 
     @field_validator("zones")
@@ -129,19 +123,21 @@ class SmoothedPose(Model):
 
 
 class Action(Model):
-    """What a person does, told by their motion."""
+    """The action of a person, recognised from the motion."""
 
     label: str = Field(
         description="One of the actions of the index (`GET /index`).", examples=["walk"]
     )
-    probability: Probability = Field(description="How sure it is.", examples=[0.88])
+    probability: Probability = Field(
+        description="Probability that the label is right.", examples=[0.88]
+    )
 
 
 class TrackedPerson(Person):
     """One person of the frame, and the track they belong to.
 
     `facing` and `posture` are those of the track; `hypotheses` are those of the frame alone, and
-    empty for somebody who is hidden behind another one.
+    empty for a person who is hidden behind another one.
     """
 
     track_id: int = Field(
@@ -151,15 +147,16 @@ class TrackedPerson(Person):
         ge=1, description="Frames since the track began, this one included.", examples=[41]
     )
     pose: SmoothedPose | None = Field(
-        description="Smoothed over the frames so far. Null if the person could not be cut out for "
+        description="Smoothed over the frames so far. Null if the person has had no silhouette for "
         "a second."
     )
     action: Action | None = Field(
-        description="Null until enough frames were seen, and where no action reaches a half."
+        description="Null until there are enough frames, and if no action reaches a probability of "
+        "one half."
     )
     zones: list[str] = Field(
-        description="Names of the camera's zones in which the person is, with the feet or, if "
-        "they lie or crawl, with the middle of the box.",
+        description="Names of the camera's zones that contain the person's feet or, if the person "
+        "lies or crawls, the middle of the box.",
         examples=[["bed"]],
     )
     caller_track_id: str | None = Field(
@@ -170,17 +167,17 @@ class TrackedPerson(Person):
 
 
 class Event(Model):
-    """Something about a track that began, ended or happened at a frame."""
+    """A change in a track at one frame."""
 
     event: EventName = Field(
-        description="`entered` and `left`: the track began, ended; `fell`: went down and lies; "
-        "`lying`, `arms_raised`: the posture.",
+        description="`entered`, `left`: the track began, ended; `fell`: the person went down and "
+        "lies; `lying`, `arms_raised`: the posture.",
         examples=["fell"],
     )
-    track_id: int = Field(ge=1, description="Of the person.", examples=[3])
+    track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
     state: EventState = Field(
-        description="Whether it began or ended; `instant` of `entered`, `left` and `fell`, which "
-        "are moments.",
+        description="Whether it began or ended; `instant` for `entered`, `left` and `fell`, which "
+        "have no duration.",
         examples=["instant"],
     )
     zones: list[str] = Field(
@@ -191,8 +188,8 @@ class Event(Model):
         description="The caller's own identity of the person. Null if none was given.",
         examples=["17"],
     )
-    timestamp: FiniteFloat = Field(description="Seconds, of the frame.", examples=[12.4])
-    probability: Probability = Field(description="How sure it is.", examples=[0.93])
+    timestamp: FiniteFloat = Field(description="Time of the frame, seconds.", examples=[12.4])
+    probability: Probability = Field(description="Probability of the event.", examples=[0.93])
 
 
 class _TrackedFrame(PoseResponse):
@@ -200,7 +197,9 @@ class _TrackedFrame(PoseResponse):
         ge=0, description="Frames since the session began, from 0.", examples=[40]
     )
     timestamp: FiniteFloat = Field(
-        description="Seconds: the frame's own, or those since the session began.", examples=[12.4]
+        description="Time of the frame, seconds: its timestamp, or the time since the session "
+        "began.",
+        examples=[12.4],
     )
     reset: str | None = Field(
         description="Why all tracks were dropped before this frame, as a sentence. Null where they "
@@ -210,7 +209,7 @@ class _TrackedFrame(PoseResponse):
     persons: list[TrackedPerson] = Field(  # type: ignore[assignment]
         description="Ordered left to right; empty if there are none."
     )
-    events: list[Event] = Field(description="What began, ended or happened at this frame.")
+    events: list[Event] = Field(description="Changes at this frame.")
 
 
 class TrackResponse(_TrackedFrame):
@@ -230,9 +229,9 @@ class CameraState(Model):
         examples=[4120],
     )
     timestamp: FiniteFloat | None = Field(
-        description="Seconds, of the last frame. Null without a session.", examples=[412.0]
+        description="Time of the last frame, seconds. Null without a session.", examples=[412.0]
     )
-    image: ImageSize | None = Field(description="Of the last frame. Null without a session.")
+    image: ImageSize | None = Field(description="Size of the last frame. Null without a session.")
     track_ids: list[int] = Field(
         description="The people in the last frame, left to right.", examples=[[3, 7]]
     )
@@ -246,7 +245,9 @@ class CameraState(Model):
         description="Seconds since the last frame came. Null without a session.",
         examples=[0.1],
     )
-    memory_bytes: int = Field(ge=0, description="What the session holds.", examples=[2400000])
+    memory_bytes: int = Field(
+        ge=0, description="Size of the session in memory.", examples=[2400000]
+    )
 
 
 class CameraList(Model):
@@ -274,12 +275,12 @@ class SequenceFrame(_TrackedFrame, _FrameLine):
 
 
 class PostureTime(Model):
-    """How long a person kept a posture."""
+    """The time that a person spent in a posture."""
 
     label: PostureLabel | Literal["unclear"] = Field(
         description="The posture.", examples=["walking"]
     )
-    seconds: FiniteFloat = Field(ge=0, description="In all.", examples=[11.8])
+    seconds: FiniteFloat = Field(ge=0, description="Total time.", examples=[11.8])
 
 
 class TrackSummary(Model):
@@ -287,25 +288,25 @@ class TrackSummary(Model):
 
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
     first_timestamp: FiniteFloat = Field(
-        description="Seconds, of the first frame with the person.", examples=[0.6]
+        description="Time of the first frame with the person, seconds.", examples=[0.6]
     )
     last_timestamp: FiniteFloat = Field(
-        description="Seconds, of the last frame with the person.", examples=[12.4]
+        description="Time of the last frame with the person, seconds.", examples=[12.4]
     )
     frames: int = Field(ge=1, description="Frames with the person.", examples=[119])
     action: Action | None = Field(
         description="The action with the largest sum of probabilities, and its mean probability. "
         "Null if none was recognised."
     )
-    postures: list[PostureTime] = Field(description="The longest first.")
+    postures: list[PostureTime] = Field(description="Ordered by duration, the longest first.")
 
 
 class SequenceEnd(Model):
     """The last line of a video's answer."""
 
     type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
-    reason: SequenceEndReason = Field(
-        description="`complete`: the video's end; `max_frames`: as many as were asked for or are "
+    reason: VideoEndReason = Field(
+        description="`complete`: the video's end; `max_frames`: as many frames as requested or "
         "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
         "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",
         examples=["complete"],
@@ -315,7 +316,7 @@ class SequenceEnd(Model):
     )
     frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
-    events: list[Event] = Field(description="All of them, in order.")
+    events: list[Event] = Field(description="All events, in order.")
 
 
 SequenceLine = SequenceFrame | SequenceEnd

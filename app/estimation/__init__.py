@@ -1,1 +1,1 @@
-"""The one use case: a frame in, persons with hypotheses out."""
+"""The one use case: a frame in, people with hypotheses out."""

@@ -8,38 +8,34 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from index.skeleton import POINT_NAMES
+from index.skeleton import side_rows
 
-Evidence = Literal["image", "motion", "none"]
+FacingSource = Literal["image", "motion", "none"]
 
-_CORNERS = np.array(
-    [
-        [POINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "hip")]
-        for side in ("left", "right")
-    ]
-)
+_CORNERS = np.array([side_rows("shoulder"), side_rows("hip")]).T
+"""Rows ``(2, 2)``: left and right, shoulder and hip."""
 
 
 @dataclass(frozen=True)
 class Facing:
-    """How likely the camera sees a person from the front, and what that rests on.
+    """How likely the camera sees a person from the front.
 
     Parameters
     ----------
-    front_probability : float
     evidence : str
-        ``image``: the photograph; ``motion``: the way the person moves; ``none``: only the
+        ``image``: the photograph; ``motion``: the direction of walking; ``none``: only the
         hypotheses themselves.
     """
 
     front_probability: float
-    evidence: Evidence
+    evidence: FacingSource
 
 
 def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     """Azimuth of the camera about shoulders and hips: 0 in front, 90 on the person's left.
 
-    Whichever way the trunk points in the picture: who lies may face the camera as well.
+    It does not depend on the direction of the trunk in the picture: people lying down may face the
+    camera as well.
 
     Parameters
     ----------
@@ -55,17 +51,17 @@ def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
     trunk = (corners[..., 0, :] - corners[..., 1, :]).sum(axis=-2)
     length = np.maximum(np.hypot(trunk[..., 0], trunk[..., 1]), 1e-9)
-    # To the right of the trunk where it points up.
+    # To the right of the trunk if it points up.
     aside = (trunk[..., 0] * across[..., 1] - trunk[..., 1] * across[..., 0]) / length
     return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], aside)))
 
 
 def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether the camera sees the front, of each azimuth."""
+    """Whether the camera is in front of the person, for each azimuth."""
     return np.asarray(np.cos(np.deg2rad(azimuths_deg)) > 0)
 
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
-    """Share of the confidence ``(N,)`` that hypotheses facing the camera have."""
+    """Confidence of the hypotheses that face the camera, as a share of that of all ``(N,)``."""
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     return float(np.clip(weights @ faces_camera(azimuths_deg) / weights.sum(), 0, 1))

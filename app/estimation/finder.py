@@ -1,4 +1,4 @@
-"""Finds the people of a frame: boxes, and in one pass each their silhouettes and landmarks."""
+"""Finds the people of a frame: boxes, silhouettes and landmarks."""
 
 from __future__ import annotations
 
@@ -8,34 +8,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.parameters import DUPLICATE_BODY_DISTANCE
 from app.estimation.results import ObservedPerson, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
-from app.vision.blazepose import Reading
+from app.vision.blazepose import PoseReading
 from app.vision.detector import Detector, smallest_person_px
-from app.vision.geometry import Box, Detection, Silhouette
+from app.vision.geometry import Box
 from app.vision.images import LabelImage
+from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import end_beyond_border
 
-SAME_BODY = 0.12
-"""Mean distance of landmarks, in sizes of the body, below which two readings are of one person."""
-
 
 @dataclass(frozen=True)
 class PeopleFinder:
-    """Finds people by detection, or where the caller says they are.
+    """Finds people by detection, or where the caller marks them.
 
     Parameters
     ----------
-    detector : Detector
-    reader : PersonReader
     min_person_px : float or None
-        Height of the smallest person wanted, where a background is given.
+        Height of the smallest person to find with a background, pixels.
     max_persons : int
-        Detections beyond are dropped, the least sure first.
+        Further detections are dropped, those of the lowest scores first.
     """
 
     detector: Detector
@@ -43,109 +40,118 @@ class PeopleFinder:
     min_person_px: float | None
     max_persons: int
 
-    def find(self, upload: DecodedUpload, reads: bool, job: Job) -> list[ObservedPerson]:
+    def find(self, upload: DecodedUpload, landmarks: bool, job: Job) -> list[ObservedPerson]:
         """Find the people of a frame with their silhouettes, in no particular order.
 
         Parameters
         ----------
-        upload : DecodedUpload
-        reads : bool
-            Whether landmarks count, else the silhouettes alone.
-        job : Job
+        landmarks : bool
+            Whether to return landmarks. They may be read without being returned, because they also
+            separate people from the background.
         """
-        frame = upload.frame
-        background = upload.background is not None and BackgroundSegmenter(
-            upload.background, min_person_px=smallest_person_px(frame.shape, self.min_person_px)
-        )
         if upload.mask is not None:
-            people = self._in_mask(upload.mask, frame, reads, job)
-        elif upload.boxes is not None:
-            found = [Detection(box, 1.0) for box in upload.boxes]
-            people = self._read("boxes", found, frame, background or None, reads, job)
-            people = [replace(person, detection_score=None) for person in people]
-        else:
-            with job.stage("detect"):
-                detections = (background or self.detector).detect(frame)[: self.max_persons]
-            job.checkpoint()
-            source: Source = "background" if background else "detector"
-            people = self._read(source, detections, frame, background or None, reads, job)
-            # A detection without a silhouette was hardly a person.
+            return self._people_in_mask(upload.mask, upload.frame, landmarks, job)
+        background = self._background(upload)
+        source, detections = self._detect(upload, background, job)
+        people = self._observe(source, detections, upload.frame, background, landmarks, job)
+        if source != "boxes":
+            # A detection without a silhouette is unlikely to be a person.
             people = [person for person in people if person.silhouette is not None]
-        if reads:
-            return people
-        return [replace(person, landmarks=None) for person in people]
+        return people if landmarks else [replace(person, landmarks=None) for person in people]
 
     def detect(self, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
-        """Find people by their boxes alone, the surest first."""
+        """Find people by their boxes alone, those of the highest scores first."""
         return tuple(
             ObservedPerson(found.box, "detector", found.score, None)
             for found in self.detector.detect(frame)[: self.max_persons]
         )
 
-    def read(self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job) -> list[Reading]:
-        """Read each person of a frame."""
+    def read(
+        self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job
+    ) -> list[PoseReading]:
+        """Read the landmarks and the body mask of each person of a frame."""
         return job.map(
             lambda one: self.reader.read(frame, one.box, one.keypoints, one.windows), found
         )
 
-    def _read(
+    def _background(self, upload: DecodedUpload) -> BackgroundSegmenter | None:
+        if upload.background is None:
+            return None
+        smallest = smallest_person_px(upload.frame.shape, self.min_person_px)
+        return BackgroundSegmenter(upload.background, min_person_px=smallest)
+
+    def _detect(
+        self, upload: DecodedUpload, background: BackgroundSegmenter | None, job: Job
+    ) -> tuple[Source, Sequence[Detection]]:
+        """Boxes of people, and how they were found."""
+        if upload.boxes is not None:
+            return "boxes", [Detection(box, 1.0) for box in upload.boxes]
+        with job.stage("detect"):
+            detections = (background or self.detector).detect(upload.frame)[: self.max_persons]
+        job.checkpoint()
+        return "background" if background else "detector", detections
+
+    def _observe(
         self,
         source: Source,
         found: Sequence[Detection],
         frame: NDArray[np.uint8],
         background: BackgroundSegmenter | None,
-        reads: bool,
+        landmarks: bool,
         job: Job,
     ) -> list[ObservedPerson]:
-        boxes = [one.box for one in found]
-        readings: Sequence[Reading | None] = [None] * len(found)
-        if reads or background is None:
+        """Read detections, drop those of a body read before, and cut out the silhouettes."""
+        readings: list[PoseReading] = []
+        if landmarks or background is None:
             with job.stage("keypoints"):
-                read = self.read(frame, found, job)
+                readings = self.read(frame, found, job)
             if source != "boxes":
-                kept = distinct_bodies(read)
-                found, read = [found[i] for i in kept], [read[i] for i in kept]
-                boxes = [boxes[i] for i in kept]
-            readings = read
+                kept = distinct_bodies(readings)
+                found, readings = [found[i] for i in kept], [readings[i] for i in kept]
+        boxes = [one.box for one in found]
         with job.stage("segment"):
             silhouettes = (
-                silhouettes_of(read, boxes, frame.shape, exact=source == "boxes")
+                silhouettes_of(readings, boxes, frame.shape, exact=source == "boxes")
                 if background is None
                 else background.segment(frame, boxes)
             )
+        shown: Sequence[PoseReading | None] = readings or [None] * len(found)
         return [
-            observed(frame, one.box, source, one.score, silhouette, reading)
-            for one, silhouette, reading in zip(found, silhouettes, readings, strict=True)
+            make_observation(
+                frame,
+                one.box,
+                source,
+                None if source == "boxes" else one.score,
+                silhouette,
+                reading,
+            )
+            for one, silhouette, reading in zip(found, silhouettes, shown, strict=True)
         ]
 
-    def _in_mask(
-        self,
-        mask: LabelImage,
-        frame: NDArray[np.uint8],
-        reads: bool,
-        job: Job,
+    def _people_in_mask(
+        self, mask: LabelImage, frame: NDArray[np.uint8], landmarks: bool, job: Job
     ) -> list[ObservedPerson]:
         with job.stage("segment"):
             silhouettes = silhouettes_from_labels(mask)
-        if not reads:
+        if not landmarks:
             return [ObservedPerson(one.box, "mask", None, one) for one in silhouettes]
         with job.stage("keypoints"):
             readings = self.read(frame, [Detection(one.box, 1.0) for one in silhouettes], job)
         return [
-            observed(frame, one.box, "mask", None, one, reading)
+            make_observation(frame, one.box, "mask", None, one, reading)
             for one, reading in zip(silhouettes, readings, strict=True)
         ]
 
 
-def observed(
+def make_observation(
     frame: NDArray[np.uint8],
     box: Box,
     source: Source,
     score: float | None,
     silhouette: Silhouette | None,
-    reading: Reading | None,
+    reading: PoseReading | None,
 ) -> ObservedPerson:
-    """What is seen of a person; landmarks show truncation that the silhouette may not show."""
+    """Combine what is known of a person; landmarks may reveal truncation of the silhouette."""
     if reading is None:
         return ObservedPerson(box, source, score, silhouette)
     landmarks = attenuate_visibility_at_border(reading, frame.shape)
@@ -156,17 +162,17 @@ def observed(
     )
 
 
-def distinct_bodies(readings: Sequence[Reading]) -> list[int]:
-    """Rows of readings that are not of the same body as one before them."""
+def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:
+    """Rows of readings that do not show the same body as an earlier one."""
     kept: list[int] = []
     for row, reading in enumerate(readings):
-        if all(_apart(reading, readings[other]) >= SAME_BODY for other in kept):
+        if all(_apart(reading, readings[other]) >= DUPLICATE_BODY_DISTANCE for other in kept):
             kept.append(row)
     return kept
 
 
-def _apart(first: Reading, second: Reading) -> float:
-    """Mean distance between the landmarks of two readings, in sizes of the body."""
+def _apart(first: PoseReading, second: PoseReading) -> float:
+    """Mean distance between the landmarks of two readings, in sizes of the smaller body."""
     offsets = first.landmarks.positions - second.landmarks.positions
     weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3
     distance = float(weights @ np.linalg.norm(offsets, axis=1) / weights.sum())

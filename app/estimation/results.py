@@ -9,17 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture
-from app.vision.geometry import Box, Landmarks, PersonWindow, Silhouette
+from app.estimation.posture_probability import EstimatedPosture
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Landmarks, Silhouette
 from index.matching import Hypothesis
 from index.store import Label
 
 Source = Literal["detector", "mask", "boxes", "background", "track"]
-"""Who says that a person is there: the detector, the caller's mask or boxes, what differs from the
-background, or a track that expects them."""
+"""How a person was found: by the detector, in the caller's mask or boxes, as a difference from the
+background, or where a track expected them."""
 
 Evidence = Literal["photograph", "silhouette"]
-"""What poses are estimated from: silhouette and keypoints, or the silhouette alone."""
+"""What poses are estimated from: silhouette and landmarks, or the silhouette alone."""
 
 
 @dataclass(frozen=True)
@@ -30,17 +31,16 @@ class ObservedPerson:
     ----------
     box : Box
         Pixels of the frame.
-    source : str
     detection_score : float or None
-        None if the caller said where people are.
+        None if the caller marked the people.
     silhouette : Silhouette or None
-        In the original frame; None if none was found in a caller's box.
+        In the frame; None if none was found in a caller's box.
     landmarks : Landmarks or None
-        Pixels of the frame; None if none were read.
+        Pixels of the frame; None if they were not read.
     presence : float or None
-        Probability that a person is there, as the landmark network gives it; None if not asked.
+        Probability, from the landmark network, that a person is there; None if it did not run.
     next_window : PersonWindow or None
-        Where the landmark network would look for them next.
+        Where the landmark network would look for the person in the next frame.
     """
 
     box: Box
@@ -53,7 +53,7 @@ class ObservedPerson:
 
     @property
     def whole_box(self) -> Box:
-        """The silhouette's box, the detection's where there is no silhouette."""
+        """The silhouette's box, or the detection's if there is no silhouette."""
         return self.box if self.silhouette is None else self.silhouette.box
 
 
@@ -65,30 +65,22 @@ class Scene:
     ----------
     frame : (H, W, 3) uint8 array
         BGR; black if the caller sent a mask alone.
-    people : tuple of ObservedPerson
     """
 
     frame: NDArray[np.uint8]
     people: tuple[ObservedPerson, ...]
 
 
-@dataclass(frozen=True)
-class ProjectedHypothesis:
-    """A hypothesis, the label of its entry, and its skeleton in the photograph.
+@dataclass(frozen=True, kw_only=True)
+class ProjectedHypothesis(Hypothesis):
+    """A hypothesis with the label of its entry and its skeleton in the photograph.
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-    distance, confidence : float
-        By silhouette and keypoints; see :class:`app.estimation.ordering.Ranked`.
-    label : Label
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
     """
 
-    hypothesis: Hypothesis
-    distance: float
-    confidence: float
     label: Label
     points_2d: NDArray[np.float64]
 
@@ -105,7 +97,7 @@ class Person:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A decoded frame, its persons ordered left to right, and where the time went."""
+    """A decoded frame, its persons ordered left to right, and milliseconds by stage."""
 
     frame: NDArray[np.uint8]
     persons: tuple[Person, ...]

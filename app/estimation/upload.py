@@ -1,4 +1,4 @@
-"""What a caller sends, decoded and validated."""
+"""Uploads: images, masks and boxes, decoded and validated."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.parameters import MASKS
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (
@@ -24,22 +25,16 @@ from app.vision.images import (
 
 T = TypeVar("T")
 
-# Of a mask with one label: parts from this share of the largest one's area are looked at, and are
-# people apart where the gap is wider than this share of the narrower one.
-_FIGURE_SHARE = 0.25
-_GAP_SHARE = 0.5
-_LEAST_FIGURE_PX = 48
-
 
 class UploadError(ValueError):
-    """What a caller sent cannot be used.
+    """An upload that cannot be used.
 
     Parameters
     ----------
     field : str
         ``frame``, ``mask``, ``background``, ``boxes`` or ``track_ids``.
     reason : str
-        ``undecodable``, ``too_large``, or ``misfit``: valid, but not for this frame.
+        ``undecodable``, ``too_large``, or ``misfit``: valid in itself, but not for this frame.
     message : str
         One sentence.
     """
@@ -61,13 +56,14 @@ class Upload:
     frame : bytes or (H, W, 3) uint8 array, optional
         Photograph, encoded or as BGR pixels; may be missing if there is a mask.
     mask : bytes, optional
-        Encoded label image of the same size: 0 background, k = person k.
+        Encoded label image of the same size: 0 background, k = person k. It excludes boxes and a
+        background.
     background : bytes, optional
         Encoded photograph of the empty scene, of the same size.
     boxes : sequence of Box, optional
-        In pixels of the frame. Neither boxes nor a background may come with a mask.
+        In pixels of the frame.
     track_ids : sequence of str, optional
-        The caller's own identity of the person in each box.
+        The caller's identity of the person in each box.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -78,7 +74,7 @@ class Upload:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """What it holds, which tells how long the work on it takes."""
+        """Names of the fields that are given; work on the upload depends on them."""
         return tuple(name for name, value in vars(self).items() if value is not None)
 
     def __post_init__(self) -> None:
@@ -114,7 +110,6 @@ class DecodedUpload:
     ----------
     frame : (H, W, 3) uint8 array
         BGR; black if the caller sent a mask alone.
-    mask : LabelImage or None
     background : (H, W, 3) uint8 array or None
         BGR.
     boxes : list of Box or None
@@ -134,9 +129,9 @@ class UploadDecoder:
     Parameters
     ----------
     max_pixels : int
-        Of each image.
+        Largest image accepted, width times height.
     max_persons : int
-        That a caller may name by boxes or a mask.
+        People that boxes or a mask may mark.
     """
 
     max_pixels: int
@@ -204,16 +199,16 @@ def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8])
 
 
 def _check_together(mask: LabelImage) -> None:
-    """Refuse a mask whose only label marks several people who stand apart.
+    """Refuse a mask whose only label marks several people apart from one another.
 
-    As one person, they would be as wide as they are apart, and lie.
+    Taken as one person they would be wide, and appear to be lying.
     """
     if len(mask.present) != 1:
         return
     marked = np.asarray(mask.part != 0).view(np.uint8)
     stats = cv2.connectedComponentsWithStats(marked)[2][1:]
     areas = stats[:, cv2.CC_STAT_AREA]
-    large = stats[areas >= _FIGURE_SHARE * areas.max()]
+    large = stats[areas >= MASKS.min_figure_share * areas.max()]
     figures = sorted((Box(*part[:4]) for part in large.tolist()), key=lambda box: box.x)
     apart = 1 + sum(_are_apart(*pair) for pair in pairwise(figures))
     if apart > 1:
@@ -226,11 +221,11 @@ def _check_together(mask: LabelImage) -> None:
 
 
 def _are_apart(left: Box, right: Box) -> bool:
-    """Whether two parts of a mask are people beside one another rather than parts of one."""
+    """Whether two parts of a mask are different people rather than parts of one."""
     small, large = sorted((left.height, right.height))
     gap = right.x - left.right
-    alike = small >= _LEAST_FIGURE_PX and large < 2 * small
-    return alike and gap > _GAP_SHARE * min(left.width, right.width)
+    alike = small >= MASKS.min_figure_px and large < 2 * small
+    return alike and gap > MASKS.min_gap_share * min(left.width, right.width)
 
 
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:

@@ -1,1 +1,1 @@
-"""What every request passes and every error becomes. Imports api and below."""
+"""The middleware that every request passes, and errors as problems. Imports api and below."""

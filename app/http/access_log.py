@@ -1,4 +1,4 @@
-"""Every request has an id, a log line and its count in the metrics; never its content."""
+"""An id, a log line and a count in the metrics for every request; never its content."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import logging
 import re
 import time
 import uuid
-from typing import Any
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.errors import ProblemError, ProblemResponse
 from app.http.metrics import Metrics
-from app.http.problems import ProblemError, problem_response
-from app.http.request_context import HEADERS, NOTES, request_id
+from app.http.request_state import RequestState, request_id, request_state
 from app.http.routing import RouteTable
 
 log = logging.getLogger("app.request")
@@ -30,7 +29,7 @@ class AccessLogMiddleware:
     app : ASGI application
     metrics : Metrics
     table : RouteTable
-        Tells which route a request was meant for, however far it gets.
+        Names the route that a request was meant for, even if it is refused before.
     """
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics, table: RouteTable) -> None:
@@ -44,39 +43,38 @@ class AccessLogMiddleware:
             await self.app(scope, receive, send)
             return
         started = time.perf_counter()
-        notes: dict[str, Any] = {}
-        scope[NOTES] = notes
+        notes = request_state(scope)
         identifier = _given_id(scope) or uuid.uuid4().hex
         token = request_id.set(identifier)
 
-        async def noting_send(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                notes["status"] = message["status"]
+                notes.status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers[_HEADER] = identifier
-                headers.update(notes.get(HEADERS, {}))
+                headers.update(notes.headers)
             await send(message)
 
         try:
-            await self.app(scope, receive, noting_send)
+            await self.app(scope, receive, send_with_headers)
         except Exception:
             log.exception("unhandled error")
-            if "status" in notes:
-                raise  # The server has to break off the answer that was begun.
+            if notes.status is not None:
+                raise  # The server has to abort the answer, which has begun.
             problem = ProblemError(500, "an error of the service; its log says more")
-            await problem_response(problem)(scope, receive, noting_send)
+            await ProblemResponse(problem)(scope, receive, send_with_headers)
         finally:
             self._record(scope, notes, time.perf_counter() - started)
             request_id.reset(token)
 
-    def _record(self, scope: Scope, notes: dict[str, Any], seconds: float) -> None:
+    def _record(self, scope: Scope, notes: RequestState, seconds: float) -> None:
         known = self._table.find(scope["path"])
         route = known.path if known else "other"
-        status, rejected = notes.get("status", 500), notes.get("rejected")
+        status = 500 if notes.status is None else notes.status
         self._metrics.requests.labels(route, str(status)).inc()
         self._metrics.seconds.labels(route).observe(seconds)
-        if rejected:
-            self._metrics.rejected.labels(rejected).inc()
+        if notes.rejected_reason:
+            self._metrics.rejected.labels(notes.rejected_reason).inc()
         fields = {
             "method": scope["method"],
             "path": scope["path"],
@@ -84,9 +82,9 @@ class AccessLogMiddleware:
             "ms": round(seconds * 1000, 2),
             "client": (scope.get("client") or ("",))[0],
         }
-        if rejected:
-            fields["rejected"] = rejected
-        # Probes and scrapes come every few seconds and say nothing new.
+        if notes.rejected_reason:
+            fields["rejected"] = notes.rejected_reason
+        # Probes and scrapes come every few seconds.
         quiet = route in ("/healthz", "/readyz", "/metrics") and status < 400
         log.log(logging.DEBUG if quiet else logging.INFO, "request", extra={"fields": fields})
 

@@ -1,31 +1,32 @@
-"""Admission: how many uploads are received at once, how large they are and how long they take.
+"""Admission: limits on the number, size and duration of uploads.
 
-FastAPI reads a whole body before any code of a route runs, so this comes before it, as plain ASGI.
-A refused upload costs neither parsing nor memory: under overload, the cores are left to the frames
-that have been accepted.
+FastAPI reads a whole body before a route's code runs, so the limits are plain ASGI middleware. A
+refused upload costs neither parsing nor memory: under overload, the cores are left to accepted
+frames.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.http.problems import ProblemError, busy, overloaded, problem_response
+from app.http.errors import ProblemError, ProblemResponse, busy, overloaded
+from app.http.identity import Caller, Identity, identity_of
 from app.scheduling.job import BusyError
 
 GRACE_S = 5.0
 MIN_BYTES_PER_S = 4096
-"""An upload slower than this after the grace period is given up."""
+"""An upload slower than this after the grace period is aborted."""
 
 CALLER_SHARE = 0.75
-"""Of the uploads open at once, those that one caller may have."""
+"""Share of the open uploads that one caller may have."""
 
 STALLED_S = 1.0
-"""An upload that has been silent for this long makes room for another one."""
+"""An upload without data for this long makes room for another one."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class UploadLimits:
     ----------
     max_bytes : int
     timeout_s : float
-        For receiving it.
+        Longest time to receive it.
     """
 
     max_bytes: int
@@ -44,15 +45,9 @@ class UploadLimits:
 
 
 class _Upload:
-    """One body that is being received.
+    """A body that is being received."""
 
-    Parameters
-    ----------
-    caller : hashable
-    limits : UploadLimits
-    """
-
-    def __init__(self, caller: Hashable, limits: UploadLimits) -> None:
+    def __init__(self, caller: Caller, limits: UploadLimits) -> None:
         self.caller, self.limits = caller, limits
         self._started = self._last = asyncio.get_running_loop().time()
         self._timeout: asyncio.Timeout | None = None
@@ -74,13 +69,13 @@ class _Upload:
         return message
 
     def silent_s(self) -> float:
-        """Seconds since the last message, 0 while no further one is awaited."""
+        """Return the seconds since the last message, 0 while none is awaited."""
         if self._timeout is None:
             return 0.0
         return asyncio.get_running_loop().time() - self._last
 
-    def give_up(self) -> None:
-        """Have :meth:`next` time out now."""
+    def abort(self) -> None:
+        """Make :meth:`next` time out now."""
         if self._timeout is not None:
             self._last = asyncio.get_running_loop().time()
             self._timeout.reschedule(self._last)
@@ -93,29 +88,26 @@ class AdmissionMiddleware:
     ----------
     app : ASGI application
     check : callable
-        Raises :class:`app.scheduling.job.BusyError` where a request would be refused later.
-    caller_of : callable
-        Whom a request comes from.
+        Raises :class:`app.scheduling.job.BusyError` if the request would be refused later.
     limits : UploadLimits
+        Limits of most paths.
     limits_of_paths : mapping
-        Limits of the paths that have others.
+        Limits of other paths.
     max_open : int
-        Requests with a body that are received or answered at once.
+        Largest number of requests with a body that are received or answered at a time.
     """
 
     def __init__(
         self,
         app: ASGIApp,
         *,
-        check: Callable[[Scope], None],
-        caller_of: Callable[[Scope], Hashable],
+        check: Callable[[Scope, Identity], None],
         limits: UploadLimits,
         limits_of_paths: Mapping[str, UploadLimits],
         max_open: int,
     ) -> None:
         self.app = app
         self._check = check
-        self._caller_of = caller_of
         self._limits = limits
         self._limits_of_paths = limits_of_paths
         self._max_open = max_open
@@ -127,24 +119,24 @@ class AdmissionMiddleware:
             await self.app(scope, receive, send)
             return
         limits = self._limits_of_paths.get(scope["path"], self._limits)
-        caller = self._caller_of(scope)
-        refusal = self._refusal(scope, caller, limits)
+        refusal = self._refusal(scope, limits)
         if refusal is not None:
-            await problem_response(refusal)(scope, receive, send)
+            await ProblemResponse(refusal)(scope, receive, send)
             return
-        upload = _Upload(caller, limits)
+        upload = _Upload(identity_of(scope).caller, limits)
         self._uploads.add(upload)
         try:
             await self._admit(upload, scope, receive, send)
         finally:
             self._uploads.discard(upload)
 
-    def _refusal(self, scope: Scope, caller: Hashable, limits: UploadLimits) -> ProblemError | None:
+    def _refusal(self, scope: Scope, limits: UploadLimits) -> ProblemError | None:
+        identity = identity_of(scope)
         try:
-            self._check(scope)
+            self._check(scope, identity)
         except BusyError as error:
             return busy(error)
-        if self._is_crowded(caller):
+        if self._is_crowded(identity.caller):
             return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
         headers = dict(scope["headers"])
         encoding = headers.get(b"content-encoding", b"identity")
@@ -156,8 +148,11 @@ class AdmissionMiddleware:
             return _too_large(limits)
         return None
 
-    def _is_crowded(self, caller: Hashable) -> bool:
-        """Whether all places are taken, or the caller has taken more than others may miss."""
+    def _is_crowded(self, caller: Caller) -> bool:
+        """Whether no upload may be opened, and no stalled one makes room.
+
+        Either all are open, or the caller has reached its share of them.
+        """
         own = [upload for upload in self._uploads if upload.caller == caller]
         if len(own) >= math.ceil(CALLER_SHARE * self._max_open):
             return not _make_room(own)
@@ -188,23 +183,23 @@ class AdmissionMiddleware:
             return message
 
         async def replacing_send(message: Message) -> None:
-            # The framework turns what is raised above into a 400 of its own.
+            # The framework turns the errors raised above into a 400 of its own.
             nonlocal started
             if refusal is None:
                 await send(message)
             elif not started:
                 started = True
-                await problem_response(refusal)(scope, receive, send)
+                await ProblemResponse(refusal)(scope, receive, send)
 
         await self.app(scope, counting_receive, replacing_send)
 
 
 def _make_room(uploads: Iterable[_Upload]) -> bool:
-    """Give up the upload that has been silent for longest, if that is long enough."""
+    """Abort the upload that has been silent for longest, if that is long enough."""
     stalled = max(uploads, key=_Upload.silent_s, default=None)
     if stalled is None or stalled.silent_s() < STALLED_S:
         return False
-    stalled.give_up()
+    stalled.abort()
     return True
 
 

@@ -1,55 +1,122 @@
-"""Who sends a request: the caller, by key or address, and the camera that a frame names."""
+"""The identity of a request: its caller, by API key or address, and the camera that it names."""
 
 from __future__ import annotations
 
 import hmac
 import re
-from collections.abc import Iterable, Iterator
-from typing import Annotated, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated, NamedTuple, cast
 
-from fastapi import Depends, Header
+from fastapi import Depends, Header, Request, Security
+from fastapi.security import APIKeyHeader, HTTPAuthorizationCredentials, HTTPBearer
+from pydantic import SecretStr
 from starlette.datastructures import Headers
-from starlette.types import Scope
+from starlette.types import ASGIApp, Receive, Scope, Send
 
+from app.http.errors import ProblemError
 from app.scheduling.queue import Sender
-from app.settings import Settings
+
+CAMERA_HEADER = "X-Camera-ID"
+# Not "." and "..", which are no names in a path.
+CAMERA_PATTERN = "^[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}$"
+
+_CAMERA_PATTERN_BYTES = re.compile(CAMERA_PATTERN.encode())
+_FRAMES_PATH = re.compile("/cameras/([^/]+)/frames")
 
 
 class Caller(NamedTuple):
-    """Whoever sends frames, as far as it can be told.
+    """The owner of requests, as far as it is known.
 
     Parameters
     ----------
     key : int or None
-        Position of the key; None where none is configured, or no valid one was given in a header.
+        Position of the API key among the configured ones; None if no header holds a configured key.
     address : str
-        Of the client; a proxy on this machine tells it in ``X-Forwarded-For``.
+        Address of the client; a proxy on this machine names it in ``X-Forwarded-For``.
     """
 
     key: int | None
     address: str
 
 
-def sender_of(scope: Scope, settings: Settings) -> Sender:
-    """Return who sends a request, whatever route it is meant for."""
-    key = None
-    if settings.api_keys:
-        key = position_of_key(settings, keys_in_headers(scope))
-    address, port = scope.get("client") or ("", 0)
+class CameraStream(NamedTuple):
+    """The frames of one camera: same name, same route, same credentials."""
+
+    camera: str
+    path: str
+    credentials: tuple[bytes, bytes]
+
+
+class Identity(NamedTuple):
+    """The source of a request, whatever its route.
+
+    Parameters
+    ----------
+    caller : Caller
+    connection : int or None
+        Port of the client; None behind a proxy, where it is unknown.
+    stream : CameraStream or None
+        The camera that the request names, in its path or a header.
+    is_authorised : bool
+        Whether no API key is configured, or a header holds one.
+    """
+
+    caller: Caller
+    connection: int | None
+    stream: CameraStream | None
+    is_authorised: bool
+
+    @property
+    def sender(self) -> Sender:
+        """The source of a frame, as the queue knows it."""
+        return Sender(self.caller, self.connection)
+
+
+class IdentityMiddleware:
+    """ASGI middleware that identifies each request once; see :func:`identity_of`.
+
+    Parameters
+    ----------
+    app : ASGI application
+    api_keys : sequence of SecretStr
+        The configured keys.
+    """
+
+    def __init__(self, app: ASGIApp, *, api_keys: Sequence[SecretStr]) -> None:
+        self.app = app
+        self._api_keys = api_keys
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] == "http":
+            scope.setdefault("state", {})["identity"] = identify(scope, self._api_keys)
+        await self.app(scope, receive, send)
+
+
+def identity_of(scope: Scope) -> Identity:
+    """Return the identity of a request that has passed :class:`IdentityMiddleware`."""
+    return cast(Identity, scope["state"]["identity"])
+
+
+def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
+    """Find out the identity of a request."""
+    key = position_of_key(api_keys, keys_in_headers(scope))
     # Behind a proxy, the address is the client's and the port is 0.
-    return Sender(Caller(key, address), port or None)
+    address, port = scope.get("client") or ("", 0)
+    is_authorised = not api_keys or key is not None
+    return Identity(Caller(key, address), port or None, _camera_stream(scope), is_authorised)
 
 
 def keys_in_headers(scope: Scope) -> Iterator[str]:
-    """Yield the keys that a request's headers hold, ``X-API-Key`` and a bearer token."""
+    """Yield the keys in a request's headers: ``X-API-Key`` and a bearer token."""
     headers = Headers(scope=scope)
     yield headers.get("x-api-key", "")
     scheme, _, token = headers.get("authorization", "").partition(" ")
     yield token if scheme.lower() == "bearer" else ""
 
 
-def position_of_key(settings: Settings, given: Iterable[str | None]) -> int | None:
-    """Return the position of the first configured key that was given, None if none was.
+def position_of_key(api_keys: Sequence[SecretStr], given: Iterable[str | None]) -> int | None:
+    """Return the position of the first configured key among those given, None if there is none.
 
     All pairs are compared, each in constant time, so that the duration reveals nothing.
     """
@@ -57,52 +124,57 @@ def position_of_key(settings: Settings, given: Iterable[str | None]) -> int | No
         position
         for candidate in given
         if candidate
-        for position, key in enumerate(settings.api_keys)
+        for position, key in enumerate(api_keys)
         if hmac.compare_digest(key.get_secret_value().encode(), candidate.encode())
     ]
     return matches[0] if matches else None
 
 
-HEADER = "X-Camera-ID"
-# Not "." and "..", which are no names in a path.
-CAMERA_PATTERN = "^[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}$"
-_HEADER_BYTES = HEADER.lower().encode()
-_PATTERN_BYTES = re.compile(CAMERA_PATTERN.encode())
-_SESSION_PATH = re.compile("/cameras/([^/]+)/frames")
-
-
-class CameraStream(NamedTuple):
-    """Identifies the frames of a camera: same name, same caller, same route."""
-
-    camera: str
-    path: str
-    api_key: bytes
-    authorization: bytes
-
-
-def camera_stream(scope: Scope) -> CameraStream | None:
-    """Return the stream a request belongs to, None if it names no camera.
-
-    The header names it, or the path of a camera session.
-    """
+def _camera_stream(scope: Scope) -> CameraStream | None:
     headers = dict(scope["headers"])
-    session = _SESSION_PATH.fullmatch(scope["path"])
-    camera = session[1].encode() if session else headers.get(_HEADER_BYTES)
-    if camera is None or not _PATTERN_BYTES.match(camera):
+    session = _FRAMES_PATH.fullmatch(scope["path"])
+    camera = session[1].encode() if session else headers.get(CAMERA_HEADER.lower().encode())
+    if camera is None or not _CAMERA_PATTERN_BYTES.match(camera):
         return None
-    return CameraStream(
-        camera.decode(),
-        scope["path"],
-        headers.get(b"x-api-key", b""),
-        headers.get(b"authorization", b""),
+    credentials = headers.get(b"x-api-key", b""), headers.get(b"authorization", b"")
+    return CameraStream(camera.decode(), scope["path"], credentials)
+
+
+def unauthorised() -> ProblemError:
+    """Make the 401 for a missing or wrong API key."""
+    return ProblemError(
+        401,
+        "expected an API key in the header X-API-Key or as a bearer token",
+        reason="unauthorised",
+        headers={"WWW-Authenticate": "Bearer"},
     )
+
+
+_key_header = APIKeyHeader(
+    name="X-API-Key", auto_error=False, description="Required only if the operator has set keys."
+)
+_bearer_token = HTTPBearer(auto_error=False, description="The same key as a bearer token.")
+
+
+async def _require_key(
+    request: Request,
+    # Both are declared for the OpenAPI document; the middleware has read the headers.
+    header: Annotated[str | None, Security(_key_header)],
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer_token)],
+) -> None:
+    if not identity_of(request.scope).is_authorised:
+        raise unauthorised()
+
+
+RequireKey = Depends(_require_key)
+"""Refuses a request without an API key, if the operator has set any."""
 
 
 async def _camera_header(
     camera: Annotated[
         str | None,
         Header(
-            alias=HEADER,
+            alias=CAMERA_HEADER,
             pattern=CAMERA_PATTERN,
             description="Name of the camera, for live use: while a frame of it waits, a newer one "
             "takes its place, and the older is answered at once with a 503.",
@@ -110,7 +182,7 @@ async def _camera_header(
         ),
     ] = None,
 ) -> None:
-    """Check the name and describe the header; :func:`camera_stream` reads it."""
+    """Validate the header and describe it; the middleware has read it."""
 
 
 NamesCamera = Depends(_camera_header)

@@ -1,4 +1,4 @@
-"""Logs as JSON, one object a line."""
+"""Logs as JSON, one object per line."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import logging
 from datetime import UTC, datetime
 from typing import Any
 
-from app.http.request_context import request_id
+from app.http.request_state import request_id
 
 
 class JsonFormatter(logging.Formatter):
-    """A log record as one line of JSON, with the request it belongs to."""
+    """Formats a log record as one line of JSON, with the id of its request."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Write one record."""
@@ -30,7 +30,7 @@ class JsonFormatter(logging.Formatter):
 
 
 def log_config(level: str) -> dict[str, Any]:
-    """Configure :func:`logging.config.dictConfig`: everything to standard output."""
+    """Return a configuration for :func:`logging.config.dictConfig`: all to standard output."""
     return {
         "version": 1,
         "disable_existing_loggers": False,
@@ -46,9 +46,9 @@ def log_config(level: str) -> dict[str, Any]:
         "loggers": {
             "app": {"level": level.upper()},
             "uvicorn": {"level": level.upper()},
-            # app.request says what uvicorn's access log would, and more.
+            # The logger app.request replaces uvicorn's access log.
             "uvicorn.access": {"level": "WARNING"},
-            # A caller's broken form is answered with a 400 and not logged.
+            # A client's broken form gets a 400 and no log line.
             "python_multipart": {"level": "ERROR"},
         },
     }

@@ -1,8 +1,9 @@
-"""Counters and histograms of the service, for Prometheus."""
+"""Counters, gauges and histograms of the service, for Prometheus."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
+from functools import partial
 
 from prometheus_client import (
     CollectorRegistry,
@@ -15,14 +16,17 @@ from prometheus_client import (
 
 from app.estimation.results import Person
 from app.settings import Settings
+from index.search import FailureReason
 
 # A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.
 _MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 350, 500, 750)
 _SECONDS = (*(milliseconds / 1000 for milliseconds in _MILLISECONDS), 1, 1.5, 2, 3, 5, 7.5, 10)
+_TENTHS = tuple(tenth / 10 for tenth in range(1, 11))
+_PERSONS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 50)
 
 
 def buckets_until(deadline_s: float) -> tuple[float, ...]:
-    """Bounds of a histogram of times; the last is the deadline.
+    """Return the bounds of a histogram of durations; the last is the deadline.
 
     Examples
     --------
@@ -38,125 +42,60 @@ class Metrics:
     Parameters
     ----------
     deadline_s : float
-        Time after which a frame is given up.
+        Time after which a frame is abandoned.
     """
 
     def __init__(self, deadline_s: float = 10.0) -> None:
         self.registry = CollectorRegistry()
-        buckets = buckets_until(deadline_s)
         ProcessCollector(registry=self.registry)
-        self.requests = Counter(
-            "pose_requests",
-            "Requests answered, by route and status.",
-            ["route", "status"],
-            registry=self.registry,
-        )
-        self.seconds = Histogram(
-            "pose_request_seconds",
-            "From the first byte of a request to the last of its answer.",
-            ["route"],
-            buckets=buckets,
-            registry=self.registry,
-        )
-        self.rejected = Counter(
-            "pose_rejected",
-            "Requests refused, by reason.",
-            ["reason"],
-            registry=self.registry,
-        )
-        self._stages = Histogram(
-            "pose_stage_seconds",
-            "Time of one frame in one stage.",
-            ["stage"],
-            buckets=buckets,
-            registry=self.registry,
-        )
-        self._persons = Histogram(
-            "pose_persons",
-            "Persons in one frame.",
-            buckets=(0, 1, 2, 3, 5, 8, 13, 21, 34, 50),
-            registry=self.registry,
-        )
-        self._confidence = Histogram(
-            "pose_confidence",
-            "Confidence of the best hypothesis of one person.",
-            buckets=tuple(tenth / 10 for tenth in range(1, 11)),
-            registry=self.registry,
-        )
-        self._in_flight = Gauge(
-            "pose_in_flight", "Frames worked on or waiting.", registry=self.registry
-        )
-        self._capacity_used = Gauge(
+        counter = partial(Counter, registry=self.registry)
+        gauge = partial(Gauge, registry=self.registry)
+        histogram = partial(Histogram, registry=self.registry)
+        durations = buckets_until(deadline_s)
+        # fmt: off
+        self.requests = counter(
+            "pose_requests", "Requests answered, by route and status.", ["route", "status"])
+        self.seconds = histogram(
+            "pose_request_seconds", "From the first byte of a request to the last of its answer.",
+            ["route"], buckets=durations)
+        self.rejected = counter(
+            "pose_rejected", "Requests refused, by reason.", ["reason"])
+        self._stages = histogram(
+            "pose_stage_seconds", "Time of one frame in one stage.", ["stage"], buckets=durations)
+        self._persons = histogram(
+            "pose_persons", "Persons in one frame.", buckets=_PERSONS)
+        self._confidence = histogram(
+            "pose_confidence", "Confidence of the best hypothesis of one person.", buckets=_TENTHS)
+        self.in_flight = gauge(
+            "pose_in_flight", "Frames worked on or waiting.")
+        self.capacity_used = gauge(
             "pose_capacity_used_ratio",
-            "Expected wait of the next frame, as a share of that from which frames are refused.",
-            registry=self.registry,
-        )
-        self._build = Gauge(
-            "pose_build_info",
-            "Always 1; the labels say which build serves, and how it is set.",
-            ["version", "revision", "concurrency", "max_wait_s", "request_timeout_s"],
-            registry=self.registry,
-        )
-        self.search_failures = Counter(
-            "pose_search_failures",
-            "Searches in Milvus that failed, by reason.",
-            ["reason"],
-            registry=self.registry,
-        )
-        self._breaker_open = Gauge(
-            "pose_search_breaker_open",
-            "1 while searches are refused because Milvus does not answer.",
-            registry=self.registry,
-        )
-        self._index = Gauge(
-            "pose_index_info",
-            "Always 1; the labels say which index is loaded.",
-            ["name", "version"],
-            registry=self.registry,
-        )
-
-        self.sessions_started = Counter(
-            "pose_camera_sessions_started", "Camera sessions begun.", registry=self.registry
-        )
-        self.sessions_ended = Counter(
-            "pose_camera_sessions_ended",
-            "Camera sessions ended, by reason.",
-            ["reason"],
-            registry=self.registry,
-        )
-        self.camera_frames = Counter(
-            "pose_camera_frames",
-            "Frames of cameras tracked, by whether their session was new.",
-            ["session"],
-            registry=self.registry,
-        )
-        self._sessions = Gauge(
-            "pose_camera_sessions", "Camera sessions held.", registry=self.registry
-        )
-        self._sequences = Gauge(
-            "pose_sequences", "Videos received or worked on.", registry=self.registry
-        )
-
-    def observe_sessions(self, sessions: Callable[[], int], sequences: Callable[[], int]) -> None:
-        """Report the camera sessions and the videos at hand whenever metrics are read."""
-        self._sessions.set_function(sessions)
-        self._sequences.set_function(sequences)
-
-    def observe_load(self, inside: Callable[[], int], fullness: Callable[[], float]) -> None:
-        """Report the frames in flight whenever metrics are read.
-
-        Parameters
-        ----------
-        inside : callable
-            Frames worked on or waiting.
-        fullness : callable
-            Expected wait of the next frame, as a share of that from which frames are refused.
-        """
-        self._in_flight.set_function(inside)
-        self._capacity_used.set_function(fullness)
+            "Expected wait of the next frame, as a share of that from which frames are refused.")
+        self._build = gauge(
+            "pose_build_info", "Always 1; the labels say which build serves, and how it is set.",
+            ["version", "revision", "concurrency", "max_wait_s", "request_timeout_s"])
+        self._search_failures = counter(
+            "pose_search_failures", "Searches in Milvus that failed, by reason.", ["reason"])
+        self._search_failing = gauge(
+            "pose_search_breaker_open", "1 while the last search in Milvus failed.")
+        self._index = gauge(
+            "pose_index_info", "Always 1; the labels say which index is loaded.",
+            ["name", "version"])
+        self.sessions_started = counter(
+            "pose_camera_sessions_started", "Camera sessions begun.")
+        self.sessions_ended = counter(
+            "pose_camera_sessions_ended", "Camera sessions ended, by reason.", ["reason"])
+        self.camera_frames = counter(
+            "pose_camera_frames", "Frames of cameras tracked, by whether their session was new.",
+            ["session"])
+        self.sessions = gauge(
+            "pose_camera_sessions", "Camera sessions held.")
+        self.sequences = gauge(
+            "pose_sequences", "Videos received or worked on.")
+        # fmt: on
 
     def observe_build(self, version: str, settings: Settings) -> None:
-        """Report which build serves, and with which settings."""
+        """Report the build that serves, and its settings."""
         self._build.labels(
             version=version,
             revision=settings.revision,
@@ -166,22 +105,24 @@ class Metrics:
         ).set(1)
 
     def observe_index(self, name: str, version: str) -> None:
-        """Report which index is loaded, in place of the one before."""
+        """Report the loaded index, in place of the one before."""
         self._index.clear()
         self._index.labels(name, version).set(1)
 
-    def observe_breaker(self, is_open: Callable[[], bool]) -> None:
-        """Report whether searches are refused whenever metrics are read."""
-        self._breaker_open.set_function(is_open)
+    def observe_search(self, failure: FailureReason | None) -> None:
+        """Report why a search in Milvus failed, or with None that it succeeded."""
+        self._search_failing.set(failure is not None)
+        if failure is not None:
+            self._search_failures.labels(failure).inc()
 
     def observe_stages(self, milliseconds: Mapping[str, float]) -> None:
-        """Count the time one frame took in each stage; a stage it skipped is not counted."""
+        """Count the time of one frame in each stage; skipped stages are not counted."""
         for stage, duration in milliseconds.items():
             if duration > 0:
                 self._stages.labels(stage).observe(duration / 1000)
 
     def observe_persons(self, persons: Iterable[Person]) -> None:
-        """Count the persons of one frame and how sure their best poses are."""
+        """Count the persons of one frame and the confidence of their best poses."""
         persons = tuple(persons)
         self._persons.observe(len(persons))
         for person in persons:

@@ -1,27 +1,32 @@
-"""uvicorn's HTTP/1.1, with bounds on the head of a request and errors as problems."""
+"""uvicorn's HTTP/1.1, with bounds on the head of a request and errors as problems.
+
+It subclasses a private class of uvicorn, which is why uvicorn is pinned: neither uvicorn nor
+httptools bounds the head, and the service may face clients without a proxy in between.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import sys
 from http import HTTPStatus
+from typing import cast
 
 import httptools
+from starlette.types import Scope
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from app.http.problems import MEDIA_TYPE, ProblemError, problem_body
-from app.http.request_context import ENDING
+from app.http.errors import MEDIA_TYPE, ProblemError, problem_body
+from app.http.request_state import request_state
 
 
 class _HeadTooLargeError(Exception):
-    """The head is complete, but larger than allowed."""
+    """The head of a request is complete, but larger than allowed."""
 
 
 class HttpProtocol(HttpToolsProtocol):
     """uvicorn's protocol, with a timeout and a size limit for the head of a request.
 
-    The head is the request line and the headers. A connection on which it is late or too large is
-    closed.
+    The head is the request line and the headers. A late or too large head closes the connection.
     """
 
     head_timeout_s = 10.0
@@ -33,45 +38,45 @@ class HttpProtocol(HttpToolsProtocol):
     _head_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for the first request."""
+        """Start the timer for the first request."""
         super().connection_made(transport)
         self._wait_for_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no longer."""
+        """Stop the timer."""
         self._stop_waiting()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take some bytes of a request."""
+        """Count the bytes of a head."""
         self._head_is_new = False
         super().data_received(data)
         if self.transport.is_closing():
             return
         if self._head_begun:
-            # The parser reports a header only once it is complete. The bytes that came with the
-            # beginning of the head may belong to the previous request.
+            # The parser reports a header only once it is complete. Bytes that arrive together with
+            # the beginning of the head may belong to the previous request.
             self._head_bytes += 0 if self._head_is_new else len(data)
             if self._head_bytes > self.max_head_bytes:
                 self._refuse(self._head_too_large())
         elif self._head_timer is None and self._is_idle():
-            self._wait_for_head()  # uvicorn no longer waits for the next request.
+            self._wait_for_head()  # uvicorn has stopped its own timer.
 
     def shutdown(self) -> None:
-        """Finish the request, which is told; called when the service is being stopped."""
+        """Tell the request at hand that the service is being stopped, and finish it."""
         if not self._is_idle():
-            self.scope["state"][ENDING] = True
+            request_state(cast(Scope, self.scope)).is_ending = True
         super().shutdown()
 
     def on_message_begin(self) -> None:
-        """Begin to read a head."""
+        """Start the timer and the count for a head."""
         self._wait_for_head()
         self._head_begun = self._head_is_new = True
         self._head_bytes = 0
         super().on_message_begin()
 
     def on_headers_complete(self) -> None:
-        """Answer the request."""
+        """Stop the timer and answer the request."""
         self._stop_waiting()
         self._head_begun = False
         if len(self.url) + sum(len(k) + len(v) for k, v in self.headers) > self.max_head_bytes:
@@ -79,7 +84,7 @@ class HttpProtocol(HttpToolsProtocol):
         super().on_headers_complete()
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is not a request; called where the parser has raised."""
+        """Refuse bytes that are no request; called when the parser has raised an error."""
         error = sys.exc_info()[1]
         if error is not None and isinstance(error.__context__, _HeadTooLargeError):
             self._refuse(self._head_too_large())
@@ -102,7 +107,7 @@ class HttpProtocol(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         if not self._is_idle():
-            self._wait_for_head()  # The previous request is still being answered.
+            self._wait_for_head()  # The previous request has not been answered yet.
         elif self._head_begun:
             late = f"expected all headers of the request within {self.head_timeout_s:g} seconds"
             self._refuse(ProblemError(408, late))

@@ -1,4 +1,4 @@
-"""The paths and methods of the service, for log lines, metrics, suggestions and HEAD."""
+"""The paths and methods of the service: for logs, metrics, suggestions and HEAD."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class KnownRoute:
     path : str
         As declared: ``/index/entries/{entry}``.
     pattern : compiled regular expression
-        What it matches.
+        Matches the paths of requests.
     methods : tuple of str
         In alphabetical order.
     """
@@ -32,19 +32,19 @@ class KnownRoute:
 
 
 class RouteTable:
-    """The routes of an application, known before the framework has seen a request.
+    """The routes of an application, for middleware that runs before the router.
 
     Parameters
     ----------
     routes : iterable of BaseRoute
-        Starlette's and FastAPI's; those without a path are left out.
+        Starlette's and FastAPI's; routes without a path are ignored.
     """
 
     def __init__(self, routes: Iterable[BaseRoute]) -> None:
         self._routes = [_known(route) for route in routes if hasattr(route, "path_regex")]
 
     def find(self, path: str) -> KnownRoute | None:
-        """Return the route of a path, None if there is none."""
+        """Return the route that matches a path, None if there is none."""
         return next((route for route in self._routes if route.pattern.match(path)), None)
 
     @property
@@ -53,7 +53,7 @@ class RouteTable:
         return tuple(sorted({method for route in self._routes for method in route.methods}))
 
     def suggestion(self, path: str) -> str:
-        """Ask whether another path was meant, ``""`` if none is similar."""
+        """Suggest a similar path as a half-sentence, ``""`` if there is none."""
         return suggestion(path, {route.path: route.path for route in self._routes})
 
 
@@ -61,17 +61,12 @@ def _known(route: BaseRoute) -> KnownRoute:
     # Mounted folders of files declare no methods.
     methods = set(getattr(route, "methods", None) or {"GET"})
     if "GET" in methods:
-        methods.add("HEAD")  # See app/http/routing.py.
+        methods.add("HEAD")  # See HeadMiddleware.
     return KnownRoute(route.path, route.path_regex, tuple(sorted(methods)))  # type: ignore[attr-defined]
 
 
 class HeadMiddleware:
-    """ASGI middleware that answers HEAD as GET, without the body.
-
-    Parameters
-    ----------
-    app : ASGI application
-    """
+    """ASGI middleware that answers HEAD as GET, without the body."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

@@ -4,38 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Request
+from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import ValidationError
 
-from app.api.replies import ReplyForm
-from app.api.tracking_replies import camera_reply, track_reply, zones_from
+from app.api.replies import camera_reply, track_reply, zones_from
 from app.api.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
-from app.http.identity import CAMERA_PATTERN
-from app.http.problems import ProblemError
-from app.http.request_context import note_header
+from app.http.errors import ProblemError
+from app.http.identity import CAMERA_PATTERN, RequireKey, identity_of
+from app.http.request_state import request_state
 from app.messages import expected_and_got
-from app.routes.auth import Caller, RequireKey
-from app.routes.forms import CheckQuery
 from app.routes.openapi import documented
-from app.routes.uploads import (
-    DEFAULT_HYPOTHESES,
-    DOCUMENTED_TRACK_UPLOAD,
-    EvidenceQuery,
-    HypothesisCount,
-    JointsQuery,
-    KeypointSetQuery,
-    ObservedSetQuery,
-    SilhouettesQuery,
-    TrackUploadForm,
-)
+from app.routes.queries import GivenOnce, NoQuery, TrackQuery
+from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
 from app.tracking.sessions import CameraKey, TooManyCamerasError
-from index.skeleton import KEYPOINT_SETS
 
-router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, CheckQuery])
+router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
 SESSION_HEADER = "X-Session"
 
@@ -50,20 +37,25 @@ CameraId = Annotated[
 ]
 
 
-async def _camera_key(camera_id: CameraId, caller: Caller) -> CameraKey:
-    return CameraKey(caller, camera_id)
+def _owner(request: Request) -> int:
+    """Return the owner of a request's cameras: all callers are the same where there are no keys."""
+    return identity_of(request.scope).caller.key or 0
+
+
+async def _camera_key(request: Request, camera_id: CameraId) -> CameraKey:
+    return CameraKey(_owner(request), camera_id)
 
 
 Camera = Annotated[CameraKey, Depends(_camera_key)]
 
 
 async def _session_header(request: Request, camera: Camera) -> None:
-    """Tell the session's state with whatever answer; the work knows it better later."""
-    _tell_session(request, "warm" if camera in runtime_of(request).sessions else "new")
+    """Give every answer the state of the session; the work corrects it later."""
+    _set_session_header(request, "warm" if camera in runtime_of(request).sessions else "new")
 
 
-def _tell_session(request: Request, state: SessionState) -> None:
-    note_header(request.scope, SESSION_HEADER, state)
+def _set_session_header(request: Request, state: SessionState) -> None:
+    request_state(request.scope).headers[SESSION_HEADER] = state
 
 
 @router.post(
@@ -79,35 +71,39 @@ async def track_frame(
     request: Request,
     camera: Camera,
     frame: TrackUploadForm,
-    n: HypothesisCount = DEFAULT_HYPOTHESES,
-    keypoints: KeypointSetQuery = "native",
-    evidence: EvidenceQuery = "photograph",
-    silhouettes: SilhouettesQuery = "none",
-    joints: JointsQuery = "full",
-    observed: ObservedSetQuery = "coco17",
+    query: Annotated[TrackQuery, Query()],
 ) -> Response:
     """Track the people in the next frame of a fixed camera.
 
-    Each has an identity, a pose smoothed over time and an action besides what `/pose` tells of the
-    frame. Frames of one camera are worked on one after the other, in order of arrival; of those
-    that wait, the newest is answered, older ones get a 503. The header `X-Session` says `new` where
-    the camera starts afresh: with its first frame, after a pause, or when the service had to forget
-    it or has moved over to another index.
+    In addition to the answer of `/pose`, each person has an identity, a pose smoothed over time,
+    and an action. Frames of one camera are worked on one after the other, in order of arrival; of
+    those that wait, the newest is answered, and older ones get a 503. The header `X-Session` is
+    `new` if the camera starts afresh: with its first frame, after a pause, or after the service had
+    to forget it or has switched to another index.
     """
     runtime = runtime_of(request)
     if not runtime.settings.max_cameras:
         raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
-    estimator, sessions = runtime.searching_estimator(), runtime.sessions
-    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
+    estimator, sessions = runtime.ready_estimator(), runtime.sessions
     upload, timestamp = frame
+    if query.timestamp is not None:
+        if timestamp is not None:
+            raise ProblemError(
+                422,
+                "timestamp: expected a form field or a query parameter, got both",
+                field="timestamp",
+            )
+        timestamp = query.timestamp
 
     def work(job: Job) -> bytes:
-        tracked = sessions.process(camera, estimator, upload, timestamp, n, job, evidence)
-        _tell_session(request, tracked.session)
+        tracked = sessions.process(
+            camera, estimator, upload, timestamp, query.n, job, query.evidence
+        )
+        _set_session_header(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
         runtime.metrics.observe_stages(tracked.timings_ms)
         runtime.metrics.observe_persons(person.person for person in tracked.persons)
-        reply = track_reply(tracked, camera.camera_id, estimator.index, form)
+        reply = track_reply(tracked, camera.camera_id, estimator.index, query.form)
         return reply.model_dump_json().encode()
 
     # The first frame of a session takes longer.
@@ -119,11 +115,12 @@ async def track_frame(
     "",
     operation_id="list_cameras",
     summary="The cameras",
+    dependencies=[NoQuery],
     responses=documented(401),
 )
-async def list_cameras(request: Request, caller: Caller) -> CameraList:
+async def list_cameras(request: Request) -> CameraList:
     """List the caller's cameras that have a session or zones, ordered by name."""
-    sessions = runtime_of(request).sessions.summaries(caller)
+    sessions = runtime_of(request).sessions.summaries(_owner(request))
     return CameraList(cameras=[camera_reply(session) for session in sessions])
 
 
@@ -131,6 +128,7 @@ async def list_cameras(request: Request, caller: Caller) -> CameraList:
     "/{camera_id}",
     operation_id="get_camera",
     summary="One camera",
+    dependencies=[NoQuery],
     responses=documented(401, 404, 422),
 )
 async def get_camera(request: Request, camera: Camera) -> CameraState:
@@ -141,7 +139,7 @@ async def get_camera(request: Request, camera: Camera) -> CameraState:
         raise _unknown(camera) from None
 
 
-# Parsed here, so that whatever is wrong is told in one sentence, and after the key is checked.
+# Parsed here, after the key is checked, so that any error is one sentence.
 async def _read_configuration(request: Request) -> CameraConfiguration:
     try:
         return CameraConfiguration.model_validate_json(await request.body())
@@ -160,6 +158,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     "/{camera_id}",
     operation_id="configure_camera",
     summary="Set the zones of a camera",
+    dependencies=[NoQuery],
     responses=documented(401, 422),
     openapi_extra={
         "requestBody": {
@@ -177,8 +176,9 @@ async def configure_camera(
 ) -> CameraState:
     """Set the zones of a camera, whether or not it has sent frames.
 
-    From its next frame on, persons and events name those in which they are. They replace the ones
-    before, and outlive the camera's session, but not the service: set them again after a restart.
+    From the next frame on, persons and events name the zones they are in. New zones replace the
+    previous ones. They outlive the camera's session but not the service: set them again after a
+    restart.
     """
     try:
         zones = zones_from(configuration.zones)
@@ -191,8 +191,9 @@ async def configure_camera(
     "/{camera_id}",
     operation_id="forget_camera",
     summary="Forget a camera",
+    dependencies=[NoQuery],
     status_code=204,
-    # A JSON response would name a media type for a body that there is not.
+    # A JSON response would name the media type of a body that does not exist.
     response_class=Response,
     responses=documented(401, 404, 422),
 )

@@ -10,20 +10,25 @@ from pydantic import ValidationError
 
 from app.api.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
 from app.estimation.upload import UploadError
-from app.http.identity import NamesCamera, keys_in_headers
-from app.http.problems import ProblemError
+from app.http.errors import ProblemError
+from app.http.identity import (
+    NamesCamera,
+    identity_of,
+    keys_in_headers,
+    position_of_key,
+    unauthorised,
+)
 from app.messages import expected_and_got
-from app.routes.auth import check_key
-from app.routes.forms import CheckQuery, check_fields, file_of, text_of
 from app.routes.openapi import documented
-from app.routes.uploads import is_multipart, unsupported_body
+from app.routes.queries import NoQuery
+from app.routes.uploads import check_fields, file_of, is_multipart, text_of, unsupported_body
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 
 router = APIRouter(
     prefix="/v1/vision",
     tags=["compatibility"],
-    dependencies=[CheckQuery, NamesCamera],
+    dependencies=[NoQuery, NamesCamera],
     responses=documented(400, 401, 408, 413, 415, 422, 503),
 )
 
@@ -38,16 +43,17 @@ _DOCUMENTED: dict[str, Any] = {
 
 
 async def _read_upload(request: Request) -> DeepstackUpload:
-    settings = runtime_of(request).settings
-    # A key in a header spares reading the body where it is wrong.
-    in_headers = [key for key in keys_in_headers(request.scope) if key]
-    if in_headers:
-        check_key(settings, in_headers)
+    # A wrong key in a header is refused before the body is read.
+    key_in_header = any(keys_in_headers(request.scope))
+    if key_in_header and not identity_of(request.scope).is_authorised:
+        raise unauthorised()
     if not is_multipart(request):
         raise unsupported_body(request)
     async with request.form() as form:
-        if not in_headers:
-            check_key(settings, (text_of(form, "api_key"),))
+        api_keys = runtime_of(request).settings.api_keys
+        is_open = key_in_header or not api_keys
+        if not is_open and position_of_key(api_keys, [text_of(form, "api_key")]) is None:
+            raise unauthorised()
         check_fields(form, DeepstackUpload.model_fields)
         image = await file_of(form, "image")
         if image is None:
@@ -84,7 +90,7 @@ async def detect_deepstack(
         try:
             people = estimator.detect(upload.image, job)
         except UploadError as error:
-            # The estimator calls it frame, DeepStack's clients image.
+            # The field is called frame in the estimator, image by DeepStack's clients.
             detail = f"image{str(error).removeprefix(error.field)}"
             raise UploadError("image", error.reason, detail) from None
         return [

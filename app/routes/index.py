@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import Response
 
 from app.api.overlay import encode_png
 from app.api.replies import entry_reply, index_reply
 from app.api.schemas import EntryResponse, IndexResponse
 from app.estimation.estimator import Estimator
-from app.http.problems import ProblemError
+from app.http.errors import ProblemError
+from app.http.identity import RequireKey
 from app.messages import WHOLE_NUMBER
-from app.routes.auth import RequireKey
-from app.routes.forms import CheckQuery
 from app.routes.openapi import documented
 from app.routes.pose import PNG
-from app.routes.uploads import KeypointSetQuery
-from app.serving.runtime import EstimatorDep, runtime_of
-from app.serving.version import VERSION
+from app.routes.queries import EntryQuery, GivenOnce, NoQuery
+from app.serving.runtime import VERSION, EstimatorDep, runtime_of
 
-router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, CheckQuery])
+router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, GivenOnce])
 
 EntryNumber = Annotated[
     int,
@@ -33,11 +31,12 @@ EntryNumber = Annotated[
 @router.get(
     "",
     operation_id="describe_index",
-    summary="What the index holds",
+    summary="The content of the index",
+    dependencies=[NoQuery],
     responses=documented(401, 503),
 )
 async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
-    """Describe the index: what it holds, how it was built, whose data it rests on."""
+    """Describe the index: its content, how it was built, and the source of its data."""
     return index_reply(
         estimator.index,
         VERSION,
@@ -53,17 +52,18 @@ async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResp
     responses=documented(401, 404, 422, 503),
 )
 async def get_entry(
-    entry: EntryNumber, estimator: EstimatorDep, keypoints: KeypointSetQuery = "native"
+    entry: EntryNumber, estimator: EstimatorDep, query: Annotated[EntryQuery, Query()]
 ) -> EntryResponse:
     """Get one entry: skeleton, action, clip, frame, subject and camera."""
     _check_number(entry, estimator)
-    return entry_reply(estimator.index.entry(entry), keypoints)
+    return entry_reply(estimator.index.entry(entry), query.keypoints)
 
 
 @router.get(
     "/entries/{entry}/silhouette.png",
     operation_id="get_entry_silhouette",
     summary="The silhouette of an entry",
+    dependencies=[NoQuery],
     response_class=Response,
     responses={**PNG, **documented(401, 404, 422, 503)},
 )

@@ -1,4 +1,4 @@
-"""The OpenAPI document: FastAPI's, with additions."""
+"""The OpenAPI document: FastAPI's with additions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fastapi.openapi.utils import get_openapi
 
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
 from app.api.tracking_schemas import CameraConfiguration, TrackUpload, VideoUpload
-from app.http.problems import MEDIA_TYPE
+from app.http.errors import MEDIA_TYPE
 
 _FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
 
@@ -29,16 +29,16 @@ SERVERS = [
 HEADERS: dict[str, Any] = {
     "X-Request-ID": {
         "description": "The request's own `X-Request-ID` if it had a plain one, else a new one; "
-        "it stands in the service's log.",
+        "the service's log contains it.",
         "schema": {"type": "string"},
     },
     "Retry-After": {
         "description": "Seconds until there is probably room for another frame, or the index is "
-        "loaded. Missing where waiting does not help.",
+        "loaded. Missing if waiting does not help.",
         "schema": {"type": "integer", "minimum": 1},
     },
     "X-Session": {
-        "description": "`new` where the camera starts afresh: nothing is known of earlier frames; "
+        "description": "`new` if the camera starts afresh and nothing is known of earlier frames; "
         "else `warm`.",
         "schema": {"type": "string", "enum": ["new", "warm"]},
     },
@@ -46,11 +46,11 @@ HEADERS: dict[str, Any] = {
 
 
 def add_openapi(app: FastAPI) -> None:
-    """Have ``app`` describe its errors, and its uploads so that generated clients work.
+    """Make ``app`` describe its errors, and its uploads so that generated clients work.
 
-    Routes refer to :class:`Problem` by name: if they declared the model, FastAPI would promise
-    ``application/json`` besides ``application/problem+json``. Routes that take images refer to
-    their forms by name because they parse them themselves.
+    Routes refer to :class:`Problem` by name: if they declared the model, FastAPI would also promise
+    ``application/json``. Routes that take images refer to their forms by name because they parse
+    them themselves.
     """
 
     def openapi() -> dict[str, Any]:
@@ -84,8 +84,8 @@ def add_openapi(app: FastAPI) -> None:
 
 
 def _mend_schema(name: str, schema: dict[str, Any]) -> None:
-    # The models here forbid additional fields, but a later version may add some, and clients that
-    # refuse them would break. (And openapi-generator warns.)
+    # The models forbid additional fields, but a later version may add some, and clients that refuse
+    # them would break. (And openapi-generator warns.)
     schema.pop("additionalProperties", None)
     properties = schema.get("properties", {})
     if name in {form.__name__ for form in _FORMS}:
@@ -112,10 +112,10 @@ def _mend_operation(operation: dict[str, Any]) -> None:
 
 
 def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
-    """Write a field of a form as generators understand it.
+    """Write a field of a form in a way that client generators understand.
 
-    A form has no null: an optional field may be missing. Generators take a field with a default
-    for one that is always present.
+    A form has no null: an optional field is missing. Generators treat a field with a default as one
+    that is always present.
     """
     kind: dict[str, Any] = next(
         (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}
@@ -137,7 +137,7 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
 _MEANINGS = {
     400: "An upload is not a decodable image or video.",
     401: "An API key is configured, and the request's is missing or wrong.",
-    404: "There is no such thing.",
+    404: "There is no such resource.",
     408: "The upload took too long.",
     409: "The frame is not later than the last one of its camera.",
     413: "Too many bytes or pixels.",

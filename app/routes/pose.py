@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from app.api.overlay import draw_labels, draw_overlay, encode_png
-from app.api.replies import ReplyForm, pose_reply
+from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
-from app.http.identity import NamesCamera
-from app.routes.auth import RequireKey
-from app.routes.forms import CheckQuery
+from app.http.identity import NamesCamera, RequireKey
 from app.routes.openapi import documented
-from app.routes.uploads import (
-    DEFAULT_HYPOTHESES,
-    DOCUMENTED_UPLOAD,
-    EvidenceQuery,
-    HypothesisCount,
-    JointsQuery,
-    KeypointSetQuery,
-    ObservedSetQuery,
-    SilhouettesQuery,
-    UploadForm,
-)
+from app.routes.queries import GivenOnce, NoQuery, OverlayQuery, PoseQuery
+from app.routes.uploads import DOCUMENTED_UPLOAD, UploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(
     tags=["pose"],
-    dependencies=[RequireKey, CheckQuery, NamesCamera],
+    dependencies=[RequireKey, GivenOnce, NamesCamera],
     responses=documented(400, 401, 408, 413, 415, 422, 503),
 )
 
@@ -55,29 +45,21 @@ PNG: dict[int | str, dict[str, Any]] = {
     openapi_extra=DOCUMENTED_UPLOAD,
 )
 async def estimate_pose(
-    request: Request,
-    upload: UploadForm,
-    n: HypothesisCount = DEFAULT_HYPOTHESES,
-    keypoints: KeypointSetQuery = "native",
-    evidence: EvidenceQuery = "photograph",
-    silhouettes: SilhouettesQuery = "none",
-    joints: JointsQuery = "full",
-    observed: ObservedSetQuery = "coco17",
+    request: Request, upload: UploadForm, query: Annotated[PoseQuery, Query()]
 ) -> Response:
     """Estimate the 3D poses of the people in a frame.
 
-    For every person the nearest distinct poses of the index, the best first. A frame without
-    people gives an empty list.
+    Each person has the nearest distinct poses of the index, the best first. A frame without people
+    gives an empty list.
     """
     runtime = runtime_of(request)
-    estimator = runtime.searching_estimator()
-    form = ReplyForm(KEYPOINT_SETS[keypoints], silhouettes, joints, observed)
+    estimator = runtime.ready_estimator()
 
     def work(job: Job) -> bytes:
-        estimate = estimator.estimate(upload, n, job, evidence)
+        estimate = estimator.estimate(upload, query.n, job, query.evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         runtime.metrics.observe_persons(estimate.persons)
-        return pose_reply(estimate, estimator.index, form).model_dump_json().encode()
+        return pose_reply(estimate, estimator.index, query.form).model_dump_json().encode()
 
     content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="application/json")
@@ -92,25 +74,22 @@ async def estimate_pose(
     openapi_extra=DOCUMENTED_UPLOAD,
 )
 async def draw_pose(
-    request: Request,
-    upload: UploadForm,
-    keypoints: KeypointSetQuery = "native",
-    evidence: EvidenceQuery = "photograph",
+    request: Request, upload: UploadForm, query: Annotated[OverlayQuery, Query()]
 ) -> Response:
     """Draw numbered boxes, silhouette outlines and the best skeletons over a frame.
 
     Numbers count `persons` as `/pose` lists them, from 1. Limbs on the person's own left are
-    orange, those on the right blue. A strip below the frame says so; the pixels above it keep
-    the frame's coordinates.
+    orange, those on the right blue. A strip below the frame explains the colours; the pixels above
+    it keep the frame's coordinates.
     """
     runtime = runtime_of(request)
-    estimator = runtime.searching_estimator()
+    estimator = runtime.ready_estimator()
 
     def work(job: Job) -> bytes:
-        # As many as `/pose` returns by default, so that both tell the same posture.
-        estimate = estimator.estimate(upload, DEFAULT_HYPOTHESES, job, evidence)
+        # As many as `/pose` returns by default, so that both show the same posture.
+        estimate = estimator.estimate(upload, DEFAULT_HYPOTHESES, job, query.evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
-        return encode_png(draw_overlay(estimate, KEYPOINT_SETS[keypoints]))
+        return encode_png(draw_overlay(estimate, KEYPOINT_SETS[query.keypoints]))
 
     content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="image/png")
@@ -121,11 +100,12 @@ async def draw_pose(
     operation_id="extract_silhouettes",
     summary="The silhouettes of the people in a frame",
     response_class=Response,
+    dependencies=[NoQuery],
     responses=PNG,
     openapi_extra=DOCUMENTED_UPLOAD,
 )
 async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
-    """Cut out the people of a frame: a label image.
+    """Segment the people of a frame: a label image.
 
     0 is background, k the k-th entry of `persons` as `/pose` would list them. It can be sent
     back as `mask`.

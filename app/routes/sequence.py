@@ -1,10 +1,10 @@
-"""Videos: answered line by line while they are worked on."""
+"""Videos, answered line by line while they are worked on."""
 
 from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass
 from typing import IO, Annotated, Any
@@ -14,61 +14,26 @@ from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.types import Message, Receive, Scope, Send
 
-from app.api.replies import ReplyForm
-from app.api.schemas import Evidence
-from app.api.tracking_replies import sequence_end_reply, sequence_frame_reply, sequence_line
-from app.api.tracking_schemas import SequenceEndReason, SequenceLine, VideoUpload
-from app.estimation.upload import Upload
-from app.http.identity import sender_of
-from app.http.problems import SEARCH_FAILED, ProblemError, overloaded
-from app.http.request_context import is_ending, note_rejection
-from app.messages import WHOLE_NUMBER
-from app.routes.auth import RequireKey
-from app.routes.forms import CheckQuery, check_fields
+from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
+from app.api.tracking_schemas import SequenceLine, VideoUpload
+from app.http.errors import ProblemError
+from app.http.identity import RequireKey, identity_of
+from app.http.request_state import request_state
 from app.routes.openapi import documented
-from app.routes.uploads import (
-    DEFAULT_HYPOTHESES,
-    EvidenceQuery,
-    HypothesisCount,
-    JointsQuery,
-    KeypointSetQuery,
-    is_multipart,
-    is_video,
-    unsupported_body,
-)
-from app.scheduling.job import DeadlineError, Job
-from app.scheduling.queue import Sender
-from app.serving.runtime import Runtime, runtime_of
+from app.routes.queries import GivenOnce, SequenceQuery
+from app.routes.uploads import check_fields, is_multipart, is_video, unsupported_body
+from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
-from app.tracking.summary import SequenceSummary
-from app.video.reader import VideoError, VideoFrame, VideoReader, new_file, open_video
-from index.search import UnavailableError
-from index.skeleton import KEYPOINT_SETS
+from app.tracking.video_run import VideoRun
+from app.video.reader import VideoFrame, VideoReader, new_file, open_video
 
 PATH = "/sequence"
 
-router = APIRouter(tags=["cameras"], dependencies=[RequireKey, CheckQuery])
+router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
-_LATER_S = 10
 _UNREAD_S = 30.0
-"""A client that reads nothing for this long is given up."""
-
-StrideQuery = Annotated[
-    int,
-    Query(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2]),
-    WHOLE_NUMBER,
-]
-MaxFramesQuery = Annotated[
-    int | None,
-    Query(
-        ge=1,
-        description="Frames that are worked on at most; by default, and at most, as many as the "
-        "service allows.",
-        examples=[500],
-    ),
-    WHOLE_NUMBER,
-]
+"""A connection whose client reads nothing for this long is closed."""
 
 _DOCUMENTED: dict[str, Any] = {
     "requestBody": {
@@ -83,12 +48,12 @@ _DOCUMENTED: dict[str, Any] = {
 
 
 class LineStream(StreamingResponse):
-    """Lines of JSON; given up if the client does not read them."""
+    """Lines of JSON; the connection closes if the client does not read them."""
 
     media_type = "application/x-ndjson"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer the request."""
+        """Send the lines."""
 
         async def send_soon(message: Message) -> None:
             async with asyncio.timeout(_UNREAD_S):
@@ -98,8 +63,8 @@ class LineStream(StreamingResponse):
             try:
                 await super().__call__(scope, receive, send_soon)
             except TimeoutError:
-                # The server closes the connection when the answer is not complete.
-                note_rejection(scope, "client_gone")
+                # The server closes the connection of an incomplete answer.
+                request_state(scope).rejected_reason = "client_gone"
 
 
 @asynccontextmanager
@@ -129,28 +94,23 @@ class _OpenVideo:
     first: VideoFrame
 
 
-async def _open(request: Request, stride: StrideQuery = 1) -> AsyncIterator[_OpenVideo]:
+async def _open(
+    request: Request, query: Annotated[SequenceQuery, Query()]
+) -> AsyncIterator[_OpenVideo]:
     """Receive and open the video; it is closed once the request has been answered."""
     runtime = runtime_of(request)
-    runtime.searching_estimator()
+    runtime.ready_estimator()
     settings = runtime.settings
-    if runtime.sequences >= settings.max_sequences:
-        raise overloaded(
-            f"expected at most {settings.max_sequences} videos at once; try again later",
-            "too_many_sequences",
-            _LATER_S,
-        )
-    runtime.sequences += 1
-    try:
+    with runtime.sequence():
         async with (
             _received(request) as file,
-            open_video(file, stride, settings.max_pixels, settings.sequence_timeout_s) as reader,
+            open_video(
+                file, query.stride, settings.max_pixels, settings.sequence_timeout_s
+            ) as reader,
         ):
             first = await reader.next()
             assert first is not None
             yield _OpenVideo(reader, first)
-    finally:
-        runtime.sequences -= 1
 
 
 @router.post(
@@ -174,125 +134,46 @@ async def _open(request: Request, stride: StrideQuery = 1) -> AsyncIterator[_Ope
 )
 async def analyse_sequence(
     request: Request,
+    query: Annotated[SequenceQuery, Query()],
     video: Annotated[_OpenVideo, Depends(_open)],
-    max_frames: MaxFramesQuery = None,
-    n: HypothesisCount = DEFAULT_HYPOTHESES,
-    keypoints: KeypointSetQuery = "native",
-    evidence: EvidenceQuery = "photograph",
-    joints: JointsQuery = "full",
 ) -> LineStream:
     """Track the people of a video of a fixed camera.
 
-    It is answered line by line while it is worked on: one line of type `frame` for each frame, as
-    `/cameras/{camera_id}/frames` answers it, and a last line of type `end` with tracks and events,
-    which says why it ends there. Live frames of cameras have their turn in between.
+    The answer comes line by line while the video is worked on: one line of type `frame` for each
+    frame, as `/cameras/{camera_id}/frames` answers it, and a last line of type `end` with tracks,
+    events and the reason why it ends there. Live frames of cameras take their turn in between.
     """
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames
-    if max_frames is not None and max_frames > most:
+    if query.max_frames is not None and query.max_frames > most:
         raise ProblemError(
-            422, f"max_frames: expected at most {most}, got {max_frames}", field="max_frames"
+            422, f"max_frames: expected at most {most}, got {query.max_frames}", field="max_frames"
         )
-    sequence = _Sequence(
-        runtime,
-        sender_of(request.scope, runtime.settings),
-        n=n,
-        evidence=evidence,
-        form=ReplyForm(KEYPOINT_SETS[keypoints], joints=joints),
-        max_frames=max_frames or most,
+    estimator, metrics = runtime.ready_estimator(), runtime.metrics
+    run = VideoRun(
+        CameraSession(estimator),
+        runtime.executor,
+        identity_of(request.scope).sender,
+        kind=PATH,
+        n=query.n,
+        evidence=query.evidence,
+        max_frames=query.max_frames or most,
+        timeout_s=runtime.settings.sequence_timeout_s,
     )
-    return LineStream(sequence.lines(video, lambda: is_ending(request.scope)))
 
+    def write(tracked: TrackedFrame, number: int) -> bytes:
+        metrics.observe_stages(tracked.timings_ms)
+        metrics.observe_persons(person.person for person in tracked.persons)
+        return sequence_line(sequence_frame_reply(tracked, number, estimator.index, query.form))
 
-class _Sequence:
-    """Works on the frames of a video, one after the other.
+    def is_ending() -> bool:
+        return request_state(request.scope).is_ending
 
-    Parameters
-    ----------
-    runtime : Runtime
-    sender : Sender
-        Whose turn its frames take.
-    n : int
-    evidence : str
-    form : ReplyForm
-    max_frames : int
-    """
-
-    def __init__(
-        self,
-        runtime: Runtime,
-        sender: Sender,
-        *,
-        n: int,
-        evidence: Evidence,
-        form: ReplyForm,
-        max_frames: int,
-    ) -> None:
-        self._runtime, self._sender = runtime, sender
-        self._n, self._evidence, self._form = n, evidence, form
-        self._max_frames = max_frames
-        self._estimator = runtime.ready_estimator()
-        self._session = CameraSession(self._estimator)
-        self._summary = SequenceSummary()
-        self._timeout_s = runtime.settings.sequence_timeout_s
-        self._deadline = asyncio.get_running_loop().time() + self._timeout_s
-
-    async def lines(self, video: _OpenVideo, is_ending: Callable[[], bool]) -> AsyncIterator[bytes]:
-        """Yield a line for each frame, and the last one.
-
-        Parameters
-        ----------
-        video : _OpenVideo
-        is_ending : callable
-            Whether the service is being stopped.
-        """
-        frame: VideoFrame | None = video.first
-        try:
-            while frame is not None:
-                if is_ending():
-                    yield self._end("shutdown", "the service is being stopped")
-                    return
-                if self._summary.frames == self._max_frames:
-                    yield self._end("max_frames", f"there are more than {self._max_frames} frames")
-                    return
-                async with asyncio.timeout_at(self._deadline):
-                    line = await self._work_on(frame)
+    async def lines() -> AsyncIterator[bytes]:
+        async with aclosing(run.lines(video.first, video.reader, write, is_ending)) as frames:
+            async for line in frames:
                 yield line
-                async with asyncio.timeout_at(self._deadline):
-                    frame = await video.reader.next()
-        except TimeoutError:
-            yield self._end("timeout", f"the video took longer than {self._timeout_s:g} seconds")
-        except DeadlineError as error:
-            yield self._end("timeout", str(error))
-        except VideoError as error:
-            yield self._end("broken", str(error))
-        except UnavailableError:
-            yield self._end("unavailable", SEARCH_FAILED)
-        else:
-            yield self._end("complete", f"the video ended after {self._summary.frames} frames")
+        assert run.end is not None
+        yield sequence_line(sequence_end_reply(run.summary, run.end))
 
-    async def _work_on(self, frame: VideoFrame) -> bytes:
-        """Work on a frame once there is room for it, and return its line."""
-
-        def work(job: Job) -> tuple[TrackedFrame, bytes]:
-            tracked = self._session.process(
-                Upload(frame.pixels), frame.timestamp, self._n, job, self._evidence
-            )
-            self._runtime.metrics.observe_stages(tracked.timings_ms)
-            self._runtime.metrics.observe_persons(person.person for person in tracked.persons)
-            reply = sequence_frame_reply(tracked, frame.number, self._estimator.index, self._form)
-            return tracked, sequence_line(reply)
-
-        tracked, line = await self._runtime.executor.run(
-            work, _until_cancelled, sender=self._sender, kind=PATH, patient=True
-        )
-        self._summary.add(tracked)
-        return line
-
-    def _end(self, reason: SequenceEndReason, detail: str) -> bytes:
-        return sequence_line(sequence_end_reply(self._summary, reason, detail))
-
-
-async def _until_cancelled() -> None:
-    """Wait: if the client hangs up, the whole answer is cancelled."""
-    await asyncio.Event().wait()
+    return LineStream(lines())

@@ -44,7 +44,7 @@ async def metrics(request: Request) -> Response:
 _FOLDER = Path(__file__).resolve().parent.parent / "static"
 
 _HEADERS = {
-    # Photographs of people pass through this page: no foreign script may run in it.
+    # The page shows photographs of people: no foreign script may run in it.
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; "
     "media-src 'self' blob:; frame-ancestors 'none'",
     "Cache-Control": "no-cache",
@@ -76,7 +76,7 @@ def add_docs(app: FastAPI) -> None:
             swagger_js_url=f"{_ASSETS}/swagger-ui-bundle.js",
             swagger_css_url=f"{_ASSETS}/swagger-ui.css",
             swagger_favicon_url=f"{_ASSETS}/favicon.png",
-            # By default, the page sends the document's address to a validator on the Internet.
+            # By default, the page sends the document's URL to a validator on the Internet.
             swagger_ui_parameters={"validatorUrl": None},
         )
 

@@ -1,25 +1,25 @@
-"""The bodies and query parameters that all routes on poses take."""
+"""The bodies of requests: forms with images, or an image or a video alone.
+
+Forms are parsed here rather than by FastAPI. It would read a whole form before it asks for the API
+key, its validation of four fields takes nearly as long as all its other work on a request, and a
+form model with an optional file is described as URL-encoded in the OpenAPI document.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated, Any, NamedTuple
 
-from fastapi import Depends, Query, Request
+from fastapi import Depends, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+from starlette.datastructures import FormData, UploadFile
 
-from app.api.schemas import (
-    Evidence,
-    FrameUpload,
-    JointForm,
-    KeypointSetName,
-    ObservedSetName,
-    SilhouetteForm,
-)
-from app.api.tracking_schemas import LATEST_TIMESTAMP_S, MOST_TRACK_ID_CHARACTERS, TrackUpload
+from app.api.schemas import FrameUpload
+from app.api.tracking_schemas import MAX_TRACK_ID_CHARACTERS, TrackUpload
 from app.estimation.upload import Upload, UploadError
-from app.http.problems import ProblemError
-from app.messages import NUMBER, WHOLE_NUMBER, expected_and_got, shortened
-from app.routes.forms import check_fields, file_of, text_of
+from app.http.errors import ProblemError
+from app.messages import expected_and_got, shortened
+from app.routes.queries import Timestamp, check_given_once, check_names
 from app.serving.runtime import runtime_of
 from app.settings import Settings
 from app.vision.geometry import Box
@@ -48,86 +48,46 @@ def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemErr
     return ProblemError(415, f"expected a body of type {expected}, got {got}")
 
 
-# Strict: true and "12" are no numbers.
+def check_fields(form: FormData, known: Collection[str]) -> None:
+    """Raise a 422 if a form holds an unknown field, or a field twice."""
+    names = [name for name, _ in form.multi_items()]
+    check_names(names, known, "fields")
+    check_given_once(names, "part")
+
+
+async def file_of(form: FormData, field: str) -> bytes | None:
+    """Return the content of a file; None if it is missing, or empty as browsers send it then."""
+    part = form.get(field)
+    if isinstance(part, UploadFile):
+        return None if not part.filename and not part.size else await part.read()
+    if part:
+        raise ProblemError(422, f"{field}: expected a file, got text", field=field)
+    return None
+
+
+def text_of(form: FormData, field: str) -> str | None:
+    """Return the text of a field, None if it is missing."""
+    part = form.get(field)
+    if isinstance(part, UploadFile):
+        raise ProblemError(422, f"{field}: expected text, got a file", field=field)
+    return part
+
+
+# Strict: neither true nor "12" is a number.
 _BOXES = TypeAdapter(
     list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]],
     config=ConfigDict(strict=True),
 )
 _TRACK_IDS = TypeAdapter(
     list[
-        Annotated[str, Field(min_length=1, max_length=MOST_TRACK_ID_CHARACTERS)]
+        Annotated[str, Field(min_length=1, max_length=MAX_TRACK_ID_CHARACTERS)]
         | Annotated[int, Field(ge=-(2**63), lt=2**63)]
     ],
     config=ConfigDict(strict=True),
 )
-Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S), NUMBER]
 _TIMESTAMP = TypeAdapter[float](Timestamp)
 
-_LONGEST_BOX = 256  # In characters, spaces and line breaks included.
-
-DEFAULT_HYPOTHESES = 7
-
-HypothesisCount = Annotated[
-    int,
-    Query(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7]),
-    WHOLE_NUMBER,
-]
-
-KeypointSetQuery = Annotated[
-    KeypointSetName,
-    Query(
-        description="`native` or `cmu19`: the 19 joints of the index; `coco17`: the 17 COCO "
-        "keypoints; `h36m17`: the 17 of Human3.6M.",
-        examples=["native"],
-    ),
-]
-
-ObservedSetQuery = Annotated[
-    ObservedSetName,
-    Query(
-        description="Which keypoints `observed_keypoints` lists: `coco17`, or `blazepose33`, all "
-        "33 landmarks that are read.",
-        examples=["coco17"],
-    ),
-]
-
-
-EvidenceQuery = Annotated[
-    Evidence,
-    Query(
-        description="`photograph`: the silhouette and the keypoints that the photograph shows, and "
-        "with them which way a person faces; `silhouette`: the silhouette alone, as in the paper, "
-        "which is fastest.",
-        examples=["photograph"],
-    ),
-]
-
-SilhouettesQuery = Annotated[
-    SilhouetteForm,
-    Query(
-        description="Whether the answer includes silhouettes, and in which of COCO's forms: "
-        "`rle`, every pixel; `polygon`, the outlines.",
-        examples=["rle"],
-    ),
-]
-
-JointsQuery = Annotated[
-    JointForm,
-    Query(
-        description="How joints are written: `full`, an object for each; `compact`, plain "
-        "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
-        "at all, if only boxes, silhouettes or entries are wanted.",
-        examples=["full"],
-    ),
-]
-
-TimestampQuery = Annotated[
-    Timestamp | None,
-    Query(
-        description="As the form field of this name, for a photograph that is the body itself.",
-        examples=[12.4],
-    ),
-]
+_MAX_BOX_CHARACTERS = 256  # Spaces and line breaks included.
 
 
 def _documented(form: type[FrameUpload]) -> dict[str, Any]:
@@ -149,8 +109,6 @@ DOCUMENTED_UPLOAD = _documented(FrameUpload)
 DOCUMENTED_TRACK_UPLOAD = _documented(TrackUpload)
 
 
-# FastAPI parses the form that a route declares before it asks for the key, and its validation of
-# four fields takes nearly as long as all its other work on a request.
 async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, float | None]:
     if is_image(request):
         return Upload(await request.body()), None
@@ -178,21 +136,14 @@ UploadForm = Annotated[Upload, Depends(_read_upload)]
 
 
 class TrackedUpload(NamedTuple):
-    """A frame of a camera, and when it was taken, in seconds, if the caller says so."""
+    """A frame of a camera, and the form's timestamp in seconds, if it has one."""
 
     upload: Upload
     timestamp: float | None
 
 
-async def _read_track_upload(request: Request, timestamp: TimestampQuery = None) -> TrackedUpload:
-    upload, field = await _read(request, TrackUpload)
-    if timestamp is not None and field is not None:
-        raise ProblemError(
-            422,
-            "timestamp: expected a form field or a query parameter, got both",
-            field="timestamp",
-        )
-    return TrackedUpload(upload, timestamp if field is None else field)
+async def _read_track_upload(request: Request) -> TrackedUpload:
+    return TrackedUpload(*await _read(request, TrackUpload))
 
 
 TrackUploadForm = Annotated[TrackedUpload, Depends(_read_track_upload)]
@@ -208,13 +159,13 @@ def _parse_timestamp(text: str) -> float:
 
 
 def _parse_boxes(text: str, settings: Settings) -> list[Box]:
-    # Counted before they are parsed: hundreds of thousands would keep all other callers waiting.
+    # Counted before parsing: hundreds of thousands would keep all other clients waiting.
     count, most = text.count("[") - 1, settings.max_persons
     if count > most:
         raise UploadError("boxes", "misfit", f"expected at most {most} persons, got {count}")
-    if len(text) > most * _LONGEST_BOX:
-        longest = f"expected a list of at most {most * _LONGEST_BOX} characters, got {len(text)}"
-        raise UploadError("boxes", "misfit", f"boxes: {longest}")
+    if len(text) > most * _MAX_BOX_CHARACTERS:
+        longest = f"a list of at most {most * _MAX_BOX_CHARACTERS} characters"
+        raise UploadError("boxes", "misfit", f"boxes: expected {longest}, got {len(text)}")
     try:
         boxes = _BOXES.validate_json(text)
     except ValidationError as error:
@@ -242,6 +193,6 @@ def _parse_track_ids(text: str) -> list[str]:
         raise ProblemError(
             422,
             "track_ids: expected a JSON list of texts of 1 to "
-            f"{MOST_TRACK_ID_CHARACTERS} characters or whole numbers, got {shortened(text)}",
+            f"{MAX_TRACK_ID_CHARACTERS} characters or whole numbers, got {shortened(text)}",
             field="track_ids",
         ) from None

@@ -1,1 +1,1 @@
-"""Whose turn it is, threads, deadlines, cores. Imports nothing of the service."""
+"""The queue, threads, deadlines, cores. Imports nothing of the service."""

@@ -1,13 +1,14 @@
-"""The threads on which all work on images is done, in two roles.
+"""The threads that do all work on images, in two roles.
 
 Frames (:meth:`Executor.run`)
-    Whole requests: a bounded number at once, the others in :class:`app.scheduling.queue.Line`.
-    A frame has a deadline and is dropped when its client hangs up.
+    Whole requests: a bounded number at a time, the others in
+    :class:`app.scheduling.queue.FairQueue`. A frame has a deadline and is dropped when its client
+    disconnects.
 Parts (:meth:`Executor.map`)
-    The people of a frame, or its images. The frame's own thread works through its parts. While
-    there are fewer frames than may be worked on at once, other threads help, one part at a time,
-    with the frames in turn. A new frame never waits for them: it has a thread of its own, and they
-    take no further part while it is worked on.
+    The people of a frame, or its images. The frame's own thread works through them. While fewer
+    frames are worked on than are allowed, other threads help, one part at a time, taking the frames
+    in turn. A new frame never waits for helpers: it has a thread of its own, and they take no
+    further part while it is worked on.
 
 A frame must not start frames, nor a part parts: both would wait for threads that may never be free.
 """
@@ -22,12 +23,11 @@ from collections.abc import Callable, Coroutine, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from contextvars import ContextVar, copy_context
-from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
 from app.scheduling.job import ClientGoneError, Job
 from app.scheduling.process import lower_thread_priority, trim_heap
-from app.scheduling.queue import Line, Sender, Turn
+from app.scheduling.queue import FairQueue, Sender, Ticket
 
 T = TypeVar("T")
 Item = TypeVar("Item")
@@ -35,18 +35,11 @@ Result = TypeVar("Result")
 
 _TRIM_AFTER_S = 0.05
 
-
 _role: ContextVar[Literal["", "frame", "part"]] = ContextVar("role", default="")
 
 
 class _Parts(Generic[Item, Result]):
-    """The parts of one frame, each done by the thread that takes it.
-
-    Parameters
-    ----------
-    function : callable
-    items : sequence
-    """
+    """The parts of one frame, each done by the thread that takes it."""
 
     def __init__(self, function: Callable[[Item], Result], items: Iterable[Item]) -> None:
         self._function = function
@@ -57,24 +50,12 @@ class _Parts(Generic[Item, Result]):
     def __len__(self) -> int:
         return len(self._left)
 
-    def take(self) -> Callable[[], None] | None:
-        """Return the work on the next part, None if all have been taken."""
+    def do_next(self) -> bool:
+        """Work on the next part; return False if none is left."""
         try:
-            return partial(self._do, *self._left.popleft())
+            item, future = self._left.popleft()
         except IndexError:
-            return None
-
-    def results(self) -> list[Result]:
-        """Wait for the parts that other threads have taken; raise the first error."""
-        wait(self._futures)
-        try:
-            return list(map(Future.result, self._futures))
-        finally:
-            # Else the error would keep the futures, they the error, and both of them the frame;
-            # so would a variable that refers to one of them.
-            self._futures.clear()
-
-    def _do(self, item: Item, future: Future[Result]) -> None:
+            return False
         try:
             # Each thread needs a copy: a context cannot be entered twice at once.
             result = self._context.copy().run(self._as_part, item)
@@ -82,9 +63,20 @@ class _Parts(Generic[Item, Result]):
             future.set_exception(error)
             while self._left:
                 self._left.popleft()[1].set_exception(error)
+            # Otherwise the error's traceback would keep the future, and the future the error.
             del future
         else:
             future.set_result(result)
+        return True
+
+    def results(self) -> list[Result]:
+        """Wait for the parts that other threads have taken; raise the first error."""
+        wait(self._futures)
+        try:
+            return list(map(Future.result, self._futures))
+        finally:
+            # Otherwise the error would keep the futures, they the error, and both the frame.
+            self._futures.clear()
 
     def _as_part(self, item: Item) -> Result:
         _role.set("part")
@@ -92,22 +84,22 @@ class _Parts(Generic[Item, Result]):
 
 
 class Executor:
-    """A bounded number of frames at once, the others in a line; threads start when needed.
+    """Works on a bounded number of frames at a time; the others wait in a queue.
 
     Parameters
     ----------
     frames : int
-        Worked on at once.
+        Largest number worked on at a time. Threads start when needed.
     max_wait_s : float
-        For a frame, until its work begins.
+        Longest wait of a frame until its work begins.
     timeout_s : float
-        For a frame, waiting included.
+        Longest time for a frame, waiting included.
     """
 
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
-        self.line = Line(frames, min(max_wait_s, timeout_s))
+        self.queue = FairQueue(frames, min(max_wait_s, timeout_s))
         self._timeout_s = timeout_s
-        # Helpers finish their parts beside new frames.
+        # Helpers finish their parts while new frames begin.
         self._threads = ThreadPoolExecutor(
             2 * frames - 1, thread_name_prefix="work", initializer=lower_thread_priority
         )
@@ -124,7 +116,7 @@ class Executor:
         sender: Sender,
         kind: Hashable = None,
         camera: Hashable = None,
-        patient: bool = False,
+        unbounded_wait: bool = False,
     ) -> T:
         """Work on a frame in a thread.
 
@@ -133,46 +125,57 @@ class Executor:
         work : callable
             Calls :meth:`Job.checkpoint` between its steps.
         until_gone : async callable
-            Returns when the client has hung up. A frame that waits is then dropped, the work on
-            one that has begun is cancelled.
-        sender, kind, camera, patient
-            See :meth:`app.scheduling.queue.Line.join`.
+            Returns when the client has disconnected. A waiting frame is then dropped, and the work
+            on a begun one cancelled.
+        sender, kind, camera, unbounded_wait
+            See :meth:`app.scheduling.queue.FairQueue.enqueue`.
 
         Raises
         ------
         OverloadedError, DeadlineError, SupersededError, ClientGoneError
         RuntimeError
-            If it is called by work on a frame.
+            If work on a frame calls this.
         """
         if _role.get():
             raise RuntimeError("expected a frame to be started by a request, not by another frame")
-        joined = time.monotonic()
-        turn = self.line.join(sender, kind, camera, patient=patient)
+        enqueued = time.monotonic()
+        ticket = self.queue.enqueue(sender, kind, camera, unbounded_wait=unbounded_wait)
         gone = asyncio.ensure_future(until_gone())
         try:
-            longest_s = None if patient else self.line.max_wait_s
-            await _first_of(turn.begun, gone, longest_s)
-            if not turn.begun.done():
-                raise ClientGoneError if gone.done() else self.line.give_up(turn)
-            if (refused := turn.begun.result()) is not None:
-                raise refused()
-        except BaseException:
+            await self._until_begun(ticket, gone, None if unbounded_wait else self.queue.max_wait_s)
+            waited_s = 0.0 if unbounded_wait else time.monotonic() - enqueued
+            return await self._work(ticket, work, Job(self._timeout_s - waited_s, self.map), gone)
+        finally:
             gone.cancel()
-            self.line.leave(turn)
+
+    async def _until_begun(
+        self, ticket: Ticket, gone: asyncio.Future[None], max_wait_s: float | None
+    ) -> None:
+        """Wait until a frame may begin; raise the error and release the ticket if it may not."""
+        try:
+            await _first_of(ticket.begun, gone, max_wait_s)
+            if not ticket.begun.done():
+                raise ClientGoneError if gone.done() else self.queue.expire(ticket)
+            if (make_error := ticket.begun.result()) is not None:
+                raise make_error()
+        except BaseException:
+            self.queue.release(ticket)
             raise
-        waited_s = 0.0 if patient else time.monotonic() - joined
-        job = Job(self._timeout_s - waited_s, self.map)
-        done = asyncio.wrap_future(self._begin(turn, work, job))
+
+    async def _work(
+        self, ticket: Ticket, work: Callable[[Job], T], job: Job, gone: asyncio.Future[None]
+    ) -> T:
+        """Work on a begun frame; its ticket is released once the thread is free."""
+        done = asyncio.wrap_future(self._begin(ticket, work, job))
         try:
             await _first_of(done, gone)
             if not done.done():
                 job.cancel()
-            # Cancelled or not, it takes a thread until it ends.
+            # Cancelled or not, the work occupies a thread until it ends.
             return await done
         finally:
             job.cancel()
-            gone.cancel()
-            # Else the error would keep the future, it the error, and both of them the frame.
+            # Otherwise the error would keep the future, the future the error, and both the frame.
             del done
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
@@ -186,75 +189,75 @@ class Executor:
         if _role.get() == "part":
             raise RuntimeError("expected a part of a frame not to be divided again")
         parts = _Parts(function, items)
-        helpers = min(len(parts), self.line.threads) - 1
+        helpers = min(len(parts), self.queue.threads) - 1
         if helpers > 0:
             with self._lock:
                 self._divided.append(parts)
             for _ in range(helpers):
                 self._threads.submit(self._help)
-        while (part := parts.take()) is not None:
-            part()
+        while parts.do_next():
+            pass
         return parts.results()
 
     def submit(self, function: Callable[[], T]) -> Future[T]:
-        """Call a function that is no work on a frame, such as loading what frames need."""
+        """Call a function that does no work on a frame, such as loading the index."""
         return self._threads.submit(function)
 
     def shut_down(self) -> None:
-        """Cancel what is left, and wait for the threads to end."""
-        self.line.close()
+        """Cancel all jobs and wait for the threads to end."""
+        self.queue.close()
         for job in tuple(self._jobs):
             job.cancel()
         self._threads.shutdown(cancel_futures=True)
 
-    def _begin(self, turn: Turn, work: Callable[[Job], T], job: Job) -> Future[T]:
-        """Work on the frame whose turn has come; it leaves the line once its thread is free."""
+    def _begin(self, ticket: Ticket, work: Callable[[Job], T], job: Job) -> Future[T]:
         loop, context = asyncio.get_running_loop(), copy_context()
-        future = self._threads.submit(context.run, self._as_frame, work, job)
+        future = self._threads.submit(context.run, _as_frame, work, job)
         self._jobs.add(job)
 
         def end(future: Future[T]) -> None:
             self._jobs.discard(job)
             worked = not future.cancelled() and future.exception() is None
             with suppress(RuntimeError):  # The loop has ended.
-                loop.call_soon_threadsafe(self._end, turn, worked)
+                loop.call_soon_threadsafe(self._end, ticket, worked)
 
         future.add_done_callback(end)
         return future
 
-    def _end(self, turn: Turn, worked: bool) -> None:
-        self.line.leave(turn, worked=worked)
+    def _end(self, ticket: Ticket, worked: bool) -> None:
+        self.queue.release(ticket, worked=worked)
         if self._divided:
             with suppress(RuntimeError):  # The threads are being shut down.
                 self._threads.submit(self._help)
 
     def _help(self) -> None:
-        """Work on parts of other frames while there are fewer frames than threads for them."""
-        while (part := self._next_part()) is not None:
-            part()
+        """Work on parts of other frames while fewer frames than allowed are worked on."""
+        while (parts := self._next_divided()) is not None:
+            parts.do_next()
             with self._lock:
                 self._helping -= 1
 
-    def _next_part(self) -> Callable[[], None] | None:
-        """Return the work on a part of the frame whose turn it is."""
+    def _next_divided(self) -> _Parts[Any, Any] | None:
+        """Return the divided frame whose turn it is, if a helper may take one of its parts."""
         with self._lock:
-            while self._divided and self.line.working + self._helping < self.line.threads:
+            while self._divided and self.queue.working + self._helping < self.queue.threads:
                 parts = self._divided.popleft()
-                if (part := parts.take()) is not None:
+                if len(parts):
                     self._divided.append(parts)
                     self._helping += 1
-                    return part
+                    return parts
         return None
 
-    def _as_frame(self, work: Callable[[Job], T], job: Job) -> T:
-        _role.set("frame")
-        started = time.monotonic()
-        try:
-            return work(job)
-        finally:
-            # What took long took much memory, some ten megabytes of which stay behind.
-            if time.monotonic() - started > _TRIM_AFTER_S:
-                trim_heap()
+
+def _as_frame(work: Callable[[Job], T], job: Job) -> T:
+    _role.set("frame")
+    started = time.monotonic()
+    try:
+        return work(job)
+    finally:
+        # Long work takes much memory, and some ten megabytes of it stay behind.
+        if time.monotonic() - started > _TRIM_AFTER_S:
+            trim_heap()
 
 
 async def _first_of(

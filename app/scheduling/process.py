@@ -1,11 +1,11 @@
-"""Settings of this process that are not Python's own: memory, threads and priorities.
+"""The operating system's settings of this process: memory, cores, priorities.
 
-Memory: by default glibc keeps a heap for every thread and raises, with the first large array
-that is freed, the size from which memory is given back. After a few frames the service would
-hold half as much again as it uses.
+Memory: by default glibc keeps a heap per thread, and raises the size above which it returns memory
+with the first large array that is freed. After a few frames the service would hold half as much
+again as it uses.
 
-Cores: one thread answers requests, others work on frames. The first has little to do, but
-every caller waits for it, so it has precedence.
+Priorities: one thread answers requests, others work on frames. The first has little to do, but
+every client waits for it, so it takes precedence.
 """
 
 from __future__ import annotations
@@ -22,16 +22,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
-import cv2
-
 ROOT = Path("/")
-"""Where ``proc`` and ``sys`` are."""
+"""Folder of ``proc`` and ``sys``."""
 
 
 def available_cores() -> int:
-    """Return the cores that affinity and the quotas of the control groups [1]_ leave, at least 1.
+    """Return the number of cores that affinity and the quotas of control groups [1]_ allow.
 
-    A part of a core counts as one.
+    It is at least 1; a fraction of a core counts as one.
 
     References
     ----------
@@ -48,7 +46,7 @@ def _quotas() -> Iterator[float]:
         if controllers and "cpu" not in controllers.split(","):
             continue
         mount = ROOT / "sys/fs/cgroup" / ("cpu" if controllers else "")
-        # A container sees its own group at the mount, but may be told the path outside.
+        # A container sees its own group at the mount, but the path may be the host's.
         group = Path(path.lstrip("/"))
         for folder in (mount / group, *(mount / parent for parent in group.parents)):
             if controllers:
@@ -72,50 +70,49 @@ _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
-# Larger than the pixels of a usual frame: pages given back after each frame are fetched anew for
-# the next one, which costs more than decoding it.
+# Larger than the pixels of a usual frame: pages returned after each frame have to be fetched again
+# for the next one, which costs more than decoding it.
 _TRIM_THRESHOLD_BYTES = 8 * 1024**2
 _ARENAS = 2
 
-# How long a thread that runs Python keeps another one waiting. The thread that answers has to
-# ask anew after every call to the system, several times a request; Python's default is 5 ms.
+# Longest time a thread holds the interpreter while another waits for it. The event loop's thread
+# waits after every system call, several times a request; Python's default is 5 ms.
 _SWITCH_INTERVAL_S = 0.001
 
 _NICENESS = 5
 
 
 def configure_process() -> None:
-    """Set up the process of a server; nothing else that imports the service is changed."""
-    configure_malloc()
+    """Set up a server's process. Programs that only import the service stay unchanged."""
+    # Imported here: reading the settings needs `available_cores` but no native library.
+    import cv2
+
+    _configure_malloc()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    cv2.setNumThreads(1)  # Work is divided among the executor's threads already.
+    cv2.setNumThreads(1)  # The executor's threads share the work already.
 
 
-def configure_malloc() -> None:
-    """Bound the heaps of glibc; nothing happens where the C library is another one.
+def _configure_malloc() -> None:
+    """Bound glibc's heaps, where glibc is the C library.
 
-    By ``mallopt``, since glibc reads its environment variables before Python can set them: in the
-    Dockerfile and the unit file they would not reach a plain ``python -m app``.
+    This calls ``mallopt``, since glibc reads its environment variables before Python can set them:
+    in the Dockerfile or the unit file they would not reach a plain ``python -m app``.
     """
-    mallopt = _of_glibc("mallopt")
-    if mallopt is None:
-        return
-    mallopt(_M_ARENA_MAX, _ARENAS)
-    mallopt(_M_MMAP_THRESHOLD, _TRIM_THRESHOLD_BYTES)
-    mallopt(_M_TRIM_THRESHOLD, _TRIM_THRESHOLD_BYTES)
+    mallopt = _glibc("mallopt")
+    if mallopt is not None:
+        mallopt(_M_ARENA_MAX, _ARENAS)
+        mallopt(_M_MMAP_THRESHOLD, _TRIM_THRESHOLD_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, _TRIM_THRESHOLD_BYTES)
 
 
 def trim_heap() -> None:
-    """Give free memory back to the system; nothing happens without glibc.
-
-    It takes about a millisecond.
-    """
-    malloc_trim = _of_glibc("malloc_trim")
+    """Return free memory to the system, where glibc is the C library; takes about 1 ms."""
+    malloc_trim = _glibc("malloc_trim")
     if malloc_trim is not None:
         malloc_trim(0)
 
 
-def _of_glibc(function: str) -> Callable[..., int] | None:
+def _glibc(function: str) -> Callable[..., int] | None:
     try:
         return cast(Callable[..., int], getattr(ctypes.CDLL("libc.so.6"), function))
     except (OSError, AttributeError):
@@ -124,9 +121,9 @@ def _of_glibc(function: str) -> Callable[..., int] | None:
 
 @contextmanager
 def native_lines_logged(log: logging.Logger) -> Iterator[None]:
-    """Log what libraries in C++ write to standard error meanwhile, so that all lines are alike.
+    """Log what native libraries write to standard error, so that every line is JSON.
 
-    The networks' runtime has no other way to silence it.
+    The networks' runtime offers no other way to silence it.
     """
     if sys.platform != "linux":
         yield
@@ -145,23 +142,23 @@ def native_lines_logged(log: logging.Logger) -> Iterator[None]:
 
 
 def freeze_loaded_objects() -> None:
-    """Exclude what is loaded so far from garbage collection.
+    """Exclude the objects loaded so far from garbage collection.
 
-    Looking through it all stops every thread for tens of milliseconds.
+    Traversing them all would stop every thread for tens of milliseconds.
     """
     gc.collect()
     gc.freeze()
-    # Python puts a full collection off until a quarter has been added to what the last one
-    # found. This one finds next to nothing: what requests leave is collected soon.
+    # Python delays a full collection until the objects have grown by a quarter since the last one.
+    # This one finds next to nothing, so garbage from requests is collected soon.
     gc.collect()
 
 
 def lower_thread_priority() -> None:
-    """Have the system prefer the process's other threads to the calling one."""
-    if sys.platform != "linux":  # Elsewhere a thread has no priority of its own.
+    """Make the system prefer the process's other threads to the calling one."""
+    if sys.platform != "linux":  # Elsewhere threads have no priority of their own.
         return
     thread = threading.get_native_id()
     wanted = min(19, os.getpriority(os.PRIO_PROCESS, os.getpid()) + _NICENESS)
-    # Only a privileged process may raise it again.
+    # Only privileged processes may raise a priority again.
     if os.getpriority(os.PRIO_PROCESS, thread) < wanted:
         os.setpriority(os.PRIO_PROCESS, thread, wanted)

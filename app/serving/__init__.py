@@ -1,1 +1,1 @@
-"""The running service: its state, the index loaded and followed, logs. Imports http and below."""
+"""The running service: its state, its index, the work on videos. Imports http and below."""

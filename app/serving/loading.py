@@ -1,4 +1,4 @@
-"""Loads the index once the service answers probes, and moves over to another one in Milvus."""
+"""Loads the index once the service answers probes, and follows an alias in Milvus."""
 
 from __future__ import annotations
 
@@ -6,60 +6,75 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
 import anyio
-import numpy as np
 
-from app.estimation.estimator import Estimator
+from app.estimation.estimator import Estimator, load_networks
 from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
     native_lines_logged,
     trim_heap,
 )
-from app.serving.milvus import (
-    GuardedNeighbours,
-    MissingPackageError,
-    RemoteIndex,
-    check_milvus_package,
-)
-from app.serving.runtime import Runtime
-from app.serving.version import VERSION
+from app.serving.milvus import MissingPackageError, RemoteIndex, check_milvus_package
+from app.serving.runtime import VERSION, Runtime
+from app.settings import Settings
 from app.vision.tflite import NetworkError
+from index.artefact import load_index
+from index.files import ArtefactError
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 
 T = TypeVar("T")
 
 log = logging.getLogger("app")
 
-ASKED_EVERY_S = 3.0
-"""Interval in which Milvus is asked what the alias names."""
+POLL_S = 3.0
+"""Interval in which Milvus is asked which collection the alias names."""
 
-PROBED_EVERY_S = 1.0
-"""Interval of searches while the breaker is open, so that no request has to try."""
+RETRY_S, MAX_RETRY_S = 1.0, 5.0
+"""First and longest pause between attempts to reach Milvus; pauses double in between."""
 
-LONGEST_PAUSE_S = 5.0
-"""Pauses between attempts to get ready double from :data:`PROBED_EVERY_S` up to this."""
+
+def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estimator:
+    """Load the networks, and the index from the folder in the settings unless it is given.
+
+    Raises
+    ------
+    ArtefactError
+        If the index cannot be used.
+    NetworkError
+        If a network of the package is missing or altered.
+    """
+    if index is None:
+        assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
+        index = load_index(settings.index)
+    return Estimator(
+        index,
+        *load_networks(settings.detector, settings.concurrency, settings.min_person_px),
+        min_person_px=settings.min_person_px,
+        max_pixels=settings.max_pixels,
+        max_persons=settings.max_persons,
+    )
 
 
 async def keep_index_loaded(runtime: Runtime) -> None:
-    """Get the service ready, and follow the alias where the index is in Milvus."""
+    """Get the service ready, and follow the alias if the index is in Milvus."""
     address = runtime.settings.index
     if isinstance(address, MilvusAddress):
         await _follow(runtime, address)
     else:
-        # Where it is loaded, threads of the networks inherit the priority of those that use them.
-        loading = runtime.executor.submit(lambda: _load_estimator(runtime, None))
+        # In a thread of the executor: the networks' own threads inherit its low priority.
+        loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, None))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
         runtime.loading = False
 
 
 def become_ready(runtime: Runtime, estimator: Estimator) -> None:
-    """Serve with an estimator from now on; requests that are being worked on keep theirs."""
+    """Serve with an estimator from now on; requests at hand keep theirs."""
     runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
     runtime.estimator = estimator
     runtime.sessions.end_others(estimator)
@@ -73,9 +88,9 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     )
 
 
-def _load_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
+def _prepare_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
     with native_lines_logged(log):
-        estimator = Estimator.load(runtime.settings, index)
+        estimator = load_estimator(runtime.settings, index)
         estimator.warm_up()
     freeze_loaded_objects()
     trim_heap()
@@ -99,8 +114,8 @@ async def _become_ready_or_say_why(runtime: Runtime, loading: asyncio.Future[Est
 
 
 async def _follow(runtime: Runtime, address: MilvusAddress) -> None:
-    """Get ready as soon as Milvus allows, and serve what the alias names from then on."""
-    # A thread of its own: Milvus may take long to answer, and frames need theirs.
+    """Get ready as soon as Milvus answers, and serve what the alias names from then on."""
+    # A thread of its own: Milvus may take long to answer, and frames need the executor's.
     thread = ThreadPoolExecutor(1, "index", initializer=lower_thread_priority)
 
     def call(function: Callable[[], T]) -> asyncio.Future[T]:
@@ -108,14 +123,14 @@ async def _follow(runtime: Runtime, address: MilvusAddress) -> None:
 
     try:
         follower = _Follower(runtime, address)
-        pause_s = PROBED_EVERY_S
+        pause_s = RETRY_S
         while runtime.estimator is None:
             await _become_ready_or_say_why(runtime, call(follower.first))
             if runtime.estimator is None:
                 await anyio.sleep(pause_s)
-                pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+                pause_s = min(2 * pause_s, MAX_RETRY_S)
         while True:
-            await anyio.sleep(PROBED_EVERY_S if runtime.breaker.is_open else ASKED_EVERY_S)
+            await anyio.sleep(POLL_S)
             estimator = await call(follower.next)
             if estimator is not None:
                 become_ready(runtime, estimator)
@@ -124,70 +139,45 @@ async def _follow(runtime: Runtime, address: MilvusAddress) -> None:
 
 
 class _Follower:
-    """Loads what the alias names, in a thread.
-
-    Parameters
-    ----------
-    runtime : Runtime
-    address : MilvusAddress
-    """
+    """Loads the index that the alias names, in a thread."""
 
     def __init__(self, runtime: Runtime, address: MilvusAddress) -> None:
         self._runtime = runtime
         self._address = address
         self._remote: RemoteIndex | None = None
         self._index: PoseIndex | None = None
-        self._told = ""
+        self._last_problem = ""
 
     def first(self) -> Estimator:
         """Load everything."""
         if self._remote is None:
             check_milvus_package()
-            settings = self._runtime.settings
+            settings, metrics = self._runtime.settings, self._runtime.metrics
             self._remote = RemoteIndex(
-                self._address,
-                settings.artefacts,
-                settings.search_timeout_s,
-                self._runtime.breaker,
+                self._address, settings.artefacts, settings.search_timeout_s, metrics.observe_search
             )
-        else:
-            self._remote.reconnect()
-            self._probe(self._index)
         self._index = self._remote.load() or self._index
-        return _load_estimator(self._runtime, self._index)
+        return _prepare_estimator(self._runtime, self._index)
 
     def next(self) -> Estimator | None:
-        """Load the index if the alias names another one, else search if the breaker is open.
+        """Load the index if the alias names another one.
 
-        Returns None where nothing has changed or the other one cannot be loaded: the service goes
-        on with what it has, and says why.
+        Returns None if nothing has changed, or if the other index cannot be loaded: the service
+        goes on with the one it has, and logs why.
         """
         before = self._runtime.estimator
         assert before is not None and self._remote is not None
         try:
-            if self._runtime.breaker.is_open:
-                self._remote.reconnect()
             index = self._remote.load()
-            if index is None:
-                self._probe(before.index)
         except UnavailableError:
-            return None  # Searches tell of that.
+            return None  # Failed searches are reported already.
         except ArtefactError as error:
-            self._tell(str(error))
+            if self._last_problem != str(error):
+                log.error("still serving the index before: %s", error)
+            self._last_problem = str(error)
             return None
         except Exception:
             log.exception("the index that the alias names could not be loaded")
             return None
-        self._told = ""
+        self._last_problem = ""
         return None if index is None else before.with_index(index)
-
-    def _probe(self, index: PoseIndex | None) -> None:
-        """Search if the breaker is open, which a success closes; else raise UnavailableError."""
-        if index is not None and self._runtime.breaker.is_open:
-            assert isinstance(index.neighbours, GuardedNeighbours)
-            index.neighbours.search_anyway(index.vectors[:1].astype(np.float32), 1)
-
-    def _tell(self, why: str) -> None:
-        if why != self._told:
-            log.error("still serving the index before: %s", why)
-        self._told = why

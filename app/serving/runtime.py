@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, TypeVar, cast
 
 from fastapi import Depends, Request
 
 from app.estimation.estimator import Estimator
-from app.http.identity import camera_stream, sender_of
+from app.http.errors import overloaded
+from app.http.identity import identity_of
 from app.http.metrics import Metrics
-from app.http.problems import ProblemError
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
-from app.serving.milvus import CircuitBreaker
 from app.settings import Settings
 from app.tracking.sessions import CameraSessions
 
 T = TypeVar("T")
 
 _LOADED_IN_S = 2
+_SEQUENCE_RETRY_S = 10
+
+
+def _version() -> str:
+    try:
+        return version("silhouette-pose")
+    except PackageNotFoundError:  # A checkout that was never installed.
+        return "0.0.0"
+
+
+VERSION = _version()
+"""Version of the service, as it was packaged."""
 
 
 @dataclass
@@ -34,23 +47,20 @@ class Runtime:
         Does all work on images.
     metrics : Metrics
     sessions : CameraSessions
-    breaker : CircuitBreaker
-        Open while searches by another server fail.
     sequences : int
-        Videos that are received or worked on.
+        Number of videos that are received or worked on.
     estimator : Estimator or None
         None until the index is loaded.
     not_ready_because : str
-        If there is no estimator: a sentence for the operator.
+        A sentence for the operator, used while there is no estimator.
     loading : bool
-        Whether it is being loaded.
+        Whether the index is being loaded, or loading will be retried.
     """
 
     settings: Settings
     executor: Executor
     metrics: Metrics
     sessions: CameraSessions
-    breaker: CircuitBreaker
     sequences: int = 0
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
@@ -60,29 +70,31 @@ class Runtime:
         """Return the estimator, or raise a problem with status 503."""
         if self.estimator is None:
             # Retrying does not help once loading has failed.
-            headers = {"Retry-After": str(_LOADED_IN_S)} if self.loading else {}
-            raise ProblemError(503, self.not_ready_because, reason="not_ready", headers=headers)
+            retry_after_s = _LOADED_IN_S if self.loading else None
+            raise overloaded(self.not_ready_because, "not_ready", retry_after_s)
         return self.estimator
 
-    def searching_estimator(self) -> Estimator:
-        """Return the estimator where searches succeed, else raise at once what they would.
-
-        Raises
-        ------
-        ProblemError
-            As :meth:`ready_estimator` does.
-        index.search.UnavailableError
-            If the circuit breaker is open.
-        """
-        estimator = self.ready_estimator()
-        self.breaker.check()
-        return estimator
+    @contextmanager
+    def sequence(self) -> Iterator[None]:
+        """Count a video while it is received and worked on; raise a 503 if there are too many."""
+        most = self.settings.max_sequences
+        if self.sequences >= most:
+            raise overloaded(
+                f"expected at most {most} videos at once; try again later",
+                "too_many_sequences",
+                _SEQUENCE_RETRY_S,
+            )
+        self.sequences += 1
+        try:
+            yield
+        finally:
+            self.sequences -= 1
 
 
 def runtime_of(request: Request) -> Runtime:
     """Return the state of the application.
 
-    Called rather than declared as a dependency, since each dependency costs time on every frame.
+    This is a function rather than a dependency, since each dependency costs time on every frame.
     """
     return cast(Runtime, request.app.state.runtime)
 
@@ -96,32 +108,29 @@ async def _ready_estimator(request: Request) -> Estimator:
 EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
 
 
-async def run_frame(
-    request: Request,
-    work: Callable[[Job], T],
-    *,
-    kind: Hashable,
-) -> T:
+async def run_frame(request: Request, work: Callable[[Job], T], *, kind: Hashable) -> T:
     """Work on a request's frame in a thread; see :meth:`app.scheduling.executor.Executor.run`.
 
     Parameters
     ----------
     request : Request
+        Its body has been read.
     work : callable
+        Returns the result.
     kind : hashable
-        What was sent; with the route it tells how long the work takes.
+        What was sent; together with the route it determines how long the work takes.
     """
 
     async def until_gone() -> None:
-        # The body has been read, so what follows can only be the disconnect.
+        # After the body, only the disconnect can follow.
         while (await request.receive())["type"] != "http.disconnect":
             pass
 
-    runtime = runtime_of(request)
-    return await runtime.executor.run(
+    identity = identity_of(request.scope)
+    return await runtime_of(request).executor.run(
         work,
         until_gone,
-        sender=sender_of(request.scope, runtime.settings),
+        sender=identity.sender,
         kind=(request.scope["route"].path, kind),
-        camera=camera_stream(request.scope),
+        camera=identity.stream,
     )

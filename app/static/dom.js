@@ -12,10 +12,10 @@ export const percent = (share) => `${Math.round(share * 100)}\u00a0%`;
 
 export const inWords = (name) => name.replaceAll("_", " ");
 
-/** A message as a sentence of its own. */
+/** Turn a message into a sentence. */
 export const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.`;
 
-/** Fill a group with radio buttons: arrow keys, focus and screen readers come with them. */
+/** Fill a group with radio buttons, which bring arrow keys, focus and screen readers along. */
 export function choices(fieldset, name, items, content, chosen, choose) {
   const list = element("div", { className: "list" });
   items.forEach((item, number) => {
@@ -48,7 +48,7 @@ export async function copy(text, what, source) {
     await navigator.clipboard.writeText(text);
     return `${what} copied`;
   } catch {
-    // Browsers give pages without TLS no clipboard.
+    // Pages without TLS have no clipboard.
     getSelection().selectAllChildren(source);
     return "press Ctrl+C to copy it";
   }
@@ -69,7 +69,7 @@ export const saveJson = (value, name) =>
 /** The name of a file with another ending. */
 export const renamed = (name, ending) => `${(name || "photo").replace(/\.[^.]*$/, "")}${ending}`;
 
-/** Bring the result into view: on a narrow screen it begins below what fits. */
+/** Scroll to the result, which starts below the fold on a narrow screen. */
 export function bringIntoView(result) {
   if (!matchMedia("(max-width: 44rem)").matches) return;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;

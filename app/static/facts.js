@@ -1,15 +1,15 @@
-// What is known of a person and of a hypothesis, in words.
+// A person and a hypothesis in words.
 
 import { inWords, percent } from "./dom.js";
 
-const FACING_FROM = { image: "from the photograph", motion: "from the motion", none: "a silhouette cannot tell" };
+const FACING_FROM = { image: "from the photograph", motion: "from the motion", none: "a silhouette cannot show it" };
 
 const FOUND_BY = {
   detector: "the detector", mask: "your mask", boxes: "your boxes",
   background: "the difference from your background",
 };
 
-/** What is measured of a person, as pairs of term and text. */
+/** Measurements of a person, as pairs of term and text. */
 export function measured({
   box, source, detection_score: score, silhouette, observed_keypoints: seen, facing, posture,
 }) {
@@ -29,7 +29,7 @@ export function measured({
 
 const HEIGHTS = [[-3, "from below"], [10, "level"], [30, "from slightly above"], [55, "from above"]];
 
-/** The camera's height angle in words. */
+/** A camera's elevation in words. */
 const height = (degrees) =>
   `${(HEIGHTS.find(([max]) => degrees < max) ?? [, "from high above"])[1]} (${Math.round(degrees)}°)`;
 
@@ -41,7 +41,7 @@ const SIDES = ["front", "front left", "left", "back left", "back", "back right",
 /** The side of the person that the camera sees. */
 export const sideSeen = (azimuth) => SIDES[((Math.round(azimuth / 45) % 8) + 8) % 8];
 
-/** What a hypothesis claims, and where it comes from, as pairs of term and text. */
+/** A hypothesis and its source, as pairs of term and text. */
 export function supposed({ confidence, reprojection_error_px: error, posture, entry, source, camera }) {
   const azimuth = around(camera.azimuth_deg);
   const side = azimuth > 0 ? "the person’s left" : "the person’s right";

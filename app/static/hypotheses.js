@@ -30,7 +30,7 @@ export class Hypotheses {
 
   /**
    * @param fieldset Holds the cards.
-   * @param choose Is called with the number of the hypothesis that is chosen.
+   * @param choose Called with the number of the hypothesis that is chosen.
    * @param key Returns the API key.
    */
   constructor(fieldset, choose, key) {
@@ -96,7 +96,7 @@ function isOnScreen(canvas) {
   return bottom >= 0 && top <= innerHeight;
 }
 
-/** The entry's silhouette as the hypothesis uses it: mirrored, and tilted as far as the person leans. */
+/** The entry's silhouette as the hypothesis uses it: mirrored, and rotated as the person leans. */
 async function drawEntry(canvas, { entry, source, camera }, key) {
   const [blob, own] = await Promise.all([entrySilhouette(entry, key), describeEntry(entry, key)]);
   const picture = await createImageBitmap(blob);

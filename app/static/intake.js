@@ -1,4 +1,4 @@
-// Files from a person: dropped, pasted or chosen, and which of them is what.
+// Files that are dropped, pasted or chosen, and what each of them is.
 
 import { $, element } from "./dom.js";
 import { areOneScene, isMask } from "./pictures.js";
@@ -8,7 +8,7 @@ const NAMED_MASK = /mask/i, NAMED_EMPTY = /background|empty/i;
 
 const isVideo = ({ type, name }) => type.startsWith("video/") || (!type && VIDEO.test(name));
 
-// Of some formats that the service reads, browsers do not know the type.
+// Browsers do not know the types of some formats that the service reads.
 const isPicture = ({ type }) => type.startsWith("image/") || !type;
 
 /** Say which files were left out. */

@@ -1,4 +1,4 @@
-// What the page says: errors, which stay in view wherever one has scrolled, and notes.
+// Errors, which stay in view wherever one has scrolled, and notes.
 
 import { $, sentence } from "./dom.js";
 
@@ -34,7 +34,7 @@ export function about(error, upload) {
   return upload[field]?.name ? named(error, upload[field], field) : error;
 }
 
-/** Say what is worth knowing and no error, and perhaps offer an action, `{label, run}`. */
+/** Show notes that are not errors, and perhaps offer an action, `{label, run}`. */
 export function tell(notes, action = null) {
   const texts = notes.filter(Boolean);
   $("note").hidden = !texts.length;

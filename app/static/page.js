@@ -1,4 +1,4 @@
-// The debug page: a photograph or a video in, what the service made of it out.
+// The debug page: shows the service's answer to a photograph or a video.
 
 import { $, bringIntoView } from "./dom.js";
 import { onFiles, sorted, whichIsEmpty } from "./intake.js";
@@ -12,7 +12,7 @@ import { VideoView } from "./video_view.js";
 const photograph = new PhotographView(apiKey);
 const video = new VideoView({ options, refused: report, begins: showVideo });
 
-// The upload that was asked about last, and a way to stop asking.
+// The upload of the last request, and the means to abort it.
 let latest = null;
 let asking = null;
 
@@ -36,13 +36,13 @@ function report(error, again = null) {
   }
 }
 
-/** Put the number of hypotheses within its limits; returns a note if that changed it. */
+/** Clamp the number of hypotheses to its limits; returns a note if it has changed. */
 function limitCount() {
   const { value, min, max, defaultValue } = $("count");
   const count = value ? Math.min(Number(max), Math.max(Number(min), Math.round(Number(value)))) : defaultValue;
   $("count").value = count;
   return value && Number(value) !== Number(count)
-    ? `${min} to ${max} hypotheses can be asked for: ${count} instead of ${value}.` : "";
+    ? `The number of hypotheses is ${min} to ${max}: ${count} instead of ${value}.` : "";
 }
 
 async function showIndex() {
@@ -69,7 +69,7 @@ function working(whether) {
   $("busy").hidden = !whether;
 }
 
-/** Ask the service about a photograph, perhaps with a mask, and show what it says. */
+/** Send a photograph, perhaps with a mask, and show the answer. */
 async function ask(upload) {
   asking?.abort();
   asking = new AbortController();
@@ -94,7 +94,7 @@ async function ask(upload) {
     photograph.show(upload, prepared, answered, curlCommand(upload, chosen));
     notes.push(...(answered.image.warnings ?? []).map((warning) => `About the picture: ${warning}.`));
     if (!answered.persons.length) {
-      notes.push("Nobody was found in this photograph. A mask as a second file can say where people are.");
+      notes.push("Nobody was found in this photograph. A second file, a mask, can mark the people.");
     }
     tell(notes, action);
     working(false);
@@ -105,12 +105,12 @@ async function ask(upload) {
     report(about(error, upload), () => ask(upload));
     photograph.setStale(true);
     if (photograph.upload && !$("result").hidden) {
-      tell([...notes, "Below is still the answer before this."], action);
+      tell([...notes, "Below is still the answer before this one."], action);
     }
   }
 }
 
-/** Make room for a video once there is something of it to see; until then the last result stays. */
+/** Make room for a video once its first frame is answered; until then the last result stays. */
 function showVideo() {
   asking?.abort();
   latest = null;
@@ -120,7 +120,7 @@ function showVideo() {
   document.body.classList.add("has-result");
 }
 
-/** Take what was dropped, pasted or chosen. */
+/** Take files that were dropped, pasted or chosen. */
 async function take(files) {
   if (!files.length) return;
   complain(null);

@@ -18,7 +18,7 @@ export class PeopleTable {
   #rows = new Map();
   #choose;
 
-  /** @param choose Is called with the track that is chosen. */
+  /** @param choose Called with the track that is chosen. */
   constructor(choose) {
     this.#choose = choose;
   }

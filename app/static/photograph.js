@@ -1,14 +1,14 @@
-// Photographs made smaller before they are sent, and answers brought back to their own pixels.
+// Shrinks photographs before they are sent, and scales answers back to their pixels.
 
-/** The service looks for people at half of this: a longer side costs time and adds nothing. */
+/** The service detects people at half of this: a longer side costs time and adds nothing. */
 export const LONGEST_PX = 2560;
 
-/** What to send of an upload, and what to draw of it. */
+/** The image to send and the image to draw. */
 export async function prepare({ frame, mask, background }) {
   // Null where only a mask was given, and for formats that the browser does not read.
   const bitmap = frame ? await createImageBitmap(frame).catch(() => null) : null;
   const scale = bitmap ? LONGEST_PX / Math.max(bitmap.width, bitmap.height) : 1;
-  // A mask and a background have to be of the frame's size.
+  // A mask and a background must have the frame's size.
   if (scale >= 1 || mask || background) return { bitmap, files: { frame, mask, background } };
   const { width, height } = bitmap;
   const canvas = new OffscreenCanvas(Math.round(width * scale), Math.round(height * scale));
@@ -23,10 +23,10 @@ export async function prepare({ frame, mask, background }) {
 
 const round = (value) => Math.round(value * 100) / 100;
 
-/** An answer about a photograph made smaller, in pixels of the photograph as it was. */
+/** Scale the answer to a shrunk photograph back to the original pixels. */
 export function inPixelsOf({ width, height }, answer) {
   const [across, down] = [width / answer.image.width, height / answer.image.height];
-  // Pixels are counted from the centre of the first one, which moves.
+  // The origin is the centre of the first pixel, which moves.
   const point = (p) => p && {
     ...p, x: round((p.x + 0.5) * across - 0.5), y: round((p.y + 0.5) * down - 0.5),
   };

@@ -1,4 +1,4 @@
-// What the service found in a photograph: people, their hypotheses, and the one that is chosen.
+// The view of a photograph: the people found in it, their hypotheses, and the chosen one.
 
 import { $, chip, choices, copy, renamed, saveJson, showTerms } from "./dom.js";
 import { measured, supposed } from "./facts.js";
@@ -11,7 +11,7 @@ import { drawCloseUp, drawStage, personAt, pointAt } from "./stage.js";
 
 const LAYERS = ["show-boxes", "show-silhouettes", "show-skeleton", "show-observed"];
 
-/** The person to look at first: the one nearest to the camera. */
+/** The person to select first: the one nearest to the camera. */
 function largest(persons) {
   const heights = persons.map(({ box }) => box.height);
   return Math.max(0, heights.indexOf(Math.max(...heights)));
@@ -60,10 +60,10 @@ export class PhotographView {
     return this.#upload;
   }
 
-  /** Show an answer, in pixels of the photograph even if that was sent smaller. */
+  /** Show an answer in pixels of the photograph, even if a smaller copy was sent. */
   show(upload, { bitmap, original }, answered, command) {
     this.#silhouettes = tint(answered);
-    // As the command shown gives it, which asks for no silhouettes.
+    // As the displayed command would return it, which requests no silhouettes.
     for (const { silhouette } of answered.persons) if (silhouette) silhouette.rle = null;
     this.#upload = upload;
     this.#bitmap = bitmap;
@@ -78,7 +78,7 @@ export class PhotographView {
     this.#showPersons();
   }
 
-  /** Whether what is shown is not what was asked for last: dimmed, and out of reach. */
+  /** Mark the shown answer as out of date, dimmed and inert, or as current. */
   setStale(stale) {
     $("result").classList.toggle("stale", stale);
     $("result").inert = stale;
@@ -140,11 +140,11 @@ export class PhotographView {
       shown: { boxes, silhouettes, skeleton, observed, numbers: true },
     };
     drawStage($("stage"), scene);
-    // Close up there is only one person.
+    // In the close-up, there is no other person to distinguish.
     drawCloseUp($("close-up"), { ...scene, shown: { ...scene.shown, boxes: false, numbers: false } });
   }
 
-  /** Turn the skeletons, which shows their depth; who asked for less motion turns them by hand. */
+  /** Turn the skeletons, which shows depth; with reduced motion, the user turns them by hand. */
   #turn() {
     $("spin").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     let seconds = 0, last = null, odd = false;

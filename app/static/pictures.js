@@ -1,4 +1,4 @@
-// What pictures are, by their pixels: a mask, or two shots of the same scene.
+// Recognises masks and pictures of the same scene by their pixels.
 
 /** Formats that keep every pixel's value, as a mask needs. */
 const LOSSLESS = /^image\/(png|bmp|webp|gif|tiff)$/;

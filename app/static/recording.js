@@ -1,6 +1,6 @@
-// The answers to a video so far, with the frames they belong to: to look back, and to save.
+// The answers to a video so far and their frames, to look back and to save.
 
-/** Frames that are kept; of a longer recording the first ones go. */
+/** Frames that are kept; a longer recording loses its first ones. */
 const MAX_FRAMES = 6000;
 
 export class Recording {

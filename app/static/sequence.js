@@ -26,7 +26,7 @@ export class Sequence {
     try {
       for await (const line of analyseVideo(this.#file, { ...this.#options(), signal })) {
         if (line.type === "end") {
-          // Stopping at the limit is no error, all else but the end of the video is.
+          // All reasons are errors but the end of the video and the limit of frames.
           if (!["complete", "max_frames"].includes(line.reason)) throw ended(line);
           yield { end: sentence(line.detail) };
           return;

@@ -21,7 +21,7 @@ async function answer(path, options = {}, key = "") {
   let problem = { status: response.status, detail: response.statusText };
   try {
     problem = { ...problem, ...await response.json() };
-  } catch { /* Something between here and the service has answered. */ }
+  } catch { /* A proxy has answered instead of the service. */ }
   throw new Problem(problem, Number(response.headers.get("Retry-After")) || 0);
 }
 
@@ -45,13 +45,13 @@ function query({ count, keypoints, evidence }) {
 
 const posePath = (chosen) => `pose?${query(chosen)}`;
 
-/** The answer, each person with a silhouette as COCO's run lengths. */
+/** Request poses, with silhouettes as COCO's run lengths. */
 export async function estimatePose(files, { key, signal, ...chosen }) {
   const path = `${posePath(chosen)}&silhouettes=rle`;
   return (await answer(path, { method: "POST", body: form(files), signal }, key)).json();
 }
 
-/** The answer to a frame of a camera; `session` is `new` where the camera starts afresh with it. */
+/** Send a frame of a camera; `session` is `new` if the camera starts afresh with it. */
 export async function trackFrame(camera, jpeg, timestamp, { key, signal, ...chosen }) {
   const path = `cameras/${camera}/frames?timestamp=${timestamp}&${query({ ...chosen, count: 1 })}`;
   const response = await answer(path, { method: "POST", body: jpeg, signal }, key);

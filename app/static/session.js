@@ -1,5 +1,5 @@
-// A video or a webcam as a camera session: its frames go to the service one after another, at the
-// pace at which they are answered. `Sequence` in sequence.js has the same methods.
+// A video or a webcam as a camera session: frames go to the service one after the other, as fast as
+// it answers. `Sequence` in sequence.js has the same methods.
 
 import { percent } from "./dom.js";
 import { forgetCamera, setZones, trackFrame } from "./service.js";
@@ -7,14 +7,14 @@ import { forgetCamera, setZones, trackFrame } from "./service.js";
 /** Longest side that is sent: more pixels cost time and add nothing. */
 const LONGEST_PX = 1280;
 
-/** A file is slowed down so that at least this many frames of each of its seconds are sent. */
+/** A file plays slowly enough to send at least this many frames of each of its seconds. */
 const MIN_FPS = 8;
 const MIN_RATE = 0.1;
 
 /** Wait before another try where the service names none. */
 const RETRY_S = 1;
 
-/** Statuses that a later attempt may improve: no answer at all, too slow, too much to do. */
+/** Statuses worth a retry: no answer, too slow, overloaded. */
 const TEMPORARY = [0, 408, 429, 502, 503, 504];
 
 const newCameraId = () => "page-"
@@ -39,7 +39,7 @@ export class Session {
   /**
    * @param video The element that plays; its source is set.
    * @param live Whether it is a webcam, which cannot be slowed down.
-   * @param options Returns what to ask for, and the API key.
+   * @param options Returns the query and the API key.
    */
   constructor(video, { live, options }) {
     this.#video = video;
@@ -50,11 +50,11 @@ export class Session {
     this.camera = newCameraId();
   }
 
-  /** Play and yield `{answer, photo, jpeg}` of each frame, or `{trouble}` that may pass; throws an
-   * UnplayableError or another one that does not pass. */
+  /** Play, and yield `{answer, photo, jpeg}` for each frame or `{trouble}` for a temporary error;
+   * throws permanent errors, an UnplayableError among them. */
   async* answers() {
     const { signal } = this.#leaving;
-    // Two in turns: one is on show while the other is on its way.
+    // Two canvases in turn: one is on show while the other is being sent.
     const shots = [new OffscreenCanvas(1, 1), new OffscreenCanvas(1, 1)];
     const wake = () => this.#wake();
     const look = () => this.#playOrPause();
@@ -92,7 +92,7 @@ export class Session {
     return this.#held;
   }
 
-  /** Stop at a frame for a while, or go on. */
+  /** Pause at a frame, or go on. */
   hold(whether) {
     this.#held = whether;
     this.#playOrPause();
@@ -103,7 +103,7 @@ export class Session {
     if (!this.live && seconds > this.#sent) this.#video.currentTime = seconds;
   }
 
-  /** Frames answered in a second of real time, and the speed if the video is slowed down. */
+  /** Answered frames per second, and the speed if the video is slowed down. */
   get pace() {
     const rate = this.#interval ? 1 / this.#interval : 0;
     const slowed = this.live || this.#video.playbackRate === 1 ? ""
@@ -117,7 +117,7 @@ export class Session {
     return setZones(this.camera, zones, this.#options().key);
   }
 
-  /** End it, and have the service forget it. */
+  /** End the session here and at the service. */
   stop() {
     if (this.#leaving.signal.aborted) return;
     this.#leaving.abort();
@@ -137,11 +137,11 @@ export class Session {
     if (!this.#video.videoWidth) throw new UnplayableError("no picture");
   }
 
-  /** Follow the time of the frame on show, in seconds. */
+  /** Watch the time of the frame on show, in seconds. */
   #watch() {
     const note = (_, frame) => {
       if (this.#leaving.signal.aborted) return;
-      // Webcams count from anywhere, and some not at all.
+      // Webcams start at any time, and some have no clock.
       this.#newest = this.live ? (performance.now() - this.#started) / 1000
         : frame?.mediaTime ?? this.#video.currentTime;
       this.#wake();
@@ -151,7 +151,7 @@ export class Session {
     note();
   }
 
-  /** Wait for a frame that has not been sent; false at the end. */
+  /** Wait for a frame that has not been sent yet; false at the end. */
   async #nextFrame() {
     while (!this.#leaving.signal.aborted) {
       if (this.#video.error) throw new UnplayableError(this.#video.error.message);

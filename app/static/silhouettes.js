@@ -2,7 +2,7 @@
 
 import { personColour } from "./skeleton.js";
 
-/** Run lengths out of the string that pycocotools writes. */
+/** Decode run lengths from pycocotools' string. */
 function runLengths(counts) {
   const lengths = [];
   let number = 0, shift = 0;
@@ -18,7 +18,7 @@ function runLengths(counts) {
   return lengths;
 }
 
-/** The silhouettes of an answer, each in its person's colour, on a canvas of the answer's size. */
+/** Draw the silhouettes of an answer in their persons' colours, on a canvas of the frame's size. */
 export function tint({ image: { width, height }, persons }) {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext("2d");
@@ -30,7 +30,7 @@ export function tint({ image: { width, height }, persons }) {
     let start = 0;
     runLengths(silhouette?.rle?.counts ?? "").forEach((length, run) => {
       const end = start + length;
-      // Inside and outside in turns, down the columns.
+      // Alternately outside and inside, down the columns.
       for (let at = start; run % 2 && at < end; at += 1) {
         pixels[(at % height) * width + Math.floor(at / height)] = colour;
       }

@@ -27,8 +27,8 @@ export function bonesOf({ names, bones }) {
 /** Probability below which a keypoint, or a whole pose, is drawn as unsure. */
 const SURE = 0.5;
 
-/** A test for bones, by the names of their ends: is one unsure, because its pose is or an end is
- * hardly visible? */
+/** A test of bones, by the names of their ends: unsure if the whole pose is, or if one end is hardly
+ * visible. */
 export function isUnsure({ confidence }, observed) {
   const hidden = new Set((observed ?? []).filter((point) => point?.score < SURE).map(({ name }) => name));
   return (...ends) => confidence < SURE || ends.some((name) => hidden.has(name));

@@ -7,10 +7,10 @@ const OBSERVED = "#ffffff";
 /** In place of a photograph that the browser cannot show, or that was not sent. */
 const NO_PHOTOGRAPH = "#5d6a6d";
 
-/** Skeletons of a single frame, beside smoothed ones. */
+/** Colour of a single frame's skeletons beside smoothed ones. */
 const SINGLE_FRAME = "#ffffff";
 
-/** Keypoints that the photograph shows. */
+/** Draw the keypoints observed in the photograph. */
 function drawObserved(context, keypoints, radius) {
   context.fillStyle = OBSERVED;
   context.strokeStyle = "rgb(0 0 0 / 0.75)";
@@ -86,7 +86,7 @@ const fromCorners = ({ x, y }) => [x + 0.5, y + 0.5];
 /** Width of bones: visible, but not hiding a small person. */
 const boneWidth = (box, line) => Math.max(Math.min(2 * line, box.height / 30), box.height / 70);
 
-/** How a canvas shows an image: pixels of the screen for one of the image, and the image's edges. */
+/** Placement of an image that fits into a canvas: screen pixels per image pixel, and its edges. */
 export function fitted(canvas, { width, height }) {
   const scale = Math.min(canvas.clientWidth / width, canvas.clientHeight / height) || 1;
   return {
@@ -96,7 +96,7 @@ export function fitted(canvas, { width, height }) {
   };
 }
 
-/** The point of an image, `[x, y]` in its pixels, at which a pointer event on its canvas is. */
+/** Position of a pointer event on an image's canvas, `[x, y]` in pixels of the image. */
 export function pointAt({ offsetX, offsetY }, canvas, image) {
   const { scale, left, top } = fitted(canvas, image);
   return [(offsetX - left) / scale, (offsetY - top) / scale];
@@ -106,7 +106,7 @@ export function pointAt({ offsetX, offsetY }, canvas, image) {
 export const personAt = ([x, y], persons) => persons.findIndex(({ box }) =>
   x >= box.x && x <= box.x + box.width && y >= box.y && y <= box.y + box.height);
 
-/** The whole photograph with what was found in it. */
+/** Draw the whole photograph with the people found in it. */
 export function drawStage(canvas, scene) {
   const { width, height } = scene.answer.image;
   // More pixels than were sent add nothing, and some phones lack the memory.
@@ -118,7 +118,7 @@ export function drawStage(canvas, scene) {
   drawLayers(context, scene, 1.6 / fitted(canvas, scene.answer.image).scale);
 }
 
-/** A frame of a camera with its zones and tracks; of these boxes and the skeletons that `shown` lists. */
+/** Draw a camera's frame with its zones, and the boxes and skeletons of its tracks that `shown` lists. */
 export function drawTracks(canvas, { photo, answer, shown, chosen, zones = [] }) {
   const { width, height } = answer.image;
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -127,7 +127,7 @@ export function drawTracks(canvas, { photo, answer, shown, chosen, zones = [] })
   const line = 1.6 / fitted(canvas, answer.image).scale;
   for (const zone of zones) drawZone(context, zone, line);
   for (const { box, track_id: id, pose, hypotheses, source, observed_keypoints: observed } of answer.persons) {
-    // A person who is hidden at present is only expected here.
+    // A hidden person is only predicted there.
     context.globalAlpha = source === "track" ? 0.4 : 1;
     const bone = boneWidth(box, line);
     if (shown.boxes) drawBox(context, box, personColour(id - 1), id === chosen ? 2 * line : line);
@@ -146,7 +146,7 @@ export function drawTracks(canvas, { photo, answer, shown, chosen, zones = [] })
 
 const ZONES = { rest: "#7cc4ff", watch: "#ffd34d" };
 
-/** A zone with its name, or one that is being drawn: open, with its corners marked. */
+/** Draw a zone with its name; an unfinished one is open, with its corners marked. */
 export function drawZone(context, { name, kind, polygon, open = false }, line) {
   if (!polygon.length) return;
   context.beginPath();
@@ -180,7 +180,7 @@ export function drawZone(context, { name, kind, polygon, open = false }, line) {
   context.textAlign = "start";
 }
 
-/** The chosen person, filling the canvas: people in a street are small. */
+/** Draw the chosen person, filling the canvas: people in a street are small. */
 export function drawCloseUp(canvas, scene) {
   const context = canvas.getContext("2d");
   context.resetTransform();

@@ -17,7 +17,7 @@ const MARKS = {
 /** Seconds without a sighting after which a posture is unknown. */
 const GAP_S = 1;
 
-/** What is shown of a webcam, which has no end; and the least that is shown of a video. */
+/** Seconds on show of a webcam, which has no end, and the minimum for any video. */
 const WINDOW_S = 120, MIN_S = 10;
 
 const LOOKED = "#d2408a";
@@ -34,8 +34,8 @@ export class Timeline {
   #live = false;
 
   /**
-   * @param seek Is called with a time in seconds when one is chosen with the pointer.
-   * @param step Is called with -1, 1, -Infinity or Infinity: frames to go by the keyboard.
+   * @param seek Called with the time in seconds that the pointer chooses.
+   * @param step Called with the number of frames that a key moves by, ±Infinity for Home and End.
    */
   constructor(canvas, legend, seek, step) {
     this.#canvas = canvas;
@@ -56,7 +56,7 @@ export class Timeline {
     });
   }
 
-  /** Begin anew; `duration` in seconds, null if unknown; `live` has no end. */
+  /** Start over; `duration` in seconds, null if unknown; a `live` source has no end. */
   clear(duration, live) {
     this.#tracks.clear();
     this.#now = 0;
@@ -66,7 +66,7 @@ export class Timeline {
     this.draw();
   }
 
-  /** Mark the time that is looked at, null for the newest. */
+  /** Mark the time on show, null for the newest. */
   look(seconds) {
     this.#looked = seconds;
     this.draw();
@@ -189,7 +189,7 @@ export class Timeline {
     }
   }
 
-  /** Explain the colours and marks on show. */
+  /** The legend of the colours and marks on show. */
   #explain(rows) {
     const labels = new Set(rows.flatMap(({ spans }) => spans.map(({ label }) => label)));
     const events = new Set(rows.flatMap((row) => row.events.map(({ event }) => event)));

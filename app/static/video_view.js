@@ -1,5 +1,5 @@
-// What is shown of a video or a webcam: the picture with its tracks, the people in it, events, the
-// timeline and zones; looking back while it plays or after its end.
+// The view of a video or a webcam: the picture with its tracks, the people, events, the timeline and
+// zones. One can look back while it plays and after its end.
 
 import { $, bringIntoView, renamed, save, sentence } from "./dom.js";
 import { clock, showEvent } from "./events.js";
@@ -29,17 +29,18 @@ export class VideoView {
     redraw: () => this.#draw(),
   });
   #recording = new Recording();
-  // What plays, where it comes from (a file, or null for the webcam), and where the last one did.
+  // The session that plays, the source on show, and one that was refused for want of a key; a source's
+  // file is null for the webcam.
   #session = null;
   #source = null;
   #refused = null;
-  // The frame on show, the track chosen in it, and the time that is looked back at.
+  // The frame on show, the track chosen in it, and the earlier time on show, if any.
   #shown = null;
   #chosen = null;
   #looked = null;
   #notes = [];
 
-  /** @param page What the page lends: `options()`, `refused(error)` and `begins()`. */
+  /** @param page Functions of the page: `options()`, `refused(error)` and `begins()`. */
   constructor(page) {
     this.#page = page;
     $("hold").addEventListener("click", () => this.#hold());
@@ -55,7 +56,7 @@ export class VideoView {
     $("live").addEventListener("click", (event) => this.#click(event));
   }
 
-  /** Follow the people of a video file; what was shown before stays until its first frame is done. */
+  /** Track the people of a video file; the last view stays until its first frame is answered. */
   async play(file, note = "") {
     this.stop();
     this.#video.src = URL.createObjectURL(file);
@@ -79,20 +80,20 @@ export class VideoView {
     try {
       const stream = await openWebcam();
       if (asked !== this.#session) {
-        // In the meantime another source was chosen.
+        // The user has chosen something else meanwhile.
         stream.getTracks().forEach((track) => track.stop());
         return;
       }
       this.#video.srcObject = stream;
       const session = new Session(this.#video, { live: true, options: this.#page.options });
-      await this.#run(session, { file: null, note: "The camera has to stand still." });
+      await this.#run(session, { file: null, note: "The camera must not move." });
     } catch (error) {
       if (asked === this.#session) this.stop();
       complain(new Error(`The webcam cannot be used: ${error.message || error}`));
     }
   }
 
-  /** Once more with another API key, if the service wanted one. */
+  /** Try again with another API key if the service required one. */
   again() {
     const refused = this.#refused;
     if (!refused) return;
@@ -100,7 +101,7 @@ export class VideoView {
     else this.toggleWebcam();
   }
 
-  /** Stop what plays, and leave what was shown. */
+  /** Stop playing and keep the view. */
   stop() {
     this.#session?.stop();
     this.#session = this.#refused = null;
@@ -144,7 +145,7 @@ export class VideoView {
       this.stop();
       if (error.status === 401) this.#refused = source;
       else if (source.file) named(error, source.file);
-      tell(begun || $("result").hidden ? [] : ["Below is still the answer before this."]);
+      tell(begun || $("result").hidden ? [] : ["Below is still the answer before this one."]);
       this.#page.refused(error, source.file ? () => this.play(source.file, source.note) : null);
       return;
     }
@@ -173,7 +174,7 @@ export class VideoView {
     this.#recording.clear();
     $("events").replaceChildren();
     this.#shown = this.#chosen = this.#looked = null;
-    // Unknown for a webcam, what a browser recorded, and what it cannot play.
+    // Unknown for a webcam, for a browser's recordings, and for what it cannot play.
     const { duration } = this.#video;
     this.#timeline.clear(Number.isFinite(duration) ? duration : null, this.#session.live);
   }
@@ -188,7 +189,7 @@ export class VideoView {
       this.#reset();
       this.#note("The service had forgotten this camera: people are numbered anew.");
     }
-    if (answer.reset) this.#note(`People are followed anew: ${answer.reset}.`);
+    if (answer.reset) this.#note(`Tracking starts anew: ${answer.reset}.`);
     for (const warning of answer.image.warnings ?? []) this.#note(`About the picture: ${warning}.`);
     this.#tell();
     this.#recording.add(answer, jpeg);
@@ -198,7 +199,7 @@ export class VideoView {
     this.#showButtons();
   }
 
-  /** Say it once, not with each frame. */
+  /** Add a note once, not with each frame. */
   #note(text) {
     if (!this.#notes.includes(text)) this.#notes.push(text);
   }
@@ -252,7 +253,7 @@ export class VideoView {
     this.#solid.show(pose?.joints_3d ?? [], answer.keypoints);
   }
 
-  /** Look back at a time that was answered, or let a video continue at a later one. */
+  /** Show an answered frame, or let a video continue at a later time. */
   async #seek(seconds) {
     if (this.#recording.isEmpty) return;
     if (seconds > this.#recording.end && this.#session?.canPause) {

@@ -1,10 +1,10 @@
-// The webcam, as far as the browser lends it.
+// Access to the webcam.
 
 /** A stream of the camera; throws where there is none or it is not allowed. */
 export async function openWebcam() {
-  // Browsers know no webcams on pages that came without TLS.
+  // Browsers offer no webcams to pages without TLS.
   if (!navigator.mediaDevices) {
-    throw new Error("browsers lend it only to pages over HTTPS or on localhost.");
+    throw new Error("browsers allow it only on pages over HTTPS or on localhost.");
   }
   return navigator.mediaDevices.getUserMedia(
     { video: { width: 640, height: 480, facingMode: "environment" } });

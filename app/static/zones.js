@@ -2,7 +2,7 @@
 
 import { $, copy, element, sentence } from "./dom.js";
 
-/** As near to the first corner, in pixels of the screen, a click closes the zone. */
+/** A click this near to the first corner, in pixels of the screen, closes the zone. */
 const CLOSE_PX = 10;
 
 const MAX_CORNERS = 64;
@@ -14,7 +14,7 @@ export class ZoneEditor {
   #size = null;
 
   /**
-   * @param host What the view lends: `apply(zones)` sends all zones to the camera and throws if
+   * @param host Functions of the view: `apply(zones)` sends all zones to the camera and throws if
    * they are refused, `drawing(whether)` is called when drawing begins and ends, `redraw()` draws
    * the picture.
    */
@@ -48,7 +48,7 @@ export class ZoneEditor {
     return Boolean(this.#draft?.open);
   }
 
-  /** The zones to draw, the one in the making among them. */
+  /** The zones to draw, including an unfinished one. */
   get drawn() {
     return this.#draft ? [...this.#zones, this.#draft] : this.#zones;
   }

@@ -1,4 +1,9 @@
-"""What a tracked person does: a linear model on the motion of the last seconds."""
+"""What a tracked person does: a linear model on features of the motion of the last seconds.
+
+Features tell how a skeleton moves. Lengths are in legs, and joints are described from the person's
+point of view: outward (towards their own side), up and forward of the pelvis. Of a pair of limbs,
+the one that does more and the one that does less count, not the left and the right one.
+"""
 
 from __future__ import annotations
 
@@ -13,55 +18,92 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import CLEAR_FROM, EstimatedPosture
+from app.estimation.parameters import POSTURE
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
-from app.tracking.action_features import RATE_HZ, Measured, action_features, ground_path
+from app.tracking.ground_motion import ground_path
+from app.tracking.parameters import DEFAULTS, ActionParameters, GroundParameters, TrackingParameters
 from app.tracking.results import RecognisedAction
-from app.tracking.smoothing import SURE_PX, Smoothed
-from index.posture import Posture, camera_up
+from app.tracking.smoothing import Smoothed
+from index.posture import ON_THE_GROUND, Posture, camera_up
+from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 
-WINDOW_S, LEAST_S = 3.0, 1.0
-"""Seconds of motion that are looked at, and from which an action is told."""
+MODEL = Path(__file__).parent / "models" / "actions.json"
 
-EVERY_S = 0.5
-"""Time from one answer to the next: what somebody does changes slowly."""
-
-LEAST_STEP_S = 1 / 40
-"""Frames nearer than this add nothing to a motion that is sampled at ten a second, but memory."""
-
-MOST_GAP_S = 1.0
-"""Longer without a pose, and the motion begins anew."""
-
-LEAST_SHARE = 0.02
-"""Of the hypotheses' votes, for actions that no hypothesis shows."""
+EVERYDAY = ("lie", "sit", "stand", "walk", "run")
+"""Actions that are likelier than exercises where the motion of limbs is not seen."""
 
 SHOWN_BY: dict[str, tuple[Posture, ...]] = {
-    "lie": ("lying", "crawling"),
+    "lie": ON_THE_GROUND,
     "sit": ("sitting",),
     "squat": ("crouching", "kneeling", "sitting", "bending"),
     "jump": ("standing", "arms_raised", "bending", "crouching", "running"),
     "walk": ("walking",),
     "run": ("running",),
 }
-"""Postures in which an action is seen; the others are done on the spot, upright."""
-
-EVERYDAY = ("lie", "sit", "stand", "walk", "run")
-"""What most people do whom a camera sees ..."""
-
-EVERYDAY_LOG_ODDS = math.log(10)
-"""... rather than exercises, where the motion of their limbs does not tell."""
+"""Postures in which an action is seen; all others are done on the spot, upright."""
 
 ON_THE_SPOT: tuple[Posture, ...] = ("standing", "arms_raised", "bending")
 
-LEAST_POSTURE = 0.1
-"""What a posture that contradicts an action leaves of its probability: it may be a moment's."""
+RATE_HZ = 10.0
+"""Poses a second that features are computed from."""
 
-MODEL = Path(__file__).parent / "models" / "actions.json"
+SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
+"""Metres a second: on the spot, shifting, walking, and faster than people walk. By them a linear
+model can recognise walking, which is a range of speeds."""
+
+_PELVIS = POINT_NAMES.index("pelvis")
+_TRUNK = ("spine", "chest", "head")
+_LIMBS = ("elbow", "wrist", "knee", "ankle")
+_OUTWARD = {"left": np.array([1.0, 1.0, 1.0]), "right": np.array([-1.0, 1.0, 1.0])}
+
+
+@dataclass(frozen=True)
+class PoseSample:
+    """A pose at a moment.
+
+    Parameters
+    ----------
+    timestamp : float
+        Seconds.
+    points_3d : (24, 3) float64 array
+        Camera axes, metres, origin at the pelvis.
+    pelvis_px : (2,) float64 array
+        In the frame.
+    pixels_per_metre : float
+        At the person's distance.
+    elevation_deg : float
+        Of the camera above the person.
+    """
+
+    timestamp: float
+    points_3d: NDArray[np.float64]
+    pelvis_px: NDArray[np.float64]
+    pixels_per_metre: float
+    elevation_deg: float
+
+    @classmethod
+    def of(cls, timestamp: float, smoothed: Smoothed) -> PoseSample:
+        """Sample a smoothed pose."""
+        pose = smoothed.pose
+        # A ratio of sizes rather than the least squares of index.skeleton.pixels_per_metre: a
+        # smoothed skeleton may be turned away from the points in the picture.
+        spread_px, spread_m = (
+            float(np.linalg.norm(points - points[_PELVIS], axis=1).sum())
+            for points in (pose.points_2d, pose.points_3d[:, :2])
+        )
+        return cls(
+            timestamp,
+            pose.points_3d - pose.points_3d[_PELVIS],
+            pose.points_2d[_PELVIS],
+            max(spread_px, 1e-6) / max(spread_m, 1e-6),
+            smoothed.elevation_deg,
+        )
 
 
 @dataclass(frozen=True)
 class ActionModel:
-    """Linear discriminants of motions, and what the hypotheses' labels count beside them.
+    """Linear discriminants of motions, and the weight of the hypotheses' labels beside them.
 
     Parameters
     ----------
@@ -71,7 +113,7 @@ class ActionModel:
     offsets : (A,) float64 array
         Log odds of the actions are ``weights @ features + offsets``.
     vote_weight : float
-        What the log of the hypotheses' votes counts beside them.
+        Weight of the log of the hypotheses' votes.
     """
 
     actions: tuple[str, ...]
@@ -88,28 +130,44 @@ class ActionModel:
                 f"got {self.weights.shape} and {self.offsets.shape}"
             )
 
+    @classmethod
+    def load(cls, file: Path = MODEL) -> ActionModel:
+        """Read what ``python -m scripts train-actions`` wrote."""
+        values = json.loads(file.read_text())
+        return cls(
+            tuple(values["actions"]),
+            np.array(values["weights"], np.float64),
+            np.array(values["offsets"], np.float64),
+            float(values["vote_weight"]),
+        )
+
     def probabilities(
-        self, features: NDArray[np.float64], votes: NDArray[np.float64], sure: float = 1.0
+        self,
+        features: NDArray[np.float64],
+        votes: NDArray[np.float64],
+        clarity: float = 1.0,
+        parameters: ActionParameters = DEFAULTS.actions,
     ) -> NDArray[np.float64]:
-        """Tell actions apart.
+        """Recognise actions.
 
         Parameters
         ----------
         features : (..., D) float64 array
+            By :func:`window_features`.
         votes : (..., A) float64 array
-            Of :meth:`votes`.
-        sure : float
-            How surely the motion of limbs is seen, 0 to 1. As far as it is not, what people mostly
-            do counts.
+            By :meth:`votes`.
+        clarity : float
+            How clearly the motion of limbs is seen, 0 to 1; the less, the more everyday actions
+            count.
 
         Returns
         -------
         (..., A) float64 array
             Probabilities.
         """
-        everyday = EVERYDAY_LOG_ODDS * np.isin(self.actions, EVERYDAY)
-        odds = sure * (features @ self.weights.T + self.offsets) + (1 - sure) * everyday
-        odds = odds + self.vote_weight * np.log(np.maximum(votes, LEAST_SHARE))
+        everyday = parameters.everyday_log_odds * np.isin(self.actions, EVERYDAY)
+        odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
+        odds = odds + self.vote_weight * np.log(np.maximum(votes, parameters.min_vote))
         odds = np.exp(odds - odds.max(axis=-1, keepdims=True))
         return np.asarray(odds / odds.sum(axis=-1, keepdims=True))
 
@@ -123,17 +181,6 @@ class ActionModel:
                 votes[self.actions.index(hypothesis.label.action)] += hypothesis.confidence
         return np.asarray(votes / total)
 
-    @classmethod
-    def load(cls, file: Path = MODEL) -> ActionModel:
-        """Read what ``python -m scripts.train_actions`` wrote."""
-        values = json.loads(file.read_text())
-        return cls(
-            tuple(values["actions"]),
-            np.array(values["weights"], np.float64),
-            np.array(values["offsets"], np.float64),
-            float(values["vote_weight"]),
-        )
-
 
 @lru_cache(maxsize=1)
 def shipped_model() -> ActionModel:
@@ -142,7 +189,7 @@ def shipped_model() -> ActionModel:
 
 
 class ActionRecogniser:
-    """Tells from the last seconds of a track what the person does.
+    """Recognises what the person of a track does, from its last seconds.
 
     Parameters
     ----------
@@ -150,11 +197,14 @@ class ActionRecogniser:
         The shipped one by default.
     """
 
-    def __init__(self, model: ActionModel | None = None) -> None:
+    def __init__(
+        self, model: ActionModel | None = None, parameters: TrackingParameters = DEFAULTS
+    ) -> None:
         self._model = shipped_model() if model is None else model
-        self._seen: deque[tuple[Measured, NDArray[np.float64]]] = deque()
-        self._told: RecognisedAction | None = None
-        self._told_at = -math.inf
+        self._parameters, self._ground = parameters.actions, parameters.ground
+        self._window: deque[tuple[PoseSample, NDArray[np.float64]]] = deque()
+        self._last_result: RecognisedAction | None = None
+        self._last_at = -math.inf
 
     def update(
         self,
@@ -174,57 +224,74 @@ class ActionRecogniser:
         smoothed : Smoothed
             The track's pose at this frame.
         posture : EstimatedPosture, optional
-            The track's, where it is surer than the motion: with landmarks.
+            The track's, where it is more reliable than the motion: with landmarks.
 
         Returns
         -------
         RecognisedAction or None
             None until the person was seen for a second, and where no action is likely.
         """
-        if self._seen and timestamp - self._seen[-1][0].timestamp > MOST_GAP_S:
-            self._seen.clear()
-            self._told = None
-        if not self._seen or timestamp - self._seen[-1][0].timestamp >= LEAST_STEP_S:
-            measured = Measured.of(timestamp, smoothed)
-            self._seen.append((measured, self._model.votes(person.hypotheses)))
-        while timestamp - self._seen[0][0].timestamp > WINDOW_S:
-            self._seen.popleft()
-        if timestamp - self._seen[0][0].timestamp < LEAST_S:
+        self._add_sample(timestamp, person, smoothed)
+        if timestamp - self._window[0][0].timestamp < self._parameters.min_window_s:
             return None
-        if timestamp - self._told_at < EVERY_S:
-            return self._told
-        features = window_features([measured for measured, _ in self._seen])
-        votes = np.mean([votes for _, votes in self._seen], axis=0)
-        if posture is None:
-            probabilities = self._model.probabilities(features, votes)
-        else:
-            sure = min(1.0, person.observed.whole_box.height / SURE_PX)
-            probabilities = self._model.probabilities(features, votes, sure)
-            probabilities = probabilities * posture_factors(self._model.actions, posture)
-            probabilities /= probabilities.sum()
+        if timestamp - self._last_at >= self._parameters.every_s:
+            self._last_at, self._last_result = timestamp, self._recognise(person, posture)
+        return self._last_result
+
+    def _add_sample(self, timestamp: float, person: Person, smoothed: Smoothed) -> None:
+        """Extend the window by a frame, or begin a new one after a gap."""
+        parameters = self._parameters
+        elapsed = timestamp - self._window[-1][0].timestamp if self._window else math.inf
+        if elapsed > parameters.max_gap_s:
+            self._window.clear()
+            self._last_result = None
+        if elapsed >= parameters.min_step_s:
+            sample = PoseSample.of(timestamp, smoothed)
+            self._window.append((sample, self._model.votes(person.hypotheses)))
+        while timestamp - self._window[0][0].timestamp > parameters.window_s:
+            self._window.popleft()
+
+    def _recognise(
+        self, person: Person, posture: EstimatedPosture | None
+    ) -> RecognisedAction | None:
+        """The likeliest action of the window, if it is likely enough."""
+        features = window_features([sample for sample, _ in self._window], self._ground)
+        votes = np.mean([votes for _, votes in self._window], axis=0)
+        clarity, factors = 1.0, np.ones(len(self._model.actions))
+        if posture is not None:
+            clarity = min(1.0, person.observed.whole_box.height / self._parameters.full_weight_px)
+            factors = posture_factors(self._model.actions, posture, self._parameters)
+        probabilities = factors * self._model.probabilities(
+            features, votes, clarity, self._parameters
+        )
+        probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
-        self._told_at = timestamp
-        self._told = None
-        if probabilities[best] >= CLEAR_FROM:
-            self._told = RecognisedAction(self._model.actions[best], float(probabilities[best]))
-        return self._told
+        if probabilities[best] < POSTURE.min_probability:
+            return None
+        return RecognisedAction(self._model.actions[best], float(probabilities[best]))
 
 
-def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArray[np.float64]:
-    """How well a posture goes with each action, ``(A,)``."""
+def posture_factors(
+    actions: Sequence[str],
+    posture: EstimatedPosture,
+    parameters: ActionParameters = DEFAULTS.actions,
+) -> NDArray[np.float64]:
+    """How well each action goes with a posture, ``(A,)``."""
     shown = [posture.share(SHOWN_BY.get(action, ON_THE_SPOT)) for action in actions]
-    return LEAST_POSTURE + np.array(shown)
+    return parameters.min_posture + np.array(shown)
 
 
-def window_features(measured: Sequence[Measured]) -> NDArray[np.float64]:
-    """Features of poses at any, also uneven, rate.
+def window_features(
+    samples: Sequence[PoseSample], ground: GroundParameters = DEFAULTS.ground
+) -> NDArray[np.float64]:
+    """Features ``(D,)`` of poses at any, even irregular, rate.
 
     Parameters
     ----------
-    measured : sequence of Measured
+    samples : sequence of PoseSample
         In order of time, over at least two intervals of ``RATE_HZ``.
     """
-    times = np.array([m.timestamp for m in measured])
+    times = np.array([sample.timestamp for sample in samples])
     wanted = np.arange(times[-1], times[0] - 1e-9, -1 / RATE_HZ)[::-1]
 
     def resampled(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -232,11 +299,115 @@ def window_features(measured: Sequence[Measured]) -> NDArray[np.float64]:
         at_rate = np.stack([np.interp(wanted, times, column) for column in columns], axis=1)
         return at_rate.reshape(len(wanted), *values.shape[1:])
 
-    elevation_deg = float(np.mean([m.elevation_deg for m in measured]))
-    scale = float(np.median([m.pixels_per_metre for m in measured]))
-    pelvis_px = resampled(np.array([m.pelvis_px for m in measured]))
+    elevation_deg = float(np.mean([sample.elevation_deg for sample in samples]))
+    scale = float(np.median([sample.pixels_per_metre for sample in samples]))
+    pelvis_px = resampled(np.array([sample.pelvis_px for sample in samples]))
     return action_features(
-        resampled(np.array([m.points_3d for m in measured])),
+        resampled(np.array([sample.points_3d for sample in samples])),
         camera_up(elevation_deg),
-        ground_path(pelvis_px, scale, elevation_deg),
+        ground_path(pelvis_px, scale, elevation_deg, ground),
     )
+
+
+def action_features(
+    points_3d: NDArray[np.float64], up: NDArray[np.float64], path: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Features of a motion.
+
+    Parameters
+    ----------
+    points_3d : (T, P, 3) float64 array
+        Camera axes, metres, ``RATE_HZ`` poses a second; the first 19 points are the joints.
+    up : (3,) float64 array
+        Away from the ground, in the same axes.
+    path : (T, 2) float64 array
+        Of the pelvis, metres, by :func:`app.tracking.ground_motion.ground_path`.
+
+    Returns
+    -------
+    (D,) float64 array
+    """
+    joints, left = _in_body_axes(points_3d, up)
+    at = {name: joints[:, row] for row, name in enumerate(JOINT_NAMES)}
+    parts: list[NDArray[np.float64]] = []
+    for name in _TRUNK:
+        parts.append(_statistics(np.abs(at[name]) * (1, 0, 0) + at[name] * (0, 1, 1)))
+    for name in _LIMBS:
+        sides = [at[f"{side}_{name}"] * signs for side, signs in _OUTWARD.items()]
+        left_side, right_side = (_statistics(side) for side in sides)
+        parts += [np.maximum(left_side, right_side), np.minimum(left_side, right_side)]
+        parts += _coordination(*sides)
+    height = joints[:, 0, 1] - joints[..., 1].min(axis=1)
+    apart = [at[f"left_{name}"] - at[f"right_{name}"] for name in ("wrist", "ankle")]
+    parts += [_statistics(height), *(_statistics(np.linalg.norm(d, axis=1)) for d in apart)]
+    parts += [_turning(at, left), _travel(path)]
+    features = np.concatenate([part.ravel() for part in parts])
+    # Roots bring the long tails of speeds closer to a normal distribution.
+    return np.asarray(np.sign(features) * np.sqrt(np.abs(features)))
+
+
+def _in_body_axes(
+    points_3d: NDArray[np.float64], up: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Joints ``(T, 19, 3)`` to the left, up and forward of the pelvis, in legs.
+
+    And the direction that is left, ``(T, 3)``.
+    """
+    joints = points_3d[:, :JOINTS] - points_3d[:, :1]
+    at = {name: joints[:, row] for row, name in enumerate(JOINT_NAMES)}
+    across = sum(at[f"left_{name}"] - at[f"right_{name}"] for name in ("hip", "shoulder"))
+    left = across - np.multiply.outer(across @ up, up)
+    left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-6)
+    axes = np.stack([left, np.broadcast_to(up, left.shape), np.cross(left, up)], axis=1)
+    bones = [
+        at[f"{side}_{start}"] - at[f"{side}_{end}"]
+        for side in _OUTWARD
+        for start, end in (("hip", "knee"), ("knee", "ankle"))
+    ]
+    leg = np.linalg.norm(bones, axis=-1).mean() * 2
+    return np.einsum("tij,tpj->tpi", axes, joints) / leg, left
+
+
+def _statistics(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean, deviation, minimum, maximum, mean and RMS speed: ``(6, ...)`` of ``(T, ...)``."""
+    speeds = RATE_HZ * np.abs(np.diff(values, axis=0))
+    return np.stack([
+        values.mean(axis=0), values.std(axis=0), values.min(axis=0), values.max(axis=0),
+        speeds.mean(axis=0), np.sqrt((speeds**2).mean(axis=0)),
+    ])  # fmt: skip
+
+
+def _coordination(
+    left: NDArray[np.float64], right: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Covariance of both sides, negative where they move in turn, and their mean distance."""
+    return (
+        np.mean((left - left.mean(axis=0)) * (right - right.mean(axis=0)), axis=0),
+        np.abs(left - right).mean(axis=0),
+    )
+
+
+def _turning(at: dict[str, NDArray[np.float64]], left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How shoulders turn against hips, and the whole body; radians and radians a second."""
+    yaw = {}
+    for name in ("shoulder", "hip"):
+        across = at[f"left_{name}"] - at[f"right_{name}"]
+        yaw[name] = np.rad2deg(np.arctan2(across[:, 2], across[:, 0]))
+    twist = np.deg2rad(wrap_degrees(yaw["shoulder"] - yaw["hip"]))
+    # The camera's x and z span the ground closely enough for a turn's speed.
+    heading = np.unwrap(np.arctan2(left[:, 2], left[:, 0]))
+    return np.array([
+        twist.std(), np.ptp(twist), RATE_HZ * np.abs(np.diff(twist)).mean(),
+        RATE_HZ * abs(heading[-1] - heading[0]) / (len(heading) - 1),
+        RATE_HZ * np.abs(np.diff(heading)).mean(),
+    ])  # fmt: skip
+
+
+def _travel(path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Speeds in metres a second: from start to end, by band, and from pose to pose."""
+    steps = RATE_HZ * np.diff(path, axis=0)
+    speed = np.linalg.norm(steps.mean(axis=0))
+    return np.array([
+        speed, *(np.clip(speed, low, high) - low for low, high in SPEED_BANDS),
+        np.linalg.norm(steps, axis=1).mean(), *np.abs(steps).mean(axis=0), steps[:, 1].std(),
+    ])  # fmt: skip

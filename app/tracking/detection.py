@@ -1,45 +1,36 @@
-"""Finds the people of a camera's frame: each track by its own window, newcomers by a search.
+"""Finds the people of a camera's frame: each track by its own window, new people by a search.
 
-Everybody who is tracked is read on every frame, in the window that their last landmarks point to.
-Every so often, and where a track's window no longer shows anybody, the whole frame is searched, for
-newcomers and to check the tracks: MoveNet, which needs no window, says where one has gone astray.
+Tracked people are read on every frame, in the windows that their last landmarks point to. Now and
+then, and where a track's window shows nobody any more, the whole frame is searched, for new people
+and to check the tracks: MoveNet, which needs no window, finds those that have gone astray.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import PeopleFinder, distinct_bodies, observed
-from app.estimation.results import ObservedPerson
+from app.estimation.finder import PeopleFinder, distinct_bodies, make_observation
 from app.scheduling.job import Job
-from app.tracking.track import LEAST_PRESENCE, Track
-from app.vision.blazepose import Reading
-from app.vision.geometry import Box, Detection
+from app.tracking.parameters import DEFAULTS, TrackingParameters
+from app.tracking.track import Sighting, Track
+from app.vision.blazepose import PoseReading
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Detection
 from app.vision.person_reader import fuse
 from app.vision.silhouettes import silhouettes_of
 
-SEARCH_EVERY_S = 0.4
-"""Time between two searches of the whole frame."""
 
-FOLLOWED_FOR_S = 0.5
-"""How long after it was read a track's window still says where the person is."""
+@dataclass(frozen=True)
+class _Target:
+    """A person to read: a detection, or a track whose person no detection shows."""
 
-MOST_DRIFT = 0.35
-"""How far a window may be from the next: one that drifts farther has lost the body."""
-
-PLACED_FROM_PX = 200.0
-"""Size of a body from which MoveNet's keypoints place joints in a track's window too. It takes as
-long as the reading; smaller people's poses are averaged over more frames in its stead."""
-
-BODY_ROOM = 0.1
-"""Room about the landmarks in which a body is cut out, as a share of their box."""
-
-SAME_PERSON = 0.3
-"""Overlap (IoU) of a detection with the place expected of a track, from which it is the track's."""
+    detection: Detection  # Of a track, its predicted box and its window.
+    track: Track | None  # None for a detection.
 
 
 class TrackedPeopleDetector:
@@ -48,19 +39,18 @@ class TrackedPeopleDetector:
     Parameters
     ----------
     finder : PeopleFinder
+        Its detector and its reader are used.
     """
 
-    def __init__(self, finder: PeopleFinder) -> None:
+    def __init__(self, finder: PeopleFinder, parameters: TrackingParameters = DEFAULTS) -> None:
         self._finder = finder
+        self._parameters = parameters.detection
+        self._min_presence = parameters.track.min_presence
         self._searched_at = self._read_at = -math.inf
 
     def find(
-        self,
-        frame: NDArray[np.uint8],
-        timestamp: float,
-        tracks: Sequence[Track],
-        job: Job,
-    ) -> list[tuple[ObservedPerson, Track | None]]:
+        self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
+    ) -> list[Sighting]:
         """Find the people of a frame with their silhouettes and landmarks.
 
         Parameters
@@ -70,139 +60,125 @@ class TrackedPeopleDetector:
         timestamp : float
             Seconds.
         tracks : sequence of Track
+            All of the session.
         job : Job
+            Whose time it takes.
 
         Returns
         -------
-        list of (ObservedPerson, Track or None)
-            The track in whose window the person was read, None where the search found them.
+        list of Sighting
+            Each with the track in whose window the person was read, None after a search.
         """
-        wanted, owners, readings = self._read_people(frame, timestamp, tracks, job)
+        read = self._read_people(frame, timestamp, tracks, job)
         self._read_at = timestamp
-        found, rows = _distinct(readings, wanted)
+        found = _distinct([(target, reading) for target, reading in read if reading is not None])
         boxes = [
-            _body_box(found[i]) if wanted[row].score == 0 else wanted[row].box
-            for i, row in enumerate(rows)
+            target.detection.box if target.track is None else self._body_box(reading)
+            for target, reading in found
         ]
         with job.stage("segment"):
-            silhouettes = silhouettes_of(found, boxes, frame.shape, exact=False)
-        people = []
-        for row, box, reading, silhouette in zip(rows, boxes, found, silhouettes, strict=True):
+            readings = [reading for _, reading in found]
+            silhouettes = silhouettes_of(readings, boxes, frame.shape, exact=False)
+        sightings = []
+        for (target, reading), box, silhouette in zip(found, boxes, silhouettes, strict=True):
             if silhouette is None:
                 continue
-            owner = owners[row]
-            score = owner.score if owner else wanted[row].score
+            score = target.track.score if target.track else target.detection.score
             # A detector's box may hold more than the body that is read in it.
-            place = silhouette.box if reading.presence >= LEAST_PRESENCE else box
-            person = observed(frame, place, "detector", score, silhouette, reading)
-            people.append((person, owner))
-        return people
+            place = silhouette.box if reading.presence >= self._min_presence else box
+            person = make_observation(frame, place, "detector", score, silhouette, reading)
+            sightings.append(Sighting(person, track=target.track))
+        return sightings
 
     def _read_people(
-        self,
-        frame: NDArray[np.uint8],
-        timestamp: float,
-        tracks: Sequence[Track],
-        job: Job,
-    ) -> tuple[list[Detection], list[Track | None], list[Reading | None]]:
-        """Read the tracks by their windows or, where that does not do, whoever a search finds.
+        self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
+    ) -> list[tuple[_Target, PoseReading | None]]:
+        """Read the tracks by their windows or, where that does not suffice, all that is found.
 
-        Who was lost at the frame before, or is lost at this one, is believed more easily.
+        The search lowers its threshold near people who were lost at the frame before or at this
+        one.
         """
-        recent = [track for track in tracks if timestamp - track.seen_at <= FOLLOWED_FOR_S]
-        followed = [
-            (track, track.motion.predict(timestamp)) for track in recent if track.next_window
+        recent = [
+            track
+            for track in tracks
+            if timestamp - track.seen_at <= self._parameters.window_lasts_s
+        ]
+        with_window = [
+            (track, track.box_filter.predict(timestamp)) for track in recent if track.next_window
         ]
         lost = [track for track in tracks if track.seen_at < self._read_at]
-        due = timestamp - self._searched_at >= SEARCH_EVERY_S
-        if followed and len(followed) == len(recent) and not due:
-            wanted, owners = _assign((), followed)
-            readings = self._read_all(frame, wanted, owners, job)
-            if None not in readings:
-                return wanted, owners, readings
-            lost += [
-                owner
-                for owner, reading in zip(owners, readings, strict=True)
-                if reading is None and owner is not None and owner not in lost
-            ]
+        due = timestamp - self._searched_at >= self._parameters.search_every_s
+        if with_window and len(with_window) == len(recent) and not due:
+            read = self._read_all(frame, self._targets((), with_window), job)
+            lost_now = [target.track for target, reading in read if reading is None]
+            if not lost_now:
+                return read
+            lost += [track for track in lost_now if track is not None and track not in lost]
         with job.stage("detect"):
-            places = [track.motion.seen for track in lost]
+            places = [track.box_filter.seen for track in lost]
             detections = self._finder.detector.detect(frame, places)[: self._finder.max_persons]
         self._searched_at = timestamp
-        wanted, owners = _assign(detections, followed)
-        return wanted, owners, self._read_all(frame, wanted, owners, job)
+        return self._read_all(frame, self._targets(detections, with_window), job)
+
+    def _targets(
+        self, detections: Iterable[Detection], with_window: Iterable[tuple[Track, Box]]
+    ) -> list[_Target]:
+        """Detections, with the windows of the tracks that they show, then all other tracks."""
+        targets: list[_Target] = []
+        unseen = [(track, box) for track, box in with_window]
+        for detection in detections:
+            best = max(unseen, key=lambda pair: pair[1].iou(detection.box), default=None)
+            if best is not None and best[1].iou(detection.box) >= self._parameters.min_track_iou:
+                unseen.remove(best)
+                windows = (*detection.windows, *_windows(best[0]))
+                detection = replace(detection, windows=windows)
+            targets.append(_Target(detection, None))
+        for track, box in unseen:
+            targets.append(_Target(Detection(box, 0.0, None, _windows(track)), track))
+        return targets
 
     def _read_all(
-        self,
-        frame: NDArray[np.uint8],
-        wanted: Sequence[Detection],
-        owners: Sequence[Track | None],
-        job: Job,
-    ) -> list[Reading | None]:
+        self, frame: NDArray[np.uint8], targets: Sequence[_Target], job: Job
+    ) -> list[tuple[_Target, PoseReading | None]]:
         job.checkpoint()
         with job.stage("keypoints"):
-            return job.map(lambda pair: self._read(frame, *pair), zip(wanted, owners, strict=True))
+            readings = job.map(lambda target: self._read(frame, target), targets)
+        return list(zip(targets, readings, strict=True))
 
-    def _read(
-        self, frame: NDArray[np.uint8], one: Detection, owner: Track | None
-    ) -> Reading | None:
+    def _read(self, frame: NDArray[np.uint8], target: _Target) -> PoseReading | None:
         """Read a person; None where a track's window no longer shows anybody."""
-        if one.score > 0 or owner is None:
-            return self._finder.reader.read(frame, one.box, one.keypoints, one.windows)
-        reading = self._finder.reader.network.read(frame, one.windows[0])
-        if reading.presence < LEAST_PRESENCE or reading.drift > MOST_DRIFT:
+        detection, reader = target.detection, self._finder.reader
+        if target.track is None:
+            return reader.read(frame, detection.box, detection.keypoints, detection.windows)
+        reading = reader.network.read(frame, detection.windows[0])
+        if reading.presence < self._min_presence or reading.drift > self._parameters.max_drift:
             return None
-        if reading.body_px < PLACED_FROM_PX:
+        if reading.body_px < self._parameters.movenet_from_px:
             return reading
-        keypoints = self._finder.reader.keypoint_reader.read(frame, reading.landmarks.box())
+        keypoints = reader.keypoint_reader.read(frame, reading.landmarks.box())
         return reading if keypoints is None else fuse(reading, keypoints)
 
+    def _body_box(self, reading: PoseReading) -> Box:
+        """The box about a body, whose landmarks end short of the crown, hands and feet."""
+        box = reading.landmarks.box()
+        margin = self._parameters.body_margin * max(box.width, box.height)
+        return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
 
-def _body_box(reading: Reading) -> Box:
-    """The box about a body, whose landmarks end short of the crown, hands and feet."""
-    box = reading.landmarks.box()
-    room = BODY_ROOM * max(box.width, box.height)
-    return Box(box.x - room, box.y - room, box.width + 2 * room, box.height + 2 * room)
+
+def _windows(track: Track) -> tuple[PersonWindow, ...]:
+    return () if track.next_window is None else (track.next_window,)
 
 
-def _distinct(
-    readings: Sequence[Reading | None], wanted: Sequence[Detection]
-) -> tuple[list[Reading], list[int]]:
-    """Readings of different bodies, and their rows.
+def _distinct(found: Sequence[tuple[_Target, PoseReading]]) -> list[tuple[_Target, PoseReading]]:
+    """One reading of each body, in their order: of a detection rather than of a track's window.
 
-    Of two in the windows of tracks, that is kept whose track is expected nearer to the body.
+    Of two tracks the one counts that is predicted nearer to the body.
     """
-    rows = [row for row, one in enumerate(readings) if one is not None]
-    found = [one for one in readings if one is not None]
-    order = sorted(
-        range(len(rows)),
-        key=lambda i: (-wanted[rows[i]].score, -wanted[rows[i]].box.iou(found[i].landmarks.box())),
-    )
-    kept = sorted(order[i] for i in distinct_bodies([found[i] for i in order]))
-    return [found[i] for i in kept], [rows[i] for i in kept]
 
+    def rank(row: int) -> tuple[float, float]:
+        target, reading = found[row]
+        return -target.detection.score, -target.detection.box.iou(reading.landmarks.box())
 
-def _assign(
-    detections: Sequence[Detection], followed: Sequence[tuple[Track, Box]]
-) -> tuple[list[Detection], list[Track | None]]:
-    """Who is read: detections, with the windows of the tracks they are about, and other tracks.
-
-    A track that no detection is about has a score of 0.
-    """
-    wanted: list[Detection] = []
-    owners: list[Track | None] = []
-    free = list(followed)
-    for one in detections:
-        about = max(free, key=lambda pair: pair[1].iou(one.box), default=None)
-        if about is not None and about[1].iou(one.box) >= SAME_PERSON:
-            free.remove(about)
-            window = about[0].next_window
-            assert window is not None
-            one = Detection(one.box, one.score, one.keypoints, (*one.windows, window))
-        wanted.append(one)
-        owners.append(None)
-    for track, box in free:
-        assert track.next_window is not None
-        wanted.append(Detection(box, 0.0, None, (track.next_window,)))
-        owners.append(track)
-    return wanted, owners
+    order = sorted(range(len(found)), key=rank)
+    kept = distinct_bodies([found[row][1] for row in order])
+    return [found[row] for row in sorted(order[i] for i in kept)]

@@ -1,4 +1,12 @@
-"""How a person moves over the ground, from their boxes and from the poses that fit."""
+"""Motion over the ground, from where a person is in the picture.
+
+A person who moves away by ``d`` metres rises in the picture by ``d * sin(elevation)`` metres at
+their scale. Seen by a low camera that sine is small and noise would count most, so it has a floor,
+which is not the same for both uses. A velocity (:class:`GroundMotion`) gives headings, whose
+direction has to be right: its floor is low, and steps away count less in ``reliable_speed``. A path
+(:func:`ground_path`) gives features of actions, whose speeds have to be right: its floor is high,
+and the weights of actions were trained with it.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +14,10 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from app.tracking.parameters import DEFAULTS, GroundParameters
 from app.vision.geometry import Box
-
-WINDOW_S = 1.0
-FEWEST = 3
-"""Frames from which a velocity is computed."""
-
-LEAST_ELEVATION_DEG, SURE_ELEVATION_DEG = 6.0, 20.0
-"""Seen from lower, moving away hardly changes the height in the picture: noise would count most.
-The direction bears more of it than the speed."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +30,13 @@ class GroundVelocity:
         Towards the right of the picture.
     away : float
         Away from the camera.
-    sure_speed : float
-        The speed, of which little is noise: from a low camera, steps away count less.
+    reliable_speed : float
+        The speed with little noise in it: seen by a low camera, steps away count less.
     """
 
     right: float
     away: float
-    sure_speed: float
+    reliable_speed: float
 
     @property
     def speed(self) -> float:
@@ -46,22 +48,21 @@ STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 
 class GroundMotion:
-    """Follows the centre of a person's box, and turns pixels into metres on the ground.
+    """Measures a person's velocity by the centre of their box.
 
-    A person who moves away by ``d`` metres rises in the picture by ``d * sin(elevation)`` metres
-    at the person's scale. The camera's elevation, a guess of each frame's hypotheses, is averaged
-    over all frames.
+    The camera's elevation, an estimate of each frame's hypotheses, is averaged over all frames.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: GroundParameters = DEFAULTS.ground) -> None:
+        self._parameters = parameters
         self._recent: deque[tuple[float, float, float, float]] = deque()
-        self._elevations = (0.0, 0)
+        self._elevation_sum_deg = 0.0
+        self._frames = 0
 
     @property
     def elevation_deg(self) -> float:
-        """Height angle of the camera above the person, averaged over all frames."""
-        total, count = self._elevations
-        return total / max(count, 1)
+        """Elevation of the camera above the person, averaged over all frames."""
+        return self._elevation_sum_deg / max(self._frames, 1)
 
     def update(
         self, timestamp: float, box: Box, px_per_m: float, elevation_deg: float
@@ -77,22 +78,49 @@ class GroundMotion:
         px_per_m : float
             Scale of the person in the picture.
         elevation_deg : float
-            Of the camera, as this frame's hypotheses have it.
+            Of the camera, by this frame's hypotheses.
         """
-        total, count = self._elevations
-        self._elevations = (total + elevation_deg, count + 1)
+        parameters = self._parameters
+        self._elevation_sum_deg += elevation_deg
+        self._frames += 1
         self._recent.append((timestamp, box.x + box.width / 2, box.y + box.height / 2, px_per_m))
-        while self._recent[0][0] < timestamp - WINDOW_S:
+        while self._recent[0][0] < timestamp - parameters.window_s:
             self._recent.popleft()
-        if len(self._recent) < FEWEST:
+        if len(self._recent) < parameters.min_frames:
             return STILL
         times, x, y, scales = np.array(self._recent).T
         times = times - times.mean()
-        # A frame that is sent again comes at the same time.
+        # A frame that is sent again has the same time.
         metres_per_px = 1 / (np.median(scales) * max(float(times @ times), 1e-6))
         rise = np.sin(np.deg2rad(self.elevation_deg))
-        least = np.sin(np.deg2rad(LEAST_ELEVATION_DEG))
-        rise = np.copysign(max(abs(rise), least), rise)
+        min_rise = np.sin(np.deg2rad(parameters.min_elevation_deg))
+        rise = np.copysign(max(abs(rise), min_rise), rise)
         right, away = times @ x * metres_per_px, -(times @ y) * metres_per_px / rise
-        sure = min(1.0, abs(rise) / np.sin(np.deg2rad(SURE_ELEVATION_DEG)))
-        return GroundVelocity(float(right), float(away), float(np.hypot(right, sure * away)))
+        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(parameters.reliable_elevation_deg)))
+        return GroundVelocity(float(right), float(away), float(np.hypot(right, reliable * away)))
+
+
+def ground_path(
+    pelvis_px: NDArray[np.float64],
+    pixels_per_metre: float,
+    elevation_deg: float,
+    parameters: GroundParameters = DEFAULTS.ground,
+) -> NDArray[np.float64]:
+    """Path of the pelvis over the ground.
+
+    Parameters
+    ----------
+    pelvis_px : (T, 2) float64 array
+        In the frame.
+    pixels_per_metre : float
+        Scale of the person in the picture.
+    elevation_deg : float
+        Of the camera above the person.
+
+    Returns
+    -------
+    (T, 2) float64 array
+        Metres across the picture and towards the camera.
+    """
+    sine = max(float(np.sin(np.deg2rad(elevation_deg))), parameters.min_path_sine)
+    return np.asarray(pelvis_px / pixels_per_metre / np.array([1.0, sine]))

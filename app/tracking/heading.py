@@ -1,7 +1,7 @@
-"""Which way somebody is turned, over time: a Bayes filter on the circle of azimuths.
+"""Headings over time: a Bayes filter on the circle of azimuths.
 
-Single frames take the front for the back, or left for right, of small people and of those seen from
-the side above all. People turn steadily, and mostly go where they face.
+Single frames confuse front and back, or left and right, of small people and of people seen from the
+side above all. People turn steadily, and mostly walk in the direction they face.
 """
 
 from __future__ import annotations
@@ -12,56 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.ground_motion import GroundVelocity
+from app.tracking.parameters import DEFAULTS, HeadingParameters
 from index.skeleton import wrap_degrees
 
 BINS = 36
-
-# What follows was chosen on UP-Fall's first activities at 0.35 of their size, against their full
-# size, and on Pose2Sim's cameras at a tenth of it.
-TURN_DEG = 80.0
-"""Deviation of a turn within a second."""
-
-SUDDEN_PER_S = 0.05
-"""Rate at which somebody turns up facing anywhere: detection and identity may be wrong."""
-
-SEEN_DEG, SURELY_SEEN_DEG = 20.0, 15.0
-"""Deviation of the azimuth of a right hypothesis: of small people, and of large ones."""
-
-OUTLIER_SHARE = 0.2
-"""Share of frames in which no hypothesis faces the right way."""
-
-HEADING_DEG, OTHERWISE = 40.0, 0.1
-"""Deviation of the way somebody goes from where they face, and share of those who go otherwise."""
-
-HEADING_WEIGHT = 0.3
-"""Weight of the way beside what a frame shows: it is measured over a second."""
-
-SLOWEST_M_S, SURELY_M_S = 0.5, 1.0
-"""Speed from which the way somebody goes counts, and from which it counts in full."""
-
-SWITCH_FROM = 0.8
-"""Probability from which front and back are exchanged: who is seen from the side stays on one."""
-
-BESIDE_DEG = 2.0
-"""How far from the exact side view shoulders are at least turned."""
-
-RATE = 6.0
-"""Frames a second of which each is evidence of its own; of more frames, each counts less."""
+"""Azimuths of the distribution, all round."""
 
 _CENTRES_DEG = (np.arange(BINS) + 0.5) * 360 / BINS - 180
 _FRONT = np.abs(_CENTRES_DEG) < 90
 
 
 @dataclass(frozen=True)
-class Turn:
-    """Which way somebody is turned.
+class Heading:
+    """The direction a person faces, as the azimuth of the camera about them.
 
     Parameters
     ----------
     shares : (BINS,) float64 array
-        Probabilities of azimuths, of the camera about the person.
+        Probabilities of the azimuths.
     front : bool
-        Whether the camera sees the front, as long as little speaks against it.
+        Whether the camera sees the front; it changes only on strong evidence.
     """
 
     shares: NDArray[np.float64]
@@ -72,30 +42,33 @@ class Turn:
         """Probability that the camera sees the front."""
         return float(np.clip(self.shares[_FRONT].sum(), 0, 1))
 
-    def on_its_side(self, azimuth_deg: float) -> float:
-        """The nearest azimuth from which the camera sees the front, or the back, as it does."""
-        least, most = (0.0, 90 - BESIDE_DEG) if self.front else (90 + BESIDE_DEG, 180.0)
-        return float(np.copysign(np.clip(abs(azimuth_deg), least, most), azimuth_deg))
+    def on_visible_side(self, azimuth_deg: float, min_turned_deg: float) -> float:
+        """The nearest azimuth from which the camera sees the side that it does: front or back."""
+        low, high = (0.0, 90 - min_turned_deg) if self.front else (90 + min_turned_deg, 180.0)
+        return float(np.copysign(np.clip(abs(azimuth_deg), low, high), azimuth_deg))
 
-    def log_likelihood(self, azimuths_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Log of the shares about azimuths ``(N,)``, finite."""
-        return np.asarray(np.log(_about(azimuths_deg, SEEN_DEG) @ self.shares + 1e-4))
+    def log_likelihood(
+        self, azimuths_deg: NDArray[np.float64], deviation_deg: float
+    ) -> NDArray[np.float64]:
+        """Log of the probabilities about azimuths ``(N,)``, finite."""
+        return np.asarray(np.log(_normal_about(azimuths_deg, deviation_deg) @ self.shares + 1e-4))
 
 
 class HeadingFilter:
-    """Follows which way one person is turned."""
+    """Follows the heading of one person."""
 
-    def __init__(self) -> None:
-        self._last: tuple[float, Turn] | None = None
+    def __init__(self, parameters: HeadingParameters = DEFAULTS.heading) -> None:
+        self._parameters = parameters
+        self._last: tuple[float, Heading] | None = None
 
     def update(
         self,
         timestamp: float,
         azimuths_deg: NDArray[np.float64],
         weights: NDArray[np.float64],
-        sure: float,
+        clarity: float,
         velocity: GroundVelocity,
-    ) -> Turn:
+    ) -> Heading:
         """Take in a frame.
 
         Parameters
@@ -104,50 +77,63 @@ class HeadingFilter:
             Seconds, later than the last one.
         azimuths_deg, weights : (N,) float64 arrays
             Of the frame's hypotheses; weights sum to 1.
-        sure : float
-            How surely the picture shows them, 0 to 1.
+        clarity : float
+            How clearly the picture shows the azimuth, 0 to 1.
         velocity : GroundVelocity
+            Of the person.
         """
-        shares, independence, front = np.full(BINS, 1 / BINS), 1.0, None
+        parameters = self._parameters
+        shares, independence = np.full(BINS, 1 / BINS), 1.0
         if self._last is not None:
-            before, last = self._last
-            elapsed = timestamp - before
-            independence, front = min(1.0, RATE * elapsed), last.front
-            shares = last.shares @ _about(_CENTRES_DEG, TURN_DEG * np.sqrt(elapsed))
-            shares = _with_outliers(shares, 1 - float(np.exp(-SUDDEN_PER_S * elapsed)))
-        ahead = _about(np.array([_ahead_deg(velocity)]), HEADING_DEG)[0]
-        weight = HEADING_WEIGHT * going(velocity) * independence
-        shares = shares * _with_outliers(ahead, OTHERWISE) ** weight
-        seen = weights @ _about(azimuths_deg, sure * SURELY_SEEN_DEG + (1 - sure) * SEEN_DEG)
-        shares = shares * _with_outliers(seen, OUTLIER_SHARE) ** independence
+            shares, independence = self._predict(timestamp, *self._last)
+        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), parameters.walking_deg)[0]
+        weight = parameters.direction_weight * self.walking_weight(velocity) * independence
+        shares = shares * _with_outliers(ahead, parameters.backward_share) ** weight
+        seen = weights @ _normal_about(
+            azimuths_deg,
+            clarity * parameters.clearly_seen_deg + (1 - clarity) * parameters.seen_deg,
+        )
+        shares = shares * _with_outliers(seen, parameters.outlier_share) ** independence
         shares /= shares.sum()
-        probability = float(shares[_FRONT].sum())
-        if front is None:
-            front = probability >= 0.5
-        elif (1 - probability if front else probability) >= SWITCH_FROM:
-            front = not front
-        turn = Turn(shares, front)
-        self._last = timestamp, turn
-        return turn
+        heading = Heading(shares, self._sees_front(float(shares[_FRONT].sum())))
+        self._last = timestamp, heading
+        return heading
+
+    def walking_weight(self, velocity: GroundVelocity) -> float:
+        """How far a person's direction of motion counts, 0 to 1."""
+        low, high = self._parameters.min_walking_m_s, self._parameters.full_walking_m_s
+        return float(np.clip((velocity.speed - low) / (high - low), 0, 1))
+
+    def _predict(
+        self, timestamp: float, before: float, last: Heading
+    ) -> tuple[NDArray[np.float64], float]:
+        """The distribution now by the last one, and how far a frame is independent of the last."""
+        parameters, elapsed = self._parameters, timestamp - before
+        shares = last.shares @ _normal_about(_CENTRES_DEG, parameters.turn_deg * np.sqrt(elapsed))
+        jumps = 1 - float(np.exp(-parameters.jumps_per_s * elapsed))
+        return _with_outliers(shares, jumps), min(1.0, parameters.independent_hz * elapsed)
+
+    def _sees_front(self, probability: float) -> bool:
+        """Whether the camera sees the front, by the last side and its probability now."""
+        if self._last is None:
+            return probability >= 0.5
+        front = self._last[1].front
+        other_side = 1 - probability if front else probability
+        return front != (other_side >= self._parameters.switch_from)
 
 
-def going(velocity: GroundVelocity) -> float:
-    """How surely somebody goes somewhere, 0 to 1."""
-    return float(np.clip((velocity.speed - SLOWEST_M_S) / (SURELY_M_S - SLOWEST_M_S), 0, 1))
-
-
-def _ahead_deg(velocity: GroundVelocity) -> float:
-    """Azimuth of somebody who goes forwards."""
+def _walking_azimuth_deg(velocity: GroundVelocity) -> float:
+    """Azimuth of a person who walks forwards."""
     return float(np.rad2deg(np.arctan2(-velocity.right, -velocity.away)))
 
 
-def _about(azimuths_deg: NDArray[np.float64], deviation_deg: float) -> NDArray[np.float64]:
+def _normal_about(azimuths_deg: NDArray[np.float64], deviation_deg: float) -> NDArray[np.float64]:
     """Normal distributions ``(N, BINS)`` about azimuths ``(N,)``."""
     apart = wrap_degrees(azimuths_deg[:, None] - _CENTRES_DEG)
     mass = np.exp(-((apart / max(deviation_deg, 180 / BINS)) ** 2) / 2)
     return np.asarray(mass / mass.sum(axis=1, keepdims=True))
 
 
-def _with_outliers(shares: NDArray[np.float64], outliers: float) -> NDArray[np.float64]:
-    """The same, a share of which may be anywhere."""
-    return (1 - outliers) * shares + outliers / BINS
+def _with_outliers(shares: NDArray[np.float64], outlier_share: float) -> NDArray[np.float64]:
+    """Mix a distribution with the uniform one."""
+    return (1 - outlier_share) * shares + outlier_share / BINS

@@ -1,4 +1,4 @@
-"""A track's posture: the shares of its frames, filtered over time."""
+"""A track's posture: the shares of its frames, averaged over time."""
 
 from __future__ import annotations
 
@@ -7,38 +7,26 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import (
+from app.estimation.posture_probability import (
     EstimatedPosture,
-    grounded_probability,
+    on_ground_probability,
     posture_of,
     with_bent_legs,
-    with_grounded,
+    with_on_ground,
 )
-from app.vision.geometry import Box, Landmarks
-
-SETTLING_S = 0.4
-"""Time constant with which the posture follows the frames."""
-
-MOST_STEP_S = 1.0
-"""After a longer gap the newest frame counts no more than after this one."""
-
-
-WIDE, WIDE_SLOPE = 1.2, 3.0
-"""Width over height from which a box rather holds somebody who lies, and how surely it tells."""
-
-
-def wide(box: Box) -> float:
-    """Probability that the person in a box lies, by its shape alone."""
-    return float(1 / (1 + (WIDE * box.height / box.width) ** WIDE_SLOPE))
+from app.tracking.parameters import DEFAULTS, PostureParameters
+from app.vision.geometry import Box
+from app.vision.people import Landmarks
 
 
 class PostureFilter:
     """Averages the postures of a track's frames, the newest counting most."""
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: PostureParameters = DEFAULTS.posture) -> None:
+        self._parameters = parameters
         self._shares: NDArray[np.float64] | None = None
         self._presence = 1.0
-        self._last = -math.inf
+        self._last_at = -math.inf
 
     def update(
         self,
@@ -55,8 +43,9 @@ class PostureFilter:
         timestamp : float
             Seconds, after those of the frames before.
         votes : (10,) float64 array
-            Share of each of ``POSTURES``, of this frame.
+            Share of each of ``POSTURES`` in the hypotheses of this frame.
         landmarks : Landmarks or None
+            None where none were read.
         presence : float
             Probability that the landmarks are a person's.
         box : Box
@@ -71,14 +60,20 @@ class PostureFilter:
         """
         shares = votes
         if landmarks is not None:
-            # Of somebody whom the network does not make out, the box is all that is seen.
-            lies = presence * grounded_probability(landmarks) + (1 - presence) * wide(box)
-            shares = with_grounded(with_bent_legs(votes, landmarks, presence), lies)
+            # Where the network sees no person, only the shape of the box says how they lie.
+            lies = presence * on_ground_probability(landmarks) + (1 - presence) * self._wide(box)
+            shares = with_on_ground(with_bent_legs(votes, landmarks, presence), lies)
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:
-            kept = math.exp(-min(timestamp - self._last, MOST_STEP_S) / SETTLING_S)
+            elapsed = min(timestamp - self._last_at, self._parameters.max_step_s)
+            kept = math.exp(-elapsed / self._parameters.settling_s)
             self._shares = kept * self._shares + (1 - kept) * shares
             self._presence = kept * self._presence + (1 - kept) * presence
-        self._last = timestamp
+        self._last_at = timestamp
         return posture_of(self._shares, self._presence), shares
+
+    def _wide(self, box: Box) -> float:
+        """Probability that the person in a box lies, by its shape alone."""
+        narrowness = self._parameters.wide_from * box.height / box.width
+        return float(1 / (1 + narrowness**self._parameters.wide_slope))

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from index.skeleton import POINTS
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end", "instant"]
@@ -37,17 +36,10 @@ class SmoothedPose:
     confidence: float
     entry: int
 
-    def __post_init__(self) -> None:
-        if self.points_3d.shape != (POINTS, 3) or self.points_2d.shape != (POINTS, 2):
-            raise ValueError(
-                f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
-                f"got {self.points_3d.shape} and {self.points_2d.shape}"
-            )
-
 
 @dataclass(frozen=True)
 class RecognisedAction:
-    """What a person does, with its probability; the label is one of the index's actions."""
+    """What a person does: one of the index's actions, and its probability."""
 
     label: str
     probability: float
@@ -55,19 +47,22 @@ class RecognisedAction:
 
 @dataclass(frozen=True)
 class Event:
-    """Something about a track that began, ended or happened at a frame.
+    """Something that began, ended or happened to a tracked person at a frame.
 
     Parameters
     ----------
     event : str
+        ``entered``, ``left``, ``lying``, ``fell`` or ``arms_raised``.
     track_id : int
+        Of the person.
     state : str
-        ``instant`` of what is but a moment: ``entered``, ``left``, ``fell``.
+        ``begin`` or ``end``; ``instant`` for ``entered``, ``left`` and ``fell``.
     timestamp : float
         Seconds, of the frame.
     probability : float
+        Confidence in the event, 0 to 1.
     zones : tuple of str
-        Names of those in which the person is.
+        Names of the zones in which the person is.
     caller_track_id : str or None
         As in :class:`TrackedPerson`.
     """
@@ -88,17 +83,17 @@ class TrackedPerson:
     Parameters
     ----------
     person : Person
-        The frame's own estimate. Its facing and posture are those of the track.
+        The frame's own estimate, with facing and posture of the track.
     track_id : int
         Unique within a camera session.
     age_frames : int
         Frames since the track began, this one included.
     pose : SmoothedPose or None
-        None where the track has no pose yet: nobody could be cut out so far.
+        None where the track has no pose of the last second: no silhouette was found.
     action : RecognisedAction or None
-        None until enough frames were seen.
+        None until enough frames were seen, and where no action is likely.
     zones : tuple of str
-        Names of those in which the person is.
+        Names of the zones in which the person is.
     caller_track_id : str or None
         The identity that the caller gave the person's box, if any.
     """
@@ -133,6 +128,7 @@ class TrackedFrame:
     events : tuple of Event
         What began, ended or happened at this frame.
     timings_ms : dict
+        By stage, and ``total``.
     """
 
     frame: NDArray[np.uint8]

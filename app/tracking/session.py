@@ -13,35 +13,20 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.results import Evidence, ObservedPerson, Scene
-from app.estimation.upload import Upload
+from app.estimation.upload import DecodedUpload, Upload
 from app.scheduling.job import Job
 from app.tracking.detection import TrackedPeopleDetector
 from app.tracking.matching import appearance_histogram, associate
+from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from app.vision.truncation import ends_at_border
-from index.matching import FIRST_HYPOTHESES
-
-LEAST_STEP_S = 1e-3
-"""Frames less than this apart have no order that a camera could have seen."""
-
-LONGEST_GAP_S = 10.0
-"""After a longer gap the session begins anew: the scene may be another."""
-
-FORGOTTEN_AFTER_S = 0.5
-"""How long a track lives that nobody is seen of."""
-
-PREDICTED_FOR_S = 2.0
-"""How long the place of somebody is predicted who is hidden behind another one, or who vanished
-within the picture."""
-
-HIDDEN_FROM = 0.5
-"""Share of somebody that another one has to cover to hide them."""
+from index.parameters import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 100_000
-"""Of a track that has been followed for some seconds; a test measures it."""
+"""What a track of some seconds holds; a test measures it."""
 
 
 class LateFrameError(ValueError):
@@ -51,11 +36,12 @@ class LateFrameError(ValueError):
 class CameraSession:
     """Frames of one fixed camera; takes one at a time.
 
-    Memory is bounded by the number of tracks, twice that of the people in a frame.
+    Memory is bounded by the number of tracks, at most twice the number of people in a frame.
 
     Parameters
     ----------
     estimator : Estimator
+        Finds people and estimates their poses.
     clock : callable
         Seconds, for frames without a timestamp.
     """
@@ -64,25 +50,25 @@ class CameraSession:
         self,
         estimator: Estimator,
         clock: Callable[[], float] = time.monotonic,
+        parameters: TrackingParameters = DEFAULTS,
     ) -> None:
         self._estimator = estimator
         self._clock = clock
-        self._follower = TrackedPeopleDetector(estimator.finder)
-        self.zones: Sequence[Zone] = ()
-        """Those of the camera; may be changed between frames."""
+        self._parameters = parameters
+        self._detector = TrackedPeopleDetector(estimator.finder, parameters)
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
         self._size: tuple[int, ...] | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
-        # Not told yet.
+        # Not reported yet: a frame may fail half-way.
         self._reset: str | None = None
         self._events: list[Event] = []
 
     @property
     def frames(self) -> int:
-        """Number of frames worked on."""
+        """Number of frames processed."""
         return self._frames
 
     @property
@@ -102,14 +88,16 @@ class CameraSession:
         n: int,
         job: Job,
         evidence: Evidence = "photograph",
+        zones: Sequence[Zone] = (),
     ) -> TrackedFrame:
-        """Find the people of a frame, say who they are, and estimate their poses.
+        """Find the people of a frame, identify them, and estimate their poses.
 
         Parameters
         ----------
         upload : Upload
+            The frame.
         timestamp : float or None
-            Seconds; None: the time since the frame before, as the session's clock says.
+            Seconds; None stands for the time since the frame before, by the session's clock.
         n : int
             Hypotheses of each person in the result.
         job : Job
@@ -117,6 +105,8 @@ class CameraSession:
             this one.
         evidence : str
             As in :meth:`app.estimation.estimator.Estimator.estimate`.
+        zones : sequence of Zone
+            Those of the camera; they may change between frames.
 
         Raises
         ------
@@ -129,18 +119,14 @@ class CameraSession:
         timestamp = self._time_of(timestamp, arrived)
         decoded = self._estimator.decode(upload, job)
         frame = decoded.frame
-        self._begin_anew_where_needed(frame.shape, timestamp)
-        reads = evidence == "photograph" and upload.frame is not None
-        found: list[tuple[ObservedPerson, Track | None]]
-        if reads and upload.mask is None and upload.boxes is None and upload.background is None:
-            found = self._follower.find(frame, timestamp, self._tracks, job)
-        else:
-            people = self._estimator.finder.find(decoded, reads, job)
-            found = self._named(people, upload.track_ids, timestamp)
-        seen = self._identify(frame if upload.frame is not None else None, found, timestamp)
-        self._forget_unseen(timestamp)
-        tracked = self._with_poses(seen, frame, timestamp, n, job)
-        # A frame that failed half-way may be sent again.
+        self._start_afresh_if_needed(frame.shape, timestamp)
+        sightings = self._find(upload, decoded, evidence, timestamp, job)
+        if upload.frame is not None:
+            sightings = [_with_appearance(sighting, frame) for sighting in sightings]
+        seen = self._identify(sightings, timestamp, zones)
+        self._drop_unseen(timestamp)
+        tracked = self._with_poses(seen, frame, timestamp, n, zones, job)
+        # Only now, so that a frame that failed half-way may be sent again.
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reset, self._reset = self._reset, None
@@ -157,145 +143,160 @@ class CameraSession:
         )
 
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
+        min_step_s = self._parameters.session.min_step_s
         if timestamp is None:
             if self._frames == 0:
                 return 0.0
-            return self._timestamp + max(LEAST_STEP_S, arrived - self._arrived)
-        if not timestamp >= self._timestamp + LEAST_STEP_S:
+            return self._timestamp + max(min_step_s, arrived - self._arrived)
+        if not timestamp >= self._timestamp + min_step_s:
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
                 f"frame, got {timestamp:g} s"
             )
         return timestamp
 
-    def _begin_anew_where_needed(self, shape: tuple[int, ...], timestamp: float) -> None:
+    def _start_afresh_if_needed(self, shape: tuple[int, ...], timestamp: float) -> None:
         """Drop all tracks where the frame cannot continue those before."""
         before, self._size = self._size, shape[:2]
-        gap = timestamp - self._timestamp
+        gap, max_gap_s = timestamp - self._timestamp, self._parameters.session.max_gap_s
         if before is None:
             return
         if before != self._size:
             (height, width), (rows, columns) = before, self._size
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
-        elif self._frames and gap > LONGEST_GAP_S:
-            reason = f"no frame came for {gap:.1f} s, more than {LONGEST_GAP_S:g} s"
+        elif self._frames and gap > max_gap_s:
+            reason = f"no frame came for {gap:.1f} s, more than {max_gap_s:g} s"
         else:
             return
         self._reset = reason
-        self._follower = TrackedPeopleDetector(self._estimator.finder)
+        self._detector = TrackedPeopleDetector(self._estimator.finder, self._parameters)
         for track in self._tracks:
-            self._tell("left", track, timestamp)
+            self._emit("left", track, timestamp)
         self._tracks = []
 
-    def _named(
+    def _find(
         self,
-        people: Sequence[ObservedPerson],
-        caller_ids: Sequence[str] | None,
+        upload: Upload,
+        decoded: DecodedUpload,
+        evidence: Evidence,
         timestamp: float,
-    ) -> list[tuple[ObservedPerson, Track | None]]:
-        """People whose identities the caller may have given, with their tracks if so."""
-        if caller_ids is None:
-            return [(person, None) for person in people]
+        job: Job,
+    ) -> list[Sighting]:
+        """Find people by the tracks' windows, or where the caller says they are."""
+        reads = evidence == "photograph" and upload.frame is not None
+        if reads and upload.mask is None and upload.boxes is None and upload.background is None:
+            return self._detector.find(decoded.frame, timestamp, self._tracks, job)
+        people = self._estimator.finder.find(decoded, reads, job)
+        if upload.track_ids is None:
+            return [Sighting(person) for person in people]
+        return self._named_by_caller(people, upload.track_ids, timestamp)
+
+    def _named_by_caller(
+        self, people: Sequence[ObservedPerson], caller_ids: Sequence[str], timestamp: float
+    ) -> list[Sighting]:
+        """People with the tracks of the identities that the caller gave them."""
         known = {track.caller_id: track for track in self._tracks}
-        found = []
+        sightings = []
         for person, caller_id in zip(people, caller_ids, strict=True):
-            track = known.get(caller_id) or self._begin(Sighting(person, None), timestamp)
+            track = known.get(caller_id) or self._begin(Sighting(person), timestamp)
             if track is not None:
                 track.caller_id = caller_id
-            found.append((person, track))
-        return found
+            sightings.append(Sighting(person, track=track))
+        return sightings
 
     def _identify(
-        self,
-        frame: NDArray[np.uint8] | None,
-        found: list[tuple[ObservedPerson, Track | None]],
-        timestamp: float,
+        self, sightings: Sequence[Sighting], timestamp: float, zones: Sequence[Zone]
     ) -> list[tuple[ObservedPerson, Track]]:
-        """Give each person a track, and return those of confirmed tracks, left to right.
+        """Give each sighting a track, and return the people of confirmed ones, left to right.
 
-        Those who are hidden behind somebody are among them, where they are expected.
-
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array or None
-            None if the caller sent a mask alone: what they wear is not seen then.
-        found : list of (ObservedPerson, Track or None)
-            With the track in whose window each was read.
-        timestamp : float
+        People who are hidden behind another one are among them, where they are expected.
         """
-        sightings = [_sighting(frame, *pair) for pair in found]
-        # Whom the caller names is the caller's.
-        known = [track if track and track.caller_id else None for _, track in found]
-        free = [i for i, track in enumerate(known) if track is None]
-        others = [track for track in self._tracks if track not in known]
-        for i, row in zip(
-            free, associate(others, [sightings[i] for i in free], timestamp), strict=True
-        ):
-            known[i] = None if row is None else others[row]
         seen = []
-        for (person, _), track, sighting in zip(found, known, sightings, strict=True):
-            own = track or self._begin(sighting, timestamp)
-            if own is not None:
-                own.see(sighting, timestamp, self.zones)
-                seen.append((person, own))
-        seen += [
+        for sighting, known in zip(sightings, self._assign(sightings, timestamp), strict=True):
+            track = known or self._begin(sighting, timestamp)
+            if track is not None:
+                track.see(sighting, timestamp, zones)
+                seen.append((sighting.observed, track))
+        seen += self._hidden_people(timestamp)
+        self._confirm(timestamp)
+        confirmed = [(person, track) for person, track in seen if track.track_id is not None]
+        return sorted(confirmed, key=lambda pair: pair[0].box.x)
+
+    def _assign(self, sightings: Sequence[Sighting], timestamp: float) -> list[Track | None]:
+        """The track of each sighting, None of a new person; the caller's identities hold."""
+        tracks = [
+            sighting.track if sighting.track and sighting.track.caller_id else None
+            for sighting in sightings
+        ]
+        open_rows = [row for row, track in enumerate(tracks) if track is None]
+        others = [track for track in self._tracks if track not in tracks]
+        assigned = associate(
+            others, [sightings[row] for row in open_rows], timestamp, self._parameters.matching
+        )
+        for row, other in zip(open_rows, assigned, strict=True):
+            tracks[row] = None if other is None else others[other]
+        return tracks
+
+    def _begin(self, sighting: Sighting, timestamp: float) -> Track | None:
+        """Begin the track of a new person; None where there are too many."""
+        if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
+            return None
+        track = Track(sighting, timestamp, self._parameters)
+        self._tracks.append(track)
+        return track
+
+    def _hidden_people(self, timestamp: float) -> list[tuple[ObservedPerson, Track]]:
+        return [
             (ObservedPerson(box, "track", None, None), track)
             for track in self._tracks
-            if track.seen_at < timestamp and (box := self._hidden(track, timestamp)) is not None
+            if track.seen_at < timestamp and (box := self._hidden_box(track, timestamp)) is not None
         ]
+
+    def _confirm(self, timestamp: float) -> None:
+        """Count a frame of each track, and give an identity to those that now count as people."""
         for track in self._tracks:
             track.age_frames += 1
             if track.track_id is None and track.is_confirmed:
                 self._given_ids += 1
                 track.track_id = self._given_ids
-                self._tell("entered", track, timestamp)
-        confirmed = [(person, track) for person, track in seen if track.track_id is not None]
-        return sorted(confirmed, key=lambda pair: pair[0].box.x)
+                self._emit("entered", track, timestamp)
 
-    def _begin(self, sighting: Sighting, timestamp: float) -> Track | None:
-        """A track of a newcomer, None where there are too many."""
-        if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
-            return None
-        track = Track(sighting, timestamp)
-        self._tracks.append(track)
-        return track
-
-    def _forget_unseen(self, timestamp: float) -> None:
-        kept = []
+    def _drop_unseen(self, timestamp: float) -> None:
+        parameters, kept = self._parameters.session, []
         for track in self._tracks:
             predicted = track.track_id is not None and (
-                self._hidden(track, timestamp) is not None or self._vanished(track)
+                self._hidden_box(track, timestamp) is not None or self._vanished(track)
             )
-            longest = PREDICTED_FOR_S if predicted else FORGOTTEN_AFTER_S
+            longest = parameters.predicted_for_s if predicted else parameters.dropped_after_s
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
-                self._tell("left", track, timestamp)
+                self._emit("left", track, timestamp)
         self._tracks = kept
 
-    def _hidden(self, track: Track, timestamp: float) -> Box | None:
-        """Where somebody is expected who is hidden behind another one; None if nobody hides them.
-
-        Who has been hidden for longer than :data:`PREDICTED_FOR_S` is not predicted any more.
-        """
-        if self._size is None or timestamp - track.seen_at > PREDICTED_FOR_S:
+    def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
+        """Predicted box of a person who is hidden behind another one; None if nobody hides them."""
+        parameters = self._parameters.session
+        if self._size is None or timestamp - track.seen_at > parameters.predicted_for_s:
             return None
-        box = track.motion.predict(timestamp).clip(self._size[1], self._size[0])
-        hides = [
-            other.motion.predict(timestamp)
+        box = track.box_filter.predict(timestamp).clip(self._size[1], self._size[0])
+        others = [
+            other.box_filter.predict(timestamp)
             for other in self._tracks
             if other is not track and other.seen_at == timestamp
         ]
-        if box and any(other.intersection(box) >= HIDDEN_FROM * box.area for other in hides):
+        if box and any(
+            other.intersection(box) >= parameters.hidden_share * box.area for other in others
+        ):
             return box
         return None
 
     def _vanished(self, track: Track) -> bool:
-        """Whether somebody is no longer seen whom the detector saw last, away from the border."""
+        """Whether a person whom the detector found was last seen away from the border."""
         return (
             self._size is not None
             and track.next_window is not None
-            and not ends_at_border(track.motion.seen, self._size)
+            and not ends_at_border(track.box_filter.seen, self._size)
         )
 
     def _with_poses(
@@ -304,33 +305,33 @@ class CameraSession:
         frame: NDArray[np.uint8],
         timestamp: float,
         n: int,
+        zones: Sequence[Zone],
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
-        searched = [i for i, (person, _) in enumerate(seen) if person.silhouette is not None]
-        scene = Scene(frame, tuple(seen[i][0] for i in searched))
-        persons = self._estimator.with_hypotheses(scene, max(n, FIRST_HYPOTHESES), job)
-        found = dict(zip(searched, persons, strict=True))
+        """Estimate the poses of those who have a silhouette, and update the tracks by them."""
+        rows = [row for row, (person, _) in enumerate(seen) if person.silhouette is not None]
+        scene = Scene(frame, tuple(seen[row][0] for row in rows))
+        persons = self._estimator.with_hypotheses(scene, max(n, DEFAULT_HYPOTHESES), job)
+        estimated = dict(zip(rows, persons, strict=True))
         tracked = []
-        for i, (observed, track) in enumerate(seen):
-            result = (
-                track.update(found[i], timestamp, self.zones)
-                if i in found
-                else track.extrapolate(observed, timestamp)
-            )
-            self._events += track.take_events()
+        for row, (observed, track) in enumerate(seen):
+            if row in estimated:
+                result, events = track.update(estimated[row], timestamp, zones)
+                self._events += events
+            else:
+                result = track.extrapolate(observed, timestamp)
             shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
             tracked.append(replace(result, person=shown))
         return tuple(tracked)
 
-    def _tell(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
+    def _emit(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
         if track.track_id is not None:
             moment = Event(event, track.track_id, "instant", timestamp, track.score)
-            self._events.append(track.told(moment))
+            self._events.append(track.annotated(moment))
 
 
-def _sighting(
-    frame: NDArray[np.uint8] | None, person: ObservedPerson, followed: Track | None
-) -> Sighting:
-    if frame is None or person.silhouette is None:
-        return Sighting(person, None, followed)
-    return Sighting(person, appearance_histogram(frame, person.silhouette), followed)
+def _with_appearance(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:
+    silhouette = sighting.observed.silhouette
+    if silhouette is None:
+        return sighting
+    return replace(sighting, appearance=appearance_histogram(frame, silhouette))

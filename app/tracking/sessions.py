@@ -1,11 +1,11 @@
-"""The cameras of a service: their zones, and their sessions, of which some have to go."""
+"""The cameras of a service: their zones, and their sessions within limits of number and memory."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from app.estimation.estimator import Estimator
@@ -17,7 +17,7 @@ from app.tracking.session import CameraSession
 from app.tracking.zones import Zone
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
-"""Why a session ended: on demand, because of one of the limits, or for another index."""
+"""Why a session ended: on demand, by one of the limits, or because the index was replaced."""
 
 
 class CameraKey(NamedTuple):
@@ -28,7 +28,7 @@ class CameraKey(NamedTuple):
 
 
 class TooManyCamerasError(ValueError):
-    """A caller has set zones of as many cameras as they may."""
+    """A caller has set zones for as many cameras as they may."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ class SessionSummary:
     age_s, idle_s : float
         Seconds since the first and since the last frame came.
     memory_bytes : int
+        About what the session holds.
     """
 
     frames: int
@@ -62,14 +63,7 @@ class SessionSummary:
 
 @dataclass(frozen=True)
 class CameraSummary:
-    """A camera that has a session or zones.
-
-    Parameters
-    ----------
-    camera_id : str
-    zones : tuple of Zone
-    session : SessionSummary or None
-    """
+    """A camera that has a session or zones."""
 
     camera_id: str
     zones: tuple[Zone, ...]
@@ -77,54 +71,51 @@ class CameraSummary:
 
 
 class _OpenSession:
-    """A session and what is known of it without asking it, which only one thread may do."""
+    """A session, and a summary of it for other threads than the one that uses it."""
 
     def __init__(self, session: CameraSession, estimator: Estimator, now: float) -> None:
         self.session = session
         self.estimator = estimator
         self.busy = True
         self._first = self.last = now
-        self.memory_bytes = 0
 
     def note(self, frame: TrackedFrame, now: float) -> None:
-        """Remember what the summary says of the newest frame."""
+        """Summarise the newest frame."""
+        height, width = frame.frame.shape[:2]
         self.last = now
         self.memory_bytes = self.session.memory_bytes
-        self._frames = frame.frame_index + 1
-        self._timestamp = frame.timestamp
-        self._height, self._width = frame.frame.shape[:2]
-        self._track_ids = tuple(person.track_id for person in frame.persons)
-
-    def summary(self, now: float) -> SessionSummary:
-        return SessionSummary(
-            frames=self._frames,
-            timestamp=self._timestamp,
-            width=self._width,
-            height=self._height,
-            track_ids=self._track_ids,
+        self._newest = SessionSummary(
+            frames=frame.frame_index + 1,
+            timestamp=frame.timestamp,
+            width=width,
+            height=height,
+            track_ids=tuple(person.track_id for person in frame.persons),
             age_s=now - self._first,
-            idle_s=now - self.last,
+            idle_s=0.0,
             memory_bytes=self.memory_bytes,
         )
+
+    def summary(self, now: float) -> SessionSummary:
+        return replace(self._newest, age_s=now - self._first, idle_s=now - self.last)
 
 
 class CameraSessions:
     """Camera sessions, bounded in number, memory and idle time; safe under several threads.
 
-    Where a limit is exceeded, the caller who has the most sessions loses the one that was least
-    recently used, so that nobody crowds out others. A session whose frame is being worked on stays.
-    Zones stay when a session ends by a limit, until they are set anew or the camera is forgotten.
+    Where a limit is exceeded, the caller with the most sessions loses the least recently used one,
+    so that nobody crowds out others. A session whose frame is being processed stays. Zones outlive
+    a session that ends by a limit, until they are replaced or the camera is forgotten.
 
     Parameters
     ----------
     create : callable
-        Makes a session for a camera's first frame with an estimator.
+        Makes a session for a camera's first frame, from an estimator.
     max_sessions : int
-        Of all callers; each may also set the zones of as many cameras.
+        Of all callers; each may also set zones for as many cameras.
     idle_s : float
         Seconds without a frame after which a session ends.
     max_memory_bytes : int
-        Of all sessions together, as they report it. The one used last stays even if it alone
+        Of all sessions together, as they report it. The last used one stays even if it alone
         exceeds this.
     on_begin : callable
         Called when a session has begun.
@@ -173,13 +164,12 @@ class CameraSessions:
         job: Job,
         evidence: Evidence = "photograph",
     ) -> TrackedFrame:
-        """Process the next frame of a camera, whose session begins if there is none.
+        """Process the next frame of a camera; its session begins if there is none.
 
-        A session begins only with a usable frame, so an unusable one ends no other session.
-        Frames of one camera must not be processed at once, which
-        :meth:`app.scheduling.executor.Executor.run` prevents.
-        A session that was begun with another estimator ends: its tracks hold poses of another
-        index.
+        Only a usable frame begins a session, so an unusable one displaces none. Frames of one
+        camera must not be processed at the same time, which
+        :meth:`app.scheduling.executor.Executor.run` prevents. A session that was begun with
+        another estimator ends: its tracks hold poses of another index.
 
         Raises
         ------
@@ -198,9 +188,8 @@ class CameraSessions:
         begins = opened is None
         if opened is None:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
-        opened.session.zones = zones
         try:
-            frame = opened.session.process(upload, timestamp, n, job, evidence)
+            frame = opened.session.process(upload, timestamp, n, job, evidence, zones)
             with self._lock:
                 opened.note(frame, self._clock())
                 if begins:
@@ -217,7 +206,7 @@ class CameraSessions:
         Raises
         ------
         TooManyCamerasError
-            If the caller has set those of as many cameras as sessions are kept.
+            If the caller has zones for as many other cameras as there may be sessions.
         """
         with self._lock:
             others = sum(k.caller == key.caller for k in self._zones.keys() - {key})
@@ -248,7 +237,7 @@ class CameraSessions:
     def forget(self, key: CameraKey) -> None:
         """Forget zones and end the session of a camera; raises KeyError if it has neither.
 
-        A frame of it that is being worked on is finished.
+        A frame that is being processed is finished.
         """
         with self._lock:
             self._end_idle()
@@ -258,7 +247,7 @@ class CameraSessions:
                 self._end(key, "forgotten")
 
     def end_others(self, estimator: Estimator) -> None:
-        """End the sessions of any other estimator, which each would keep in memory."""
+        """End the sessions of all other estimators, each of which would stay in memory."""
         with self._lock:
             for key, opened in list(self._open.items()):
                 if opened.estimator is not estimator and not opened.busy:
@@ -280,20 +269,18 @@ class CameraSessions:
 
     def _end_idle(self) -> None:
         since = self._clock() - self._idle_s
-        for key in [
-            k for k, opened in self._open.items() if opened.last < since and not opened.busy
-        ]:
-            self._end(key, "idle")
+        for key, opened in list(self._open.items()):
+            if opened.last < since and not opened.busy:
+                self._end(key, "idle")
 
     def _shrink(self) -> None:
-        """End sessions until the limits hold or all others are being worked on."""
+        """End sessions until the limits hold or all others are busy."""
         while len(self._open) > self._max_sessions and self._end_oldest("number"):
             pass
-        while self._memory_bytes() > self._max_memory_bytes and self._end_oldest("memory"):
+        while sum(
+            opened.memory_bytes for opened in self._open.values()
+        ) > self._max_memory_bytes and self._end_oldest("memory"):
             pass
-
-    def _memory_bytes(self) -> int:
-        return sum(opened.memory_bytes for opened in self._open.values())
 
     def _end_oldest(self, reason: EndReason) -> bool:
         idle = {key: opened for key, opened in self._open.items() if not opened.busy}

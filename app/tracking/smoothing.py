@@ -1,84 +1,39 @@
 """Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
 
-Moving from one pose to another costs what the joints have to move, and facing another way than the
-person is turned over time costs as well. The forward-backward algorithm weighs the states of the
-last frames by all frames so far. Poses near the most probable state are averaged by these weights,
-and a line is fitted to the averages of the last frames. Small people who are seen from the side
+A move from one pose to another costs by the distance that joints move, and a pose costs by how far
+it departs from the person's heading over time. The forward-backward algorithm weighs the states of
+the last frames by all frames so far. Poses near the most probable state are averaged by these
+weights, and a line is fitted to the averages of the last frames. Small people seen from the side
 keep the side that they show.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing, azimuth_deg
-from app.estimation.posture import vote_posture
-from app.estimation.results import ObservedPerson, Person
+from app.estimation.posture_probability import vote_posture
+from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.tracking.ground_motion import GroundMotion, GroundVelocity
-from app.tracking.heading import HeadingFilter, Turn, going
+from app.tracking.heading import Heading, HeadingFilter
+from app.tracking.parameters import DEFAULTS, SmoothingParameters, TrackingParameters
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
-from index.posture import RUNNING_FROM, UPRIGHT, WALKING_FROM, Posture
+from index.parameters import POSTURE_RULES
+from index.posture import UPRIGHT, Posture
 from index.skeleton import (
-    JOINTS,
-    NATIVE,
     POINT_NAMES,
     POINTS,
+    bone_lengths,
     mean_joint_distance,
+    pixels_per_metre,
+    with_bone_lengths,
 )
-
-STATES = 12
-"""Most hypotheses of a frame that are states; 30 are no better."""
-
-CONFIDENCE_WEIGHT = 1.5
-"""Weight of the log of a hypothesis's confidence, at ``RATE`` frames a second or fewer."""
-
-COST_PER_M = 60.0
-"""Of the joints' mean way between frames ``1 / RATE`` seconds apart; twice that between frames
-without any time between, and the less the more time passed."""
-
-LANDMARK_WEIGHT = 40.0
-"""Weight of the log of the distance by silhouette and landmarks, where there are landmarks: the
-confidences of all hypotheses that agree with them are near 1."""
-
-MOST_COST = 48.0
-"""Nothing is impossible: detection and identity may be wrong."""
-
-SURE_PX = 256.0
-"""Height from which landmarks weigh in full, that of the network's window; of smaller people they
-jump, and motion counts more."""
-
-RATE = 10.0
-"""Frames a second that other costs are given for."""
-
-TURN_WEIGHT = 1.0
-"""Weight of the way somebody is turned over time."""
-
-NEARBY_M = 0.25
-"""Poses at this mean distance of their joints from the most probable one weigh 60 % of it."""
-
-SHARPNESS = 0.5
-"""Exponent of the states' probabilities in the average: frames are no independent evidence."""
-
-EXTRAPOLATED_S = 1.0
-"""How long a pose is kept where the person is seen but not searched for."""
-
-LOST_PER_S = 5.0
-"""Log odds of a pose's confidence lost in every second in which it is kept; from the clips that
-the confidence was fitted on."""
-
-LINE_S, LANDMARK_LINE_S, MOST_LINE_FRAMES = 0.35, 0.12, 24
-"""Seconds through whose averages a line is fitted, by silhouettes alone and where landmarks are
-read, and the most frames."""
-
-CONFIDENCE_OFFSET, OF_HYPOTHESES, OF_AGREEMENT = -0.46, 1.39, 0.39
-"""Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and
-of the share of probability near it. Fitted by ``python -m scripts.evaluate tracking
---fit-tracks``."""
 
 _SHOULDERS, _HIPS = (
     [POINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
@@ -113,32 +68,60 @@ class Smoothed:
 
 
 @dataclass(frozen=True)
-class _States:
-    """The states of a frame and their emission log likelihoods.
+class _Frame:
+    """A frame's N hypotheses as arrays, best first, and how clearly they are seen."""
 
-    Parameters
-    ----------
-    timestamp : float
-    points_3d : (N, 24, 3) float64 array
-    confidences : (N,) float64 array
-    log_emission : (N,) float64 array
-    log_forward : (N,) float64 array
-        Log probabilities given all frames up to this one, less a constant.
-    log_moves : (M, N) float64 array or None
-        From each state of the frame before; None for the first.
-    """
+    hypotheses: Sequence[ProjectedHypothesis]
+    points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
+    points_2d: NDArray[np.float64]  # (N, 24, 2): pixels of the frame.
+    confidences: NDArray[np.float64]  # (N,)
+    # (N,), by silhouette and landmarks; None where no landmarks were read.
+    distances: NDArray[np.float64] | None
+    clarity: float  # How far landmarks count, 0 to 1; 0 where none were read.
+
+    @classmethod
+    def of(cls, person: Person, parameters: SmoothingParameters) -> _Frame:
+        hypotheses = person.hypotheses[: parameters.max_states]
+        distances, clarity = None, 0.0
+        if person.facing is not None and person.facing.evidence == "image":
+            distances = np.array([placed.distance for placed in hypotheses])
+            height = person.observed.whole_box.height
+            clarity = min(1.0, height / parameters.full_weight_px) ** 2
+        return cls(
+            hypotheses,
+            np.array([placed.points_3d for placed in hypotheses]),
+            np.array([placed.points_2d for placed in hypotheses]),
+            np.array([placed.confidence for placed in hypotheses]),
+            distances,
+            clarity,
+        )
+
+    def log_likelihoods(self, parameters: SmoothingParameters) -> NDArray[np.float64]:
+        """Of the states ``(N,)``, less a constant, at the reference rate or below."""
+        result = parameters.confidence_weight * np.log(self.confidences + 1e-3)
+        if self.distances is not None:
+            result = result - self.clarity * parameters.landmark_weight * np.log(
+                (self.distances + 1e-9) / (self.distances.min() + 1e-9)
+            )
+        return result
+
+
+@dataclass(frozen=True)
+class _States:
+    """The N states of a frame, and their log probabilities, each less a constant."""
 
     timestamp: float
-    points_3d: NDArray[np.float64]
-    confidences: NDArray[np.float64]
-    log_emission: NDArray[np.float64]
-    log_forward: NDArray[np.float64]
+    points_3d: NDArray[np.float64]  # (N, 24, 3), as those of the frame.
+    confidences: NDArray[np.float64]  # (N,), of the hypotheses.
+    log_emission: NDArray[np.float64]  # (N,), given the frame.
+    log_forward: NDArray[np.float64]  # (N,), given all frames up to this one.
+    # (M, N), of moving from the states of the frame before; None for the first.
     log_moves: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a person is in a frame: the foot of the box, the silhouette's centroid if there is one.
+    """Where a person is in a frame: the foot of the box, and the silhouette's centroid.
 
     Limbs that swing move a box more than the body.
     """
@@ -159,31 +142,15 @@ class _Place:
 
 
 class PoseSmoother:
-    """Smooths the poses of one track, frame by frame.
+    """Smooths the poses of one track, frame by frame."""
 
-    Parameters
-    ----------
-    states : int
-        See :data:`STATES`, as the others by their names.
-    cost_per_m, turn_weight : float
-    line_s : float
-    """
-
-    def __init__(
-        self,
-        *,
-        states: int = STATES,
-        cost_per_m: float = COST_PER_M,
-        turn_weight: float = TURN_WEIGHT,
-        line_s: float = LINE_S,
-    ) -> None:
-        self._states = states
-        self._cost_per_m = cost_per_m
-        self._turn_weight = turn_weight
-        self._ground = GroundMotion()
-        self._turns = HeadingFilter()
-        self._line_s = line_s
-        self._frames: deque[_States] = deque(maxlen=MOST_LINE_FRAMES)
+    def __init__(self, parameters: TrackingParameters = DEFAULTS) -> None:
+        self._parameters = parameters.smoothing
+        self._ground = GroundMotion(parameters.ground)
+        self._headings = HeadingFilter(parameters.heading)
+        self._seen_deg = parameters.heading.seen_deg
+        self._min_turned_deg = parameters.heading.min_turned_deg
+        self._states: deque[_States] = deque(maxlen=parameters.smoothing.max_line_frames)
         self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
@@ -192,6 +159,7 @@ class PoseSmoother:
         Parameters
         ----------
         person : Person
+            As estimated from the frame alone.
         timestamp : float
             Seconds, later than the last one.
 
@@ -202,67 +170,22 @@ class PoseSmoother:
         """
         if not person.hypotheses or person.facing is None:
             return None
-        hypotheses = person.hypotheses[: self._states]
-        points_3d = np.array([placed.hypothesis.points_3d for placed in hypotheses])
-        points_2d = np.array([placed.points_2d for placed in hypotheses])
-        confidences = np.array([placed.confidence for placed in hypotheses])
-        elevations_deg = np.array([placed.label.elevation_deg for placed in hypotheses])
-        weights = (confidences + 1e-6) / (confidences + 1e-6).sum()
-        box = person.observed.whole_box
-        velocity = self._ground.update(
-            timestamp,
-            box,
-            float(weights @ _px_per_m(points_3d, points_2d)),
-            float(weights @ elevations_deg),
-        )
-        log_emission = CONFIDENCE_WEIGHT * np.log(confidences + 1e-3)
-        line_s, sure = self._line_s, 0.0
-        if person.facing.evidence == "image":
-            sure = min(1.0, box.height / SURE_PX) ** 2
-            line_s = sure * LANDMARK_LINE_S + (1 - sure) * line_s
-            distances = np.array([placed.distance for placed in hypotheses])
-            log_emission = log_emission - sure * LANDMARK_WEIGHT * np.log(
-                (distances + 1e-9) / (distances.min() + 1e-9)
-            )
-        if self._frames:
-            log_emission *= min(1.0, RATE * (timestamp - self._frames[-1].timestamp))
-        shares = np.exp(log_emission - log_emission.max())
-        azimuths_deg = azimuth_deg(points_3d)
-        turn = self._turns.update(timestamp, azimuths_deg, shares / shares.sum(), sure, velocity)
-        log_emission = log_emission + self._turn_weight * turn.log_likelihood(azimuths_deg)
-        self._append(timestamp, points_3d, confidences, log_emission)
-        # The frame before stays, however long ago it was.
-        while len(self._frames) > 2 and timestamp - self._frames[0].timestamp > line_s:
-            self._frames.popleft()
-
-        log_probabilities = self._frames[-1].log_forward
-        probabilities = np.exp(log_probabilities)
+        frame = _Frame.of(person, self._parameters)
+        velocity = self._velocity(frame, person.observed, timestamp)
+        heading = self._add_states(frame, velocity, timestamp)
+        states = self._states[-1]
+        probabilities = np.exp(states.log_forward)
         probabilities /= probabilities.sum()
-        near = _weights_near_best(points_3d, log_probabilities)
-        smoothed_3d, odds = self._smoothed(timestamp)
-        upright = float(probabilities @ [one.hypothesis.posture in UPRIGHT for one in hypotheses])
-        if person.facing.evidence == "image" and upright * (1 - sure) > 0.5:
-            smoothed_3d = _kept_beside(smoothed_3d, turn)
-        agreement = float(probabilities @ _nearness(points_3d, log_probabilities))
-        features = odds, log_odds(agreement)
-        pose = SmoothedPose(
-            smoothed_3d,
-            np.einsum("n,npd->pd", near, points_2d),
-            _confidence(*features),
-            hypotheses[int(probabilities.argmax())].hypothesis.entry,
-        )
+        pose, features = self._pose(frame, heading, probabilities, timestamp)
         self._last = pose, _Place.of(person.observed)
-        votes = vote_posture(
-            [_posture(placed.hypothesis.posture, velocity) for placed in hypotheses],
-            probabilities.tolist(),
-        )
+        walks = self._headings.walking_weight(velocity) > 0
         return Smoothed(
             pose,
-            Facing(
-                turn.front_probability,
-                "motion" if going(velocity) > 0 else person.facing.evidence,
+            Facing(heading.front_probability, "motion" if walks else person.facing.evidence),
+            vote_posture(
+                [_posture(placed.posture, velocity) for placed in frame.hypotheses],
+                probabilities.tolist(),
             ),
-            votes,
             velocity,
             self._ground.elevation_deg,
             features,
@@ -281,89 +204,162 @@ class PoseSmoother:
         Returns
         -------
         SmoothedPose or None
-            None if the last pose is older than :data:`EXTRAPOLATED_S`, or there is none.
+            None if the last pose is too old, or there is none.
         """
         if self._last is None:
             return None
-        age_s = timestamp - self._frames[-1].timestamp
-        if age_s > EXTRAPOLATED_S:
+        age_s = timestamp - self._states[-1].timestamp
+        if age_s > self._parameters.extrapolated_s:
             return None
         pose, before = self._last
-        odds = log_odds(pose.confidence) - LOST_PER_S * age_s
+        odds = log_odds(pose.confidence) - self._parameters.lost_per_s * age_s
         return replace(
             pose,
             points_2d=pose.points_2d + _Place.of(observed).minus(before),
             confidence=probability_of(odds),
         )
 
-    def _append(
-        self,
-        timestamp: float,
-        points_3d: NDArray[np.float64],
-        confidences: NDArray[np.float64],
-        log_emission: NDArray[np.float64],
-    ) -> None:
-        """Add a frame's states: the forward step."""
+    def _velocity(
+        self, frame: _Frame, observed: ObservedPerson, timestamp: float
+    ) -> GroundVelocity:
+        """Measure the velocity by the scales and elevations of the hypotheses."""
+        weights = (frame.confidences + 1e-6) / (frame.confidences + 1e-6).sum()
+        elevations_deg = np.array([placed.label.elevation_deg for placed in frame.hypotheses])
+        return self._ground.update(
+            timestamp,
+            observed.whole_box,
+            float(weights @ pixels_per_metre(frame.points_3d, frame.points_2d, POINTS)),
+            float(weights @ elevations_deg),
+        )
+
+    def _add_states(self, frame: _Frame, velocity: GroundVelocity, timestamp: float) -> Heading:
+        """Add a frame's states, by its hypotheses and the heading: the forward step."""
+        parameters = self._parameters
+        log_emission = frame.log_likelihoods(parameters)
+        if self._states:
+            elapsed = timestamp - self._states[-1].timestamp
+            log_emission *= min(1.0, parameters.reference_hz * elapsed)
+        shares = np.exp(log_emission - log_emission.max())
+        azimuths_deg = azimuth_deg(frame.points_3d)
+        heading = self._headings.update(
+            timestamp, azimuths_deg, shares / shares.sum(), frame.clarity, velocity
+        )
+        log_emission = log_emission + parameters.heading_weight * heading.log_likelihood(
+            azimuths_deg, self._seen_deg
+        )
         log_moves, log_forward = None, log_emission
-        if self._frames:
-            last = self._frames[-1]
-            tenths = RATE * (timestamp - last.timestamp)
-            log_moves = _log_moves(last.points_3d, points_3d, 2 * self._cost_per_m / (1 + tenths))
+        if self._states:
+            last = self._states[-1]
+            log_moves = self._log_moves(last, frame.points_3d, timestamp)
             log_forward = log_emission + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
-        self._frames.append(
+        points_3d, confidences, clarity = frame.points_3d, frame.confidences, frame.clarity
+        self._states.append(
             _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
+        line_s = clarity * parameters.landmark_line_s + (1 - clarity) * parameters.line_s
+        # The frame before stays, however long ago it was.
+        while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
+            self._states.popleft()
+        return heading
+
+    def _log_moves(
+        self, before: _States, points_3d: NDArray[np.float64], timestamp: float
+    ) -> NDArray[np.float64]:
+        """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
+        parameters = self._parameters
+        intervals = parameters.reference_hz * (timestamp - before.timestamp)
+        cost_per_m = 2 * parameters.cost_per_m / (1 + intervals)
+        metres = mean_joint_distance(before.points_3d[:, None], points_3d[None])
+        return np.asarray(-np.minimum(cost_per_m * metres, parameters.max_cost))
+
+    def _pose(
+        self,
+        frame: _Frame,
+        heading: Heading,
+        probabilities: NDArray[np.float64],
+        timestamp: float,
+    ) -> tuple[SmoothedPose, tuple[float, float]]:
+        """The pose at the newest frame, and the features of its confidence."""
+        log_forward = self._states[-1].log_forward
+        smoothed_3d, hypotheses_odds = self._smoothed(timestamp)
+        postures = [placed.posture for placed in frame.hypotheses]
+        upright = float(probabilities @ [posture in UPRIGHT for posture in postures])
+        if frame.distances is not None and upright * (1 - frame.clarity) > 0.5:
+            smoothed_3d = self._kept_on_visible_side(smoothed_3d, heading)
+        nearness = self._nearness(frame.points_3d, log_forward)
+        agreement_odds = log_odds(float(probabilities @ nearness))
+        odds = (
+            self._parameters.confidence_offset
+            + self._parameters.hypotheses_weight * hypotheses_odds
+            + self._parameters.agreement_weight * agreement_odds
+        )
+        weights = self._weights_near_best(frame.points_3d, log_forward)
+        pose = SmoothedPose(
+            smoothed_3d,
+            np.einsum("n,npd->pd", weights, frame.points_2d),
+            probability_of(odds),
+            frame.hypotheses[int(probabilities.argmax())].entry_id,
+        )
+        return pose, (hypotheses_odds, agreement_odds)
 
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.
 
         And the log odds of the hypotheses near it, averaged over these frames.
         """
-        log_backward = np.zeros(len(self._frames[-1].log_forward))
+        log_backward = np.zeros(len(self._states[-1].log_forward))
         averages, lengths, odds = [], [], []
         later: _States | None = None
-        for states in reversed(self._frames):
+        for states in reversed(self._states):
             if later is not None and later.log_moves is not None:
                 log_backward = _log_sum_exp(
                     later.log_moves + (later.log_emission + log_backward)[None], axis=1
                 )
                 log_backward -= log_backward.max()
-            weights = _weights_near_best(states.points_3d, states.log_forward + log_backward)
+            weights = self._weights_near_best(states.points_3d, states.log_forward + log_backward)
             averages.append(np.einsum("n,npd->pd", weights, states.points_3d))
-            lengths.append(weights @ _bone_lengths(states.points_3d))
+            lengths.append(weights @ bone_lengths(states.points_3d))
             odds.append(log_odds(float(weights @ states.confidences)))
             later = states
-        ages = timestamp - np.array([states.timestamp for states in reversed(self._frames)])
-        smoothed = _line_at_zero(ages, np.array(averages))
-        return _with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
+        ages = timestamp - np.array([states.timestamp for states in reversed(self._states)])
+        weights = 1 - ages / (ages.max() + 1 / self._parameters.reference_hz)
+        smoothed = _line_at_zero(ages, np.array(averages), weights)
+        return with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
+
+    def _weights_near_best(
+        self, points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
+        relative = log_probabilities - log_probabilities.max()
+        softened = np.exp(self._parameters.sharpness * relative)
+        weights = softened * self._nearness(points_3d, log_probabilities)
+        return np.asarray(weights / weights.sum())
+
+    def _nearness(
+        self, points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """How near states ``(N,)`` are to the most probable one, 0 to 1."""
+        apart = mean_joint_distance(points_3d, points_3d[log_probabilities.argmax()])
+        return np.asarray(np.exp(-((apart / self._parameters.nearby_m) ** 2) / 2))
+
+    def _kept_on_visible_side(
+        self, points_3d: NDArray[np.float64], heading: Heading
+    ) -> NDArray[np.float64]:
+        """A skeleton ``(24, 3)`` turned no farther than needed to show the side that is seen."""
+        right, _, away = points_3d[_SHOULDERS[0]] - points_3d[_SHOULDERS[1]]
+        shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
+        wanted_deg = heading.on_visible_side(shoulders_deg, self._min_turned_deg)
+        return _turned(points_3d, wanted_deg - shoulders_deg)
 
 
 def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
-    """The posture of a state; how fast somebody goes is seen rather than taken from its clip."""
+    """The posture of a state, by the speed that is measured rather than that of its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture
-    if velocity.sure_speed >= RUNNING_FROM:
+    if velocity.reliable_speed >= POSTURE_RULES.min_running_speed:
         return "running"
-    return "walking" if velocity.sure_speed >= WALKING_FROM else "standing"
-
-
-def _px_per_m(
-    points_3d: NDArray[np.float64], points_2d: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Scales ``(N,)`` at which skeletons appear in the picture."""
-    metres = points_3d[..., :2] - points_3d[..., :2].mean(axis=-2, keepdims=True)
-    pixels = points_2d - points_2d.mean(axis=-2, keepdims=True)
-    return np.asarray(
-        (metres * pixels).sum(axis=(-2, -1)) / np.maximum((metres**2).sum(axis=(-2, -1)), 1e-9)
-    )
-
-
-def _kept_beside(points_3d: NDArray[np.float64], turn: Turn) -> NDArray[np.float64]:
-    """A skeleton ``(24, 3)`` turned no farther than needed to show the side that is seen."""
-    right, _, away = points_3d[_SHOULDERS[0]] - points_3d[_SHOULDERS[1]]
-    shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
-    return _turned(points_3d, turn.on_its_side(shoulders_deg) - shoulders_deg)
+    return "walking" if velocity.reliable_speed >= POSTURE_RULES.min_walking_speed else "standing"
 
 
 def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
@@ -377,40 +373,11 @@ def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.floa
     return np.asarray(along + np.cos(angle) * across + np.sin(angle) * np.cross(across, axis))
 
 
-def _log_moves(
-    before: NDArray[np.float64], after: NDArray[np.float64], cost_per_m: float
+def _line_at_zero(
+    ages: NDArray[np.float64], values: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
-    ways = mean_joint_distance(before[:, None], after[None])
-    return np.asarray(-np.minimum(cost_per_m * ways, MOST_COST))
-
-
-def _weights_near_best(
-    points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
-    softened = np.exp(SHARPNESS * (log_probabilities - log_probabilities.max()))
-    weights = softened * _nearness(points_3d, log_probabilities)
-    return np.asarray(weights / weights.sum())
-
-
-def _nearness(
-    points_3d: NDArray[np.float64], log_probabilities: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How near states ``(N,)`` are to the most probable one, 0 to 1."""
-    apart = mean_joint_distance(points_3d, points_3d[log_probabilities.argmax()])
-    return np.asarray(np.exp(-((apart / NEARBY_M) ** 2) / 2))
-
-
-def _confidence(odds: float, agreement_odds: float) -> float:
-    """Probability that a smooth pose is right."""
-    return probability_of(CONFIDENCE_OFFSET + OF_HYPOTHESES * odds + OF_AGREEMENT * agreement_odds)
-
-
-def _line_at_zero(ages: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Value at age 0 of the line through values ``(K, ...)``, of which the newest count most."""
-    weights = 1 - ages / (ages.max() + 1 / RATE)
-    weights /= weights.sum()
+    """Value at age 0 of the line through values ``(K, ...)`` with weights ``(K,)``."""
+    weights = weights / weights.sum()
     centre = weights @ ages
     spread = weights @ (ages - centre) ** 2
     mean = np.tensordot(weights, values, axes=1)
@@ -418,27 +385,6 @@ def _line_at_zero(ages: NDArray[np.float64], values: NDArray[np.float64]) -> NDA
         return np.asarray(mean)
     slope = np.tensordot(weights * (ages - centre), values, axes=1) / spread
     return np.asarray(mean - slope * centre)
-
-
-def _bone_lengths(points_3d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths ``(..., B)`` of the bones of skeletons, in the order of ``NATIVE.bones``."""
-    parents, children = np.array(NATIVE.bones).T
-    return np.asarray(
-        np.linalg.norm(points_3d[..., children, :] - points_3d[..., parents, :], axis=-1)
-    )
-
-
-def _with_bone_lengths(
-    points_3d: NDArray[np.float64], lengths: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The skeleton ``(24, 3)`` with bones of these lengths, in the same directions."""
-    result = points_3d.copy()
-    for (parent, child), length in zip(NATIVE.bones, lengths, strict=True):
-        bone = points_3d[child] - points_3d[parent]
-        result[child] = result[parent] + bone * (length / max(float(np.linalg.norm(bone)), 1e-9))
-    head = POINT_NAMES.index("head")
-    result[JOINTS:POINTS] += result[head] - points_3d[head]
-    return result
 
 
 def _log_sum_exp(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:

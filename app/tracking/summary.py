@@ -1,45 +1,44 @@
-"""What a whole video tells of each person: how long, in which postures, doing what."""
+"""What a whole video shows of each person: how long, in which postures, doing what."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Literal
 
+from app.tracking.parameters import DEFAULTS, SummaryParameters
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from index.posture import Posture
 
-Told = Posture | Literal["unclear"]
-
-LONGEST_GAP_S = 2.0
-"""A person unseen for longer is not taken to have kept the posture."""
+PostureLabel = Posture | Literal["unclear"]
 
 
 @dataclass
-class Track:
+class TrackSummary:
     """One person over the frames of a video.
 
     Parameters
     ----------
     track_id : int
+        Unique within the video.
     first_timestamp, last_timestamp : float
         Seconds.
     frames : int
-        In which the person was seen.
+        Frames in which the person was seen.
     """
 
     track_id: int
     first_timestamp: float
     last_timestamp: float
     frames: int = 0
-    _posture: Told | None = None
-    _posture_s: dict[Told, float] = field(default_factory=dict)
+    _posture: PostureLabel | None = None
+    _posture_s: dict[PostureLabel, float] = field(default_factory=dict)
     _actions: dict[str, float] = field(default_factory=dict)
-    _with_action: int = 0
+    _frames_with_action: int = 0
 
-    def add(self, tracked: TrackedPerson, timestamp: float) -> None:
-        """Take the person's next frame into account."""
+    def add(self, tracked: TrackedPerson, timestamp: float, max_gap_s: float) -> None:
+        """Add the person's next frame; a posture lasts until then, but through no longer gap."""
         gap_s = timestamp - self.last_timestamp
-        if self._posture is not None and gap_s <= LONGEST_GAP_S:
+        if self._posture is not None and gap_s <= max_gap_s:
             self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
         posture = tracked.person.posture
         self._posture = posture.label if posture else None
@@ -48,11 +47,11 @@ class Track:
         if tracked.action is not None:
             label, probability = tracked.action.label, tracked.action.probability
             self._actions[label] = self._actions.get(label, 0.0) + probability
-            self._with_action += 1
+            self._frames_with_action += 1
         self.last_timestamp = timestamp
         self.frames += 1
 
-    def postures(self) -> list[tuple[Told, float]]:
+    def postures(self) -> list[tuple[PostureLabel, float]]:
         """Return each posture and its seconds, the longest first."""
         return sorted(self._posture_s.items(), key=lambda item: -item[1])
 
@@ -61,23 +60,24 @@ class Track:
         if not self._actions:
             return None
         label = max(self._actions, key=lambda name: self._actions[name])
-        return RecognisedAction(label, self._actions[label] / self._with_action)
+        return RecognisedAction(label, self._actions[label] / self._frames_with_action)
 
 
-class SequenceSummary:
+class VideoSummary:
     """Tracks and events over the frames of a video."""
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: SummaryParameters = DEFAULTS.summary) -> None:
+        self._max_gap_s = parameters.max_gap_s
         self.frames = 0
-        self.tracks: dict[int, Track] = {}
+        self.tracks: dict[int, TrackSummary] = {}
         self.events: list[Event] = []
 
     def add(self, frame: TrackedFrame) -> None:
-        """Take the next frame into account."""
+        """Add the next frame."""
         self.frames += 1
         self.events += frame.events
         for tracked in frame.persons:
             track = self.tracks.setdefault(
-                tracked.track_id, Track(tracked.track_id, frame.timestamp, frame.timestamp)
+                tracked.track_id, TrackSummary(tracked.track_id, frame.timestamp, frame.timestamp)
             )
-            track.add(tracked, frame.timestamp)
+            track.add(tracked, frame.timestamp, self._max_gap_s)

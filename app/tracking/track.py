@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,51 +10,104 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import ActionRecogniser
-from app.tracking.box_filter import MotionFilter
-from app.tracking.events import EventDetector, Trust
+from app.tracking.events import EventDetector, Reliability
+from app.tracking.parameters import DEFAULTS, BoxParameters, TrackingParameters
 from app.tracking.posture_filter import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother
 from app.tracking.zones import Zone, is_rest, zones_of
-from app.vision.geometry import PersonWindow
-
-SURE_SCORE = 0.6
-"""Somebody detected with this probability, or named by the caller, is confirmed at once, ..."""
-
-CONFIRMING_SIGHTINGS = 3
-"""... others when they have been seen in as many frames."""
-
-LEAST_PRESENCE = 0.5
-"""Presence from which the landmark network sees a person. It must have done so once in whom the
-detector found: of tables and tripods it often stays near 0, and below 0.1 where somebody has
-left."""
-
-_APPEARANCE_GAIN = 0.1
+from app.vision.geometry import Box, PersonWindow
 
 
-@dataclass
+@dataclass(frozen=True)
 class Sighting:
-    """Where a person was seen in a frame, before it is known who it is.
+    """A person seen in a frame, before they are matched to a track.
 
     Parameters
     ----------
     observed : ObservedPerson
     appearance : (80,) float32 array or None
-        None where there is no silhouette.
-    followed : Track or None
-        The track in whose window the person was read.
+        Colours; None where there is no photograph or no silhouette.
+    track : Track or None
+        The track in whose window the person was read, or that the caller named.
     """
 
     observed: ObservedPerson
-    appearance: NDArray[np.float32] | None
-    followed: Track | None = None
+    appearance: NDArray[np.float32] | None = None
+    track: Track | None = None
+
+
+class BoxFilter:
+    """Predicts a person's box, at constant velocity.
+
+    The place is the middle of the lower edge, where the person stands.
+
+    Parameters
+    ----------
+    box : Box
+        The first.
+    timestamp : float
+        Seconds.
+    """
+
+    def __init__(
+        self, box: Box, timestamp: float, parameters: BoxParameters = DEFAULTS.box
+    ) -> None:
+        self._parameters = parameters
+        self._place = box.foot
+        self._size = np.array([box.width, box.height])
+        self._timestamp = timestamp
+        self.velocity = np.zeros(2)
+        """Pixels a second, right and down."""
+        self.seen = box
+        """The last observed box."""
+
+    def predict(self, timestamp: float) -> Box:
+        """Box at a later time; it may lie outside the frame."""
+        place = self._predicted_place(timestamp - self._timestamp)
+        width, height = self._size.tolist()
+        return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
+
+    def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
+        """Correct the prediction by an observed box.
+
+        Parameters
+        ----------
+        box : Box
+            As observed.
+        timestamp : float
+            Seconds.
+        whole : bool
+            Whether all of the person was seen; otherwise the size does not shrink.
+        """
+        parameters = self._parameters
+        elapsed = max(timestamp - self._timestamp, parameters.min_step_s)
+        predicted = self._predicted_place(elapsed)
+        growth = np.array([box.width, box.height]) - self._size
+        error = box.foot - predicted
+        self._place = predicted + parameters.place_gain * error
+        # The longer the gap, the more of the error is due to the velocity alone.
+        gain = parameters.velocity_gain / elapsed if elapsed < 1 else 1 / elapsed
+        self.velocity = self.velocity + gain * error
+        growth = growth if whole else np.maximum(growth, 0)
+        self._size = self._size + parameters.size_gain * growth
+        self._timestamp = timestamp
+        self.seen = box
+
+    def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
+        drift_s = self._parameters.drift_s
+        travel = drift_s * (1 - math.exp(-elapsed / drift_s))
+        return np.asarray(self._place + travel * self.velocity)
 
 
 class Track:
     """One person of a camera session.
+
+    In each frame that shows the person, :meth:`see` takes in the place, then :meth:`update` the
+    poses. Where there are none, :meth:`extrapolate` keeps the last one.
 
     Parameters
     ----------
@@ -63,99 +117,95 @@ class Track:
         Seconds.
     """
 
-    def __init__(self, sighting: Sighting, timestamp: float) -> None:
+    def __init__(
+        self, sighting: Sighting, timestamp: float, parameters: TrackingParameters = DEFAULTS
+    ) -> None:
         observed = sighting.observed
+        self._parameters = parameters.track
         self.track_id: int | None = None
         """None until the track is confirmed."""
         self.caller_id: str | None = None
         """The identity that the caller gave the person's box."""
         self.zones: tuple[Zone, ...] = ()
-        """Those in which the person was seen last."""
-        self.motion = MotionFilter(observed.box, timestamp)
+        """Zones in which the person was last seen."""
+        self.box_filter = BoxFilter(observed.box, timestamp, parameters.box)
         self.age_frames = 0
         self.sightings = 0
         self.score = 0.0
-        """Highest probability of the detector that this is a person; 1 if the caller said so."""
+        """Highest probability by the detector that this is a person; 1 if the caller said so."""
         self.presence = 0.0
         """Highest presence by the landmark network; 1 where it does not decide."""
         self.seen_at = timestamp
-        """When the track was last seen."""
+        """Time of the last sighting, seconds."""
         self.next_window: PersonWindow | None = observed.next_window
         """Where the person is looked for next."""
         self.appearance = sighting.appearance
-        self._smoother = PoseSmoother()
-        self._recogniser = ActionRecogniser()
-        self._detector = EventDetector()
+        self._smoother = PoseSmoother(parameters)
+        self._recogniser = ActionRecogniser(parameters=parameters)
+        self._event_detector = EventDetector(parameters.events)
+        self._posture_filter = PostureFilter(parameters.posture)
         self._facing: Facing | None = None
         self._posture: EstimatedPosture | None = None
-        self._postures = PostureFilter()
         self._action: RecognisedAction | None = None
-        self._events: list[Event] = []
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether enough speaks for a person."""
-        return self.presence >= LEAST_PRESENCE and (
-            self.score >= SURE_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
+        """Whether the track counts as a person."""
+        return self.presence >= self._parameters.min_presence and (
+            self.score >= self._parameters.confirming_score
+            or self.sightings >= self._parameters.confirming_sightings
         )
 
     def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
-        """Take in where the person is in this frame, in which of the camera's zones."""
+        """Take in where the person is in this frame, and in which of the camera's zones."""
         observed = sighting.observed
+        truncated = observed.silhouette is not None and observed.silhouette.truncated
         self._locate(observed, zones)
         if self.sightings:
-            whole = observed.silhouette is None or not observed.silhouette.truncated
-            self.motion.update(observed.box, timestamp, whole=whole)
+            self.box_filter.update(observed.box, timestamp, whole=not truncated)
         self.sightings += 1
         self.seen_at = timestamp
         if observed.source not in ("background", "track"):
-            score = 1.0 if observed.detection_score is None else observed.detection_score
-            self.score = max(self.score, score)
+            self.score = max(self.score, _score(observed))
         presence = observed.presence if observed.source == "detector" else None
         self.presence = max(self.presence, 1.0 if presence is None else presence)
         self.next_window = observed.next_window
-        # People who overlap others in the picture would lend them their colours.
-        clear = observed.silhouette is not None and not observed.silhouette.truncated
-        if sighting.appearance is not None and self.appearance is None:
+        if self.appearance is None:
             self.appearance = sighting.appearance
-        elif sighting.appearance is not None and self.appearance is not None and clear:
-            self.appearance = self.appearance + _APPEARANCE_GAIN * (
-                sighting.appearance - self.appearance
-            )
+        # A person who is partly hidden would take on the colours of whoever hides them.
+        elif sighting.appearance is not None and not truncated:
+            difference = sighting.appearance - self.appearance
+            self.appearance = self.appearance + self._parameters.appearance_gain * difference
 
-    def update(self, person: Person, timestamp: float, zones: Sequence[Zone] = ()) -> TrackedPerson:
-        """Take in the poses of this frame; the posture says what part of the body is in a zone."""
+    def update(
+        self, person: Person, timestamp: float, zones: Sequence[Zone] = ()
+    ) -> tuple[TrackedPerson, tuple[Event, ...]]:
+        """Take in the poses of this frame; return the person and what begins or ends with it."""
+        observed = person.observed
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
-            return self.extrapolate(person.observed, timestamp)
-        observed = person.observed
+            return self.extrapolate(observed, timestamp), ()
         presence = 1.0 if observed.presence is None else observed.presence
         self._facing = smoothed.facing
-        self._posture, shares = self._postures.update(
+        self._posture, shares = self._posture_filter.update(
             timestamp, smoothed.votes, observed.landmarks, presence, observed.whole_box
         )
-        surer = self._posture if observed.landmarks is not None else None
-        self._action = self._recogniser.update(timestamp, person, smoothed, surer)
-        self._locate(person.observed, zones)
+        posture = self._posture if observed.landmarks is not None else None
+        self._action = self._recogniser.update(timestamp, person, smoothed, posture)
+        # The posture says which part of the body has to be in a zone.
+        self._locate(observed, zones)
+        events: tuple[Event, ...] = ()
         if self.track_id is not None:
-            told = self._detector.update(
+            events = self._event_detector.update(
                 self.track_id,
                 timestamp,
                 shares,
-                self._trust(observed, smoothed.pose),
+                _reliability(observed, smoothed.pose),
                 height_px=_height_px(observed),
                 rests=is_rest(self.zones),
             )
-            self._events += [self.told(event) for event in told]
         person = replace(person, facing=self._facing, posture=self._posture)
-        return self._tracked(person, smoothed.pose)
-
-    def _trust(self, observed: ObservedPerson, pose: SmoothedPose) -> Trust:
-        """How far a frame is to be trusted: by the network, by silhouettes alone by the pose."""
-        if observed.presence is None:
-            return Trust(pose.confidence, pose.confidence)
-        score = 1.0 if observed.detection_score is None else observed.detection_score
-        return Trust(observed.presence, max(observed.presence, score))
+        return self._tracked(person, smoothed.pose), tuple(map(self.annotated, events))
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
@@ -164,14 +214,9 @@ class Track:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
-    def told(self, event: Event) -> Event:
-        """An event of this track with where it happened and to whom."""
+    def annotated(self, event: Event) -> Event:
+        """An event of this track with the person's zones and the caller's identity."""
         return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)
-
-    def take_events(self) -> list[Event]:
-        """Return what began or ended since this was called last."""
-        events, self._events = self._events, []
-        return events
 
     def _locate(self, observed: ObservedPerson, zones: Sequence[Zone]) -> None:
         label = self._posture.label if self._posture else None
@@ -195,8 +240,20 @@ class Track:
         )
 
 
+def _reliability(observed: ObservedPerson, pose: SmoothedPose) -> Reliability:
+    """How far a frame counts: by the landmark network, without landmarks by the pose."""
+    if observed.presence is None:
+        return Reliability(pose.confidence, pose.confidence)
+    return Reliability(observed.presence, max(observed.presence, _score(observed)))
+
+
+def _score(observed: ObservedPerson) -> float:
+    """Probability by the detector, 1 if the caller said where people are."""
+    return 1.0 if observed.detection_score is None else observed.detection_score
+
+
 def _height_px(observed: ObservedPerson) -> float | None:
-    """Height of a person in the picture, None where not all of them is seen."""
+    """Height of a person in the picture, None where part of them is not seen."""
     if observed.silhouette is None or observed.silhouette.truncated:
         return None
     return observed.silhouette.box.height

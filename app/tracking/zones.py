@@ -1,4 +1,4 @@
-"""Zones of a camera's picture, and who is in them."""
+"""Zones of a camera's picture, and which of them a person is in."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box
-from index.posture import Posture
+from index.posture import ON_THE_GROUND, Posture
 
 ZoneKind = Literal["rest", "watch"]
 """``rest``: a bed or a sofa, where lying is no event; ``watch``: any other place of interest."""
-
-ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
-"""Postures in which the whole body is on the ground, or on a bed, and not the feet alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +22,8 @@ class Zone:
 
     Parameters
     ----------
-    name : str
-    kind : str
+    name, kind : str
+        As the caller chose them.
     polygon : (P, 2) float64 array
         Its corners in order, in pixels of the frame; it may reach beyond the frame.
     """
@@ -43,7 +40,7 @@ class Zone:
 def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
     """Whether a point ``(2,)`` lies in a polygon ``(P, 2)``, by the even-odd rule.
 
-    Of polygons that share an edge, a point on it lies in exactly one.
+    A point on an edge that two polygons share lies in exactly one of them.
     """
     (x1, y1), (x2, y2) = polygon.T, np.roll(polygon, -1, axis=0).T
     x, y = point
@@ -53,7 +50,7 @@ def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
 
 
 def place(box: Box, posture: Posture | None) -> NDArray[np.float64]:
-    """Where a person is ``(2,)``: at their feet, or at the middle of a body that lies."""
+    """Where a person is ``(2,)``: at their feet, or at the centre of a body on the ground."""
     if posture in ON_THE_GROUND:
         return np.array([box.x + box.width / 2, box.y + box.height / 2])
     return box.foot

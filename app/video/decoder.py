@@ -1,8 +1,8 @@
-"""The frames of a video, decoded in a process of its own, whose program this is.
+"""The program that decodes a video, run in a process of its own.
 
-Videos are read by FFmpeg's parsers and decoders, which a hostile file can make hang, crash or fill
-the memory. In a process of their own they cannot harm the service, which kills them when they are
-late or no longer wanted. A header comes before each frame, and another one at the end.
+FFmpeg reads the video. A hostile file can make it hang, crash or fill the memory. In a process of
+its own it cannot harm the service, which kills it when it is late or no longer wanted. The program
+is run by its path and writes a header before each frame, and another one at the end.
 """
 
 from __future__ import annotations
@@ -24,17 +24,19 @@ HEADER = Struct("<cIIId")
 """Kind, number of the frame, width, height, and seconds since the video began."""
 
 FRAME, END, TOO_LARGE = b"F", b"E", b"L"
-"""Kinds of headers: a frame, followed by its BGR pixels; the end, with the number of frames that
-were read and, as width, of those that the file announces; a frame of more pixels than allowed."""
+"""Kinds of headers: a frame, followed by its BGR pixels; the end, with the number of frames read
+and, as width, the number that the file announces; a frame of more pixels than allowed."""
 
-# Playlists and series of images would have FFmpeg open other files.
+# Without playlists and image sequences, which make FFmpeg open other files.
 _FORMATS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,h264,hevc,m4v,ivf"
 _OPTIONS = f"protocol_whitelist;file|format_whitelist;{_FORMATS}"
 
 _MEMORY_BYTES = 640 * 1024**2
 _NICENESS = 5
-_USUAL_FPS = 25.0
-_HIGHEST_FPS = 1000.0
+# A frame rate above the maximum is not believed, and the default used.
+_DEFAULT_FPS = 25.0
+_MAX_FPS = 1000.0
+_MAX_TIMESTAMP_S = 1e9
 
 
 def main() -> None:
@@ -51,16 +53,9 @@ def main() -> None:
 
 
 def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> None:
-    """Decode a file and write headers and frames.
+    """Decode a file and write a header and the pixels of every ``stride``-th frame.
 
-    Parameters
-    ----------
-    file : Path
-    stride : int
-        Every n-th frame is written.
-    max_pixels : int
-        Of a frame; a larger one is the end.
-    out : binary file
+    A frame of more than ``max_pixels`` ends the output.
     """
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _OPTIONS
     capture = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
@@ -68,7 +63,7 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
     width, height = _size(capture)
     number = 0
     while width * height <= max_pixels and capture.grab():
-        timestamp = clock.of_frame(number, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+        timestamp = clock.timestamp(number, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
         if number % stride == 0:
             read, picture = capture.retrieve()
             if not read:
@@ -89,39 +84,34 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
 
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
-    """Return width and height as the file announces them, 0 if it does not."""
-    return (
-        max(0, int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))),
-        max(0, int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))),
+    """Width and height that the file announces, 0 if it announces none."""
+    width, height = (
+        max(0, int(capture.get(key)))
+        for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
     )
+    return width, height
 
 
 class _Clock:
-    """Timestamps that ascend: the file's own, or by the frame rate where they do not.
-
-    Parameters
-    ----------
-    fps : float
-        Frames a second as the file says; it may be anything.
-    """
+    """Ascending timestamps: the file's own, or by its frame rate where they do not ascend."""
 
     def __init__(self, fps: float) -> None:
-        self._interval_s = 1 / (fps if 0 < fps <= _HIGHEST_FPS else _USUAL_FPS)
+        self._interval_s = 1 / (fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS)
         self._last_s = -math.inf
 
-    def of_frame(self, number: int, told_s: float) -> float:
-        """Return the seconds of a frame, given what the file tells."""
-        if number == 0 and not told_s > 0:
+    def timestamp(self, number: int, reported_s: float) -> float:
+        """Seconds of a frame since the video began, given what the file reports."""
+        if number == 0 and not reported_s > 0:
             self._last_s = 0.0
-        elif math.isfinite(told_s) and self._last_s < told_s < 1e9:
-            self._last_s = told_s
+        elif self._last_s < reported_s < _MAX_TIMESTAMP_S:
+            self._last_s = reported_s
         else:
             self._last_s = max(self._last_s, 0.0) + self._interval_s
         return self._last_s
 
 
 def _limit_process(max_seconds: int) -> None:
-    """Bound what a hostile file can have this process take."""
+    """Limit the resources that a hostile file can make this process take."""
     os.nice(_NICENESS)
     for kind, limit in (
         (resource.RLIMIT_DATA, _MEMORY_BYTES),
@@ -129,9 +119,9 @@ def _limit_process(max_seconds: int) -> None:
         (resource.RLIMIT_FSIZE, 0),
         (resource.RLIMIT_CORE, 0),
     ):
-        _, most = resource.getrlimit(kind)
-        resource.setrlimit(kind, (limit if most < 0 else min(limit, most),) * 2)
-    # If memory runs out, it is this process that ends.
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (limit if hard < 0 else min(limit, hard),) * 2)
+    # If memory runs out, the kernel ends this process first.
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
 

@@ -1,4 +1,4 @@
-"""Videos, frame by frame: the side of the service of :mod:`app.video.decoder`."""
+"""The frames of a video, as :mod:`app.video.decoder` writes them in a process of its own."""
 
 from __future__ import annotations
 
@@ -22,25 +22,17 @@ from app.video.decoder import END, FRAME, HEADER, TOO_LARGE
 _FRAME_TIMEOUT_S = 20.0
 _LAST_LINE_TIMEOUT_S = 1.0
 _BUFFER_BYTES = 2**20
-_LONGEST_LINE_BYTES = 300
-# FFmpeg says where in its memory the decoder lies.
+_MAX_LINE_BYTES = 300
+# FFmpeg's messages name addresses in memory.
 _ADDRESS = re.compile(r" ?@ ?0x[0-9a-f]+")
 # A file may announce a few frames that no decoder finds.
-_ANNOUNCED_BUT_MISSING = 0.05
-
+_MAX_MISSING_SHARE = 0.05
 
 log = logging.getLogger("app")
 
 
 class VideoError(ValueError):
-    """A video, or what follows of it, cannot be used; the message is one sentence.
-
-    Parameters
-    ----------
-    reason : str
-        ``undecodable`` or ``too_large``: its frames have too many pixels.
-    message : str
-    """
+    """A video, or the rest of it, cannot be used; the message is one sentence."""
 
     def __init__(self, reason: Literal["undecodable", "too_large"], message: str) -> None:
         super().__init__(message)
@@ -54,9 +46,9 @@ class VideoFrame:
     Parameters
     ----------
     number : int
-        From 0; frames that were skipped count.
+        From 0; skipped frames count.
     timestamp : float
-        Seconds; ascends.
+        Seconds since the video began; ascends.
     pixels : (H, W, 3) uint8 array
         BGR.
     """
@@ -67,9 +59,10 @@ class VideoFrame:
 
 
 def new_file() -> IO[bytes]:
-    """Make a file without a name for an upload: in memory, or where that is unknown, on disk.
+    """Make a file without a name for an upload, which cannot be left behind.
 
-    Like photographs, videos should not touch a disk, and what has no name cannot be left behind.
+    It is in memory, since a video should not touch a disk; on disk where the platform has no such
+    files.
     """
     if sys.platform == "linux":
         return os.fdopen(os.memfd_create("video"), "w+b")
@@ -80,22 +73,14 @@ def new_file() -> IO[bytes]:
 async def open_video(
     file: IO[bytes], stride: int, max_pixels: int, max_seconds: float
 ) -> AsyncIterator[VideoReader]:
-    """Decode a video in a process of its own, which ends with the context.
+    """Decode every ``stride``-th frame of a video in a process that ends with the context.
 
-    Parameters
-    ----------
-    file : binary file
-    stride : int
-        Every n-th frame is read.
-    max_pixels : int
-        Of a frame.
-    max_seconds : float
-        Processor time that it may take in all.
+    A frame may have ``max_pixels``; decoding may take ``max_seconds`` of processor time in all.
     """
     file.flush()
     file.seek(0)
     process = await asyncio.create_subprocess_exec(
-        # By its path, so that it is found wherever the service was started.
+        # By its path, which is valid in any working directory.
         *(sys.executable, "-P", decoder.__file__, f"/dev/fd/{file.fileno()}"),
         *("--stride", str(stride), "--max-pixels", str(max_pixels)),
         *("--max-seconds", str(int(max_seconds) + 1)),
@@ -113,7 +98,7 @@ async def open_video(
     finally:
         if process.returncode is None:
             process.kill()
-        # Else asyncio, which reads no further ahead than its buffer, would wait for ever.
+        # asyncio reads no further ahead than its buffer: unread output would keep `wait` waiting.
         while await process.stdout.read(_BUFFER_BYTES):
             pass
         await process.wait()
@@ -121,10 +106,10 @@ async def open_video(
 
 
 async def _last_line(stream: asyncio.StreamReader) -> str:
-    """Return the last line that a process writes, once it has ended."""
+    """The last line that a process writes, once it has ended."""
     tail = b""
     while chunk := await stream.read(_BUFFER_BYTES):
-        tail = (tail + chunk)[-_LONGEST_LINE_BYTES:]
+        tail = (tail + chunk)[-_MAX_LINE_BYTES:]
     line = (tail.decode(errors="replace").strip().splitlines() or [""])[-1]
     return _ADDRESS.sub("", "".join(filter(str.isprintable, line)))
 
@@ -135,13 +120,13 @@ class VideoReader:
     Parameters
     ----------
     stream : StreamReader
-        What the process writes.
+        Standard output of the decoder.
     max_pixels : int
-        Of a frame.
+        Limit on a frame, for messages.
     timeout_s : float
-        For a frame.
+        Limit on the time between two frames.
     last_line : Future of str, optional
-        The last line that the process writes to standard error.
+        Last line that the decoder writes to standard error.
     """
 
     def __init__(
@@ -158,12 +143,12 @@ class VideoReader:
         self._read = 0
 
     async def next(self) -> VideoFrame | None:
-        """Return the next frame, None at the end.
+        """The next frame; None at the end.
 
         Raises
         ------
         VideoError
-            If the rest, or all of it, cannot be used.
+            If the video, or the rest of it, cannot be used.
         """
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -185,7 +170,7 @@ class VideoReader:
         if kind == END:
             if not number:
                 raise await self._broken("something else")
-            if number < width * (1 - _ANNOUNCED_BUT_MISSING):
+            if number < width * (1 - _MAX_MISSING_SHARE):
                 raise await self._broken(f"{number} of {width} frames")
             return None
         assert kind == FRAME
@@ -196,11 +181,12 @@ class VideoReader:
         )
 
     async def _broken(self, found: str) -> VideoError:
+        """The error for a video that ends early, with the decoder's last line if there is one."""
         if self._last_line is not None:
-            # It may hang, or have children that do.
+            # The decoder may hang, or have children that do.
             await asyncio.wait((self._last_line,), timeout=_LAST_LINE_TIMEOUT_S)
-            if self._last_line.done() and (said := self._last_line.result()):
-                log.info("a video cannot be read: %s", said)
-                found += f" ({said})"
+            if self._last_line.done() and (line := self._last_line.result()):
+                log.info("a video cannot be read: %s", line)
+                found += f" ({line})"
         expected = "the whole video" if self._read else "a video that FFmpeg can read"
         return VideoError("undecodable", f"video: expected {expected}, got {found}")

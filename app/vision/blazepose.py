@@ -1,11 +1,11 @@
-"""BlazePose: its person detector, and its landmark network.
+"""BlazePose [1]_: its person detector, and its landmark network.
 
-The detector finds large people in any orientation, with the circle about each body. Anchors lie at
-the centres of the cells of strides 8 (two a cell), 16 (two) and 32 (six). The network gives each a
-score and the offsets of a box and of four points, of which the first is the middle of the hips and
-the second lies on the circle about the whole body, towards the head [1]_.
+The detector finds large people in any orientation, each with a circle about the body. The network
+has anchors at the centres of the cells of three grids. It gives each anchor a score and the offsets
+of a box and of four points: the first is the middle of the hips, the second lies on the circle
+about the body, in the direction of the head.
 
-The landmark network reads the mask, landmarks and depth of the person in a window in one pass.
+The landmark network reads mask, landmarks and depth of the person in a window in one pass.
 
 References
 ----------
@@ -21,43 +21,34 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.boxes import suppress
-from app.vision.geometry import LANDMARK_NAMES, Landmarks, ObservedKeypoints, PersonWindow
+from app.vision.crops import resize, sample_window
+from app.vision.geometry import WINDOW_SCALE, PersonWindow, non_max_suppression, transform_points
 from app.vision.odds import sigmoid
+from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
-from app.vision.windows import (
-    cut_window,
-    resize,
-    window_drift,
-    window_of_circle,
-    window_to_frame,
-)
 
 LANDMARK_PX = 256
-"""Side of the network's input and mask."""
+"""Side of the landmark network's input and mask."""
 
-DETECTION_PX = 224
-"""Side of the network's input."""
-
-CELLS = ((8, 2), (16, 2), (32, 6))
-"""Strides, and anchors a cell."""
-
-_ANCHORS, _VALUES = 2254, 12
-_OVERLAP = 0.3
-
-WINDOW_SIZES = 2.5
-"""Side of a window in sizes of the body."""
-
-_POINTS = 39
+# Points of the landmark network: the landmarks, the centre of the circle about the body, its point
+# in the direction of the head, and others. Each has x, y, z, visibility and presence.
+_POINTS, _POINT_VALUES = 39, 5
+_CIRCLE_CENTRE, _CIRCLE_TOP = 33, 34
 _LANDMARKS = len(LANDMARK_NAMES)
-# Points beyond the landmarks: the centre of the circle about the body, and its point towards the
-# head.
-_CENTRE, _CIRCLE = 33, 34
+
+DETECTOR_PX = 224
+"""Side of the detector's input."""
+
+ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
+"""Stride of each grid in pixels, and anchors per cell."""
+
+_ANCHORS, _ANCHOR_VALUES = 2254, 12
+_NMS_IOU = 0.3
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What the network reads in a window.
+class PoseReading:
+    """What the landmark network reads in a window.
 
     Parameters
     ----------
@@ -65,13 +56,13 @@ class Reading:
     landmarks : Landmarks
         In pixels of the frame, and metres.
     presence : float
-        Probability that a person is in the window, as the network gives it.
+        The network's probability that a person is in the window.
     probability : (256, 256) float32 array
-        That each pixel of the window shows the person.
+        Probability that each pixel of the window shows the person.
     next_window : PersonWindow
-        Where the network would look next.
-    keypoints : ObservedKeypoints or None
-        What MoveNet reads of the same person, in pixels of the frame.
+        The window that the landmarks point to.
+    keypoints : ObservedKeypoints, optional
+        MoveNet's keypoints of the same person, in pixels of the frame.
     """
 
     window: PersonWindow
@@ -83,69 +74,59 @@ class Reading:
 
     @property
     def body_px(self) -> float:
-        """Size of the body, in pixels of the frame."""
-        return self.next_window.side / WINDOW_SIZES
+        """Size of the body, the radius of its circle, in pixels of the frame."""
+        return self.next_window.side / (2 * WINDOW_SCALE)
 
     @property
     def drift(self) -> float:
-        """How far the window is from the next; a wrong one drifts."""
-        return window_drift(self.window, self.next_window)
+        """Distance from the window to the next, as a share of its side; large for a wrong one."""
+        return self.window.drift(self.next_window)
 
 
 class LandmarkNetwork:
-    """The network; thread-safe.
+    """BlazePose's landmark network; thread-safe.
 
-    Parameters
-    ----------
-    path : Path
-        ``pose_landmarks.tflite``.
-    threads, copies : int
-        As in :class:`app.vision.tflite.TfliteNetwork`.
-
-    Raises
-    ------
-    NetworkError
-        If the file cannot be read or is another network.
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
         self._network = TfliteNetwork(
             path,
             (LANDMARK_PX, LANDMARK_PX, 3),
-            [(5 * _POINTS,), (1,), (LANDMARK_PX, LANDMARK_PX, 1), (3 * _POINTS,)],
+            [(_POINT_VALUES * _POINTS,), (1,), (LANDMARK_PX, LANDMARK_PX, 1), (3 * _POINTS,)],
             threads=threads,
             copies=copies,
         )
 
-    def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> Reading:
+    def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading:
         """Read the person in a window of a frame ``(H, W, 3)``, BGR."""
-        picture = cv2.cvtColor(cut_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
-        image, presence, log_odds, world = self._network.run(picture * np.float32(1 / 255))
-        points = image.reshape(_POINTS, 5).astype(np.float64)
-        to_frame = window_to_frame(window, LANDMARK_PX)
-        # The network counts from the corner of the first pixel.
-        places = (points[:, :2] - 0.5) @ to_frame[:, :2].T + to_frame[:, 2]
+        image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
+        values, presence, log_odds, world = self._network.run(image * np.float32(1 / 255))
+        points = values.reshape(_POINTS, _POINT_VALUES).astype(np.float64)
+        to_frame = window.to_frame(LANDMARK_PX)
+        # The network counts pixels from the corner of the first one.
+        positions = transform_points(to_frame, points[:, :2] - 0.5)
         visibility = sigmoid(points[:_LANDMARKS, 3])
         metres = world.reshape(_POINTS, 3)[:_LANDMARKS].astype(np.float64)
-        turn = to_frame[:, :2] / (window.side / LANDMARK_PX)
-        metres = np.hstack([metres[:, :2] @ turn.T, metres[:, 2:]])
-        return Reading(
+        rotation = to_frame[:, :2] / (window.side / LANDMARK_PX)
+        metres = np.hstack([metres[:, :2] @ rotation.T, metres[:, 2:]])
+        return PoseReading(
             window,
-            Landmarks(places[:_LANDMARKS], visibility, metres),
+            Landmarks(positions[:_LANDMARKS], visibility, metres),
             float(presence[0]),
             sigmoid(log_odds[..., 0]),
-            window_of_circle(places[_CENTRE], places[_CIRCLE]),
+            PersonWindow.about_circle(positions[_CIRCLE_CENTRE], positions[_CIRCLE_TOP]),
         )
 
 
 @dataclass(frozen=True)
 class BlazePoseDetection:
-    """A body as the network detects it.
+    """A body that BlazePose's detector finds.
 
     Parameters
     ----------
     window : PersonWindow
-        About the circle around the body, the trunk upright.
+        About the circle around the body.
     score : float
         0 to 1; not a probability.
     """
@@ -154,79 +135,69 @@ class BlazePoseDetection:
     score: float
 
 
-class PoseDetection:
-    """The network; thread-safe.
+class BlazePoseDetector:
+    """BlazePose's person detector; thread-safe.
 
-    Parameters
-    ----------
-    path : Path
-        ``pose_detection.tflite``.
-    threads, copies : int
-        As in :class:`app.vision.tflite.TfliteNetwork`.
-
-    Raises
-    ------
-    NetworkError
-        If the file cannot be read or is another network.
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
         self._network = TfliteNetwork(
             path,
-            (DETECTION_PX, DETECTION_PX, 3),
-            [(_ANCHORS, _VALUES), (_ANCHORS, 1)],
+            (DETECTOR_PX, DETECTOR_PX, 3),
+            [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)],
             threads=threads,
             copies=copies,
         )
 
-    def bodies(self, frame: NDArray[np.uint8], least_score: float) -> list[BlazePoseDetection]:
-        """Find bodies, best first.
+    def detect(self, frame: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
+        """Find bodies in a frame ``(H, W, 3)``, BGR; best first.
 
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR; shown whole, so that only large people are found.
-        least_score : float
+        The network sees the whole frame, so that it finds large people only.
         """
         height, width = frame.shape[:2]
-        factor = DETECTION_PX / max(height, width)
+        factor = DETECTOR_PX / max(height, width)
         columns, rows = max(1, round(width * factor)), max(1, round(height * factor))
-        left, top = (DETECTION_PX - columns) // 2, (DETECTION_PX - rows) // 2
-        picture: NDArray[np.float32] = np.full((DETECTION_PX, DETECTION_PX, 3), -1, np.float32)
-        shown = cv2.cvtColor(resize(frame, columns, rows), cv2.COLOR_BGR2RGB)
-        picture[top : top + rows, left : left + columns] = shown / np.float32(127.5) - 1
-        values, log_odds = self._network.run(picture)
+        left, top = (DETECTOR_PX - columns) // 2, (DETECTOR_PX - rows) // 2
+        image: NDArray[np.float32] = np.full((DETECTOR_PX, DETECTOR_PX, 3), -1, np.float32)
+        small = cv2.cvtColor(resize(frame, columns, rows), cv2.COLOR_BGR2RGB)
+        image[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
+        values, log_odds = self._network.run(image)
         scores = sigmoid(log_odds[:, 0].astype(np.float64))
-        used = np.flatnonzero(scores >= least_score)
-        boxes, points = decode(values, used)
-        kept = suppress(boxes, scores[used], _OVERLAP)
-        # Pixel centres of the picture to those of the frame.
+        used = np.flatnonzero(scores >= min_score)
+        boxes, points = decode_anchors(values, used)
+        kept = non_max_suppression(boxes, scores[used], _NMS_IOU)
+        # Pixel centres of the network's input to those of the frame.
         scale = np.array([width / columns, height / rows])
         points = (points - [left, top]) * scale - 0.5
         return [
-            BlazePoseDetection(window_of_circle(*points[i, :2]), float(scores[used[i]]))
+            BlazePoseDetection(PersonWindow.about_circle(*points[i, :2]), float(scores[used[i]]))
             for i in kept
         ]
 
 
-def decode(
+def decode_anchors(
     values: NDArray[np.float32], used: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes ``(K, 4)`` and points ``(K, 4, 2)`` of anchors, from the corner of the picture."""
+    """Boxes ``(K, 4)`` and points ``(K, 4, 2)`` of the anchors in rows ``used`` ``(K,)``.
+
+    They are in pixels of the network's input, from the corner of the first pixel.
+    """
     raw = values[used].astype(np.float64)
-    anchors = _CENTRES[used]
+    anchors = _ANCHOR_CENTRES[used]
     size = raw[:, 2:4]
     boxes = np.hstack([raw[:, :2] + anchors - size / 2, size])
     return boxes, raw[:, 4:].reshape(-1, 4, 2) + anchors[:, None]
 
 
 def _anchor_centres() -> NDArray[np.float64]:
-    layers = []
-    for stride, count in CELLS:
-        places = (np.arange(DETECTION_PX // stride) + 0.5) * stride
-        x, y = np.meshgrid(places, places)
-        layers.append(np.repeat(np.stack([x.ravel(), y.ravel()], axis=-1), count, axis=0))
-    return np.concatenate(layers)
+    """Centres ``(2254, 2)`` of all anchors, x before y."""
+    grids = []
+    for stride, count in ANCHOR_GRIDS:
+        centres = (np.arange(DETECTOR_PX // stride) + 0.5) * stride
+        x, y = np.meshgrid(centres, centres)
+        grids.append(np.repeat(np.stack([x.ravel(), y.ravel()], axis=-1), count, axis=0))
+    return np.concatenate(grids)
 
 
-_CENTRES = _anchor_centres()
+_ANCHOR_CENTRES = _anchor_centres()

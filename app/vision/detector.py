@@ -1,50 +1,29 @@
-"""The detectors: two networks with HOG beside them, and HOG alone."""
+"""Detectors: both networks with HOG beside them, and HOG alone.
+
+MoveNet sees the whole frame once. Where the smallest wanted person would be too small in it, it
+sees the frame again at a higher resolution, in overlapping tiles that bound the memory.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import BlazePoseDetection, LandmarkNetwork, PoseDetection
-from app.vision.boxes import Boxes, averaged, drop_parts, suppress
-from app.vision.geometry import Box, Detection, PersonWindow
-from app.vision.hog import person_margin, person_windows
-from app.vision.models import fitted
+from app.vision import DetectorName
+from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
+from app.vision.crops import PixelRect, crop, resize
+from app.vision.geometry import Box, Boxes, PersonWindow, box_array, non_max_suppression
+from app.vision.hog import hog_margin, hog_people
+from app.vision.models import fitted_constants
 from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
-from app.vision.tiles import LONGEST_PX, SMALLEST_SHARE, Tile, tiles_of
-from app.vision.windows import cut, resize, window_about
-
-DetectorName = Literal["network", "hog"]
-
-MIN_SCORE, HOG_MIN_SCORE = 0.3, 0.2
-"""Defaults of the least probability reported, by the networks and by HOG alone."""
-
-SAME_PERSON = 0.4
-"""Overlap (IoU) from which two boxes are one person: two people walking together reach 0.3."""
-
-LOST_ODDS = 1.0
-"""Log odds that somebody is where a person was seen a moment ago: people do not vanish. Who falls
-is blurred, then lies as detectors hardly know people."""
-
-# People at least this high as shown are best found in the overview, smaller ones in the tiles,
-# which tell apart two people walking together.
-_LARGE_PX = 96
-# Boxes that end within this many pixels, as shown, of a tile's edge inside the frame are cut by it.
-_CUT_PX = 4.0
-_LEAST_NETWORK_SCORE = 0.02
-# HOG enlarges a frame no further than to find people as small as this, in pixels: in a frame of a
-# few rows a share of its height would be next to nothing.
-_LEAST_HOG_PX = 16.0
-# Scores of BlazePose's detector from which a body is looked at, and the landmark network's presence
-# from which it is a person: walls and trees stay below 0.1, people mostly above 0.9.
-_LEAST_BODY_SCORE, _LEAST_PRESENCE = 0.3, 0.5
-# Sizes of a body's circle relative to its box at which both are about one person.
-_SAME_SIZE = (0.4, 2.5)
+from app.vision.parameters import DEFAULTS, DetectorParameters, TilingParameters, VisionParameters
+from app.vision.people import Detection
 
 
 class Detector(Protocol):
@@ -52,40 +31,32 @@ class Detector(Protocol):
 
     name: DetectorName
 
-    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
-        """Find the people.
+    def detect(
+        self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
+    ) -> list[Detection]:
+        """Find the people of a frame ``(H, W, 3)``, BGR; best first.
 
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR.
-        lost : sequence of Box
-            Where somebody was seen a moment ago who was not seen to leave.
-
-        Returns
-        -------
-        list of Detection
-            Best first.
+        ``expected_boxes`` are of people who were there a moment ago and were not seen to leave.
         """
         ...
 
 
 class NetworkDetector:
-    """Find people by MoveNet and by BlazePose's detector.
+    """Find people by MoveNet and BlazePose's detector.
 
     MoveNet finds people of any size, BlazePose's detector large ones in any pose and orientation.
-    HOG's opinion may raise a score, never lower it: it only knows people who stand.
+    HOG may raise a score, never lower it: it only knows people who stand.
 
     Parameters
     ----------
     movenet : MoveNet
-    pose_detection : PoseDetection
+    body_detector : BlazePoseDetector
     landmarks : LandmarkNetwork
-        Confirms people whom MoveNet does not see.
+        Confirms people whom MoveNet does not detect.
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
-    min_score : float
-        Least probability reported.
+    min_score : float, optional
+        Least probability that is reported.
     """
 
     name: DetectorName = "network"
@@ -93,31 +64,37 @@ class NetworkDetector:
     def __init__(
         self,
         movenet: MoveNet,
-        pose_detection: PoseDetection,
+        body_detector: BlazePoseDetector,
         landmarks: LandmarkNetwork,
         *,
         min_person_px: float | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
+        parameters: VisionParameters = DEFAULTS,
     ) -> None:
         self._movenet = movenet
-        self._pose_detection = pose_detection
+        self._body_detector = body_detector
         self._landmarks = landmarks
-        self._min_person_px = _checked(min_person_px, min_score)
-        self._min_score = min_score
+        self._parameters = parameters.detector
+        self._tiling = parameters.tiling
+        self._hog = parameters.hog
+        self._min_score = self._parameters.min_score if min_score is None else min_score
+        self._min_person_px = min_person_px
+        _check_limits(min_person_px, self._min_score)
 
-    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
+    def detect(
+        self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
+    ) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
         detections, scores = self.candidates(frame)
-        odds = detection_odds(scores)
-        for box in lost:
-            near = [i for i, one in enumerate(detections) if _is_near(one.box, box)]
+        odds = detection_odds(scores, self._parameters)
+        for box in expected_boxes:
+            near = [i for i, one in enumerate(detections) if self._may_be(one.box, box)]
             if near:
-                odds[max(near, key=lambda i: odds[i])] += LOST_ODDS
-        probabilities = sigmoid(odds).tolist()
-        found = [
+                odds[max(near, key=lambda i: odds[i])] += self._parameters.expected_log_odds
+        found = (
             replace(detection, score=probability)
-            for detection, probability in zip(detections, probabilities, strict=True)
-        ]
+            for detection, probability in zip(detections, sigmoid(odds).tolist(), strict=True)
+        )
         return _best_first(found, self._min_score)
 
     def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
@@ -128,74 +105,97 @@ class NetworkDetector:
         detections : list of Detection
             One for each person, with MoveNet's score and the windows of BlazePose's detector.
         scores : (N, 3) float64 array
-            MoveNet's score, HOG's margin on the box's window, and the score of BlazePose's
-            detector; 0 where a network sees nobody.
+            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a network
+            detects nobody.
         """
-        found = self._people(frame)
+        found = self._movenet_people(frame)
         windows: list[list[PersonWindow]] = [[] for _ in found]
-        scores = [[one.score, person_margin(frame, one.box), 0.0] for one in found]
+        scores = [[one.score, hog_margin(frame, one.box, self._hog), 0.0] for one in found]
         alone: list[Detection] = []
-        for body in self._pose_detection.bodies(frame, _LEAST_BODY_SCORE):
-            near = [i for i, one in enumerate(found) if _is_about(body.window, one.box)]
-            if near:
-                best = max(near, key=lambda i: found[i].score)
+        for body in self._body_detector.detect(frame, self._parameters.min_body_score):
+            same = [i for i, one in enumerate(found) if self._is_same(body.window, one.box)]
+            if same:
+                best = max(same, key=lambda i: found[i].score)
                 windows[best].append(body.window)
                 scores[best][2] = max(scores[best][2], body.score)
             elif (person := self._confirmed(frame, body)) is not None:
                 alone.append(person)
                 scores.append([0.0, 0.0, body.score])
-        seen = [replace(one, windows=tuple(own)) for one, own in zip(found, windows, strict=True)]
-        return [*seen, *alone], np.array(scores, np.float64).reshape(-1, 3)
+        both = [replace(one, windows=tuple(own)) for one, own in zip(found, windows, strict=True)]
+        return [*both, *alone], np.array(scores, np.float64).reshape(-1, 3)
 
-    def _people(self, frame: NDArray[np.uint8]) -> list[Detection]:
-        """The people whom MoveNet sees, one for each, best first."""
+    def _movenet_people(self, frame: NDArray[np.uint8]) -> list[Detection]:
+        """The people whom MoveNet detects in the overview and tiles, one for each, best first."""
         height, width = frame.shape[:2]
-        tiles = tiles_of(width, height, self._min_person_px)
+        tiles = tiles_of(width, height, self._min_person_px, self._tiling)
         found: list[Detection] = []
-        preferred: list[bool] = []
+        ranks: list[float] = []
         for number, tile in enumerate(tiles):
-            picture = resize(cut(frame, tile.window), *tile.size)
-            for person in self._movenet.people(picture):
-                box = _in_frame(person.box, tile, width, height)
-                if box is None or person.score < _LEAST_NETWORK_SCORE:
+            for person in self._movenet.detect(resize(crop(frame, tile.rect), *tile.size)):
+                box = tile.to_frame(person.box, width, height, self._parameters.seam_px)
+                if box is None or person.score < self._parameters.min_movenet_score:
                     continue
-                large = max(box.width, box.height) * tiles[0].factor >= _LARGE_PX
-                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.window[:2])
-                found.append(Detection(box, min(1.0, person.score), keypoints))
-                preferred.append(len(tiles) == 1 or large == (number == 0))
-        return [found[i] for i in _suppressed(found, preferred)]
+                score = min(1.0, person.score)
+                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
+                found.append(Detection(box, score, keypoints))
+                overview_px = max(box.width, box.height) * tiles[0].factor
+                is_large = overview_px >= self._parameters.large_person_px
+                # A box at the better resolution comes before all others.
+                ranks.append(score + (len(tiles) == 1 or is_large == (number == 0)))
+        boxes = box_array(one.box for one in found)
+        kept = non_max_suppression(boxes, np.array(ranks), self._parameters.nms_iou)
+        return [found[i] for i in kept]
 
     def _confirmed(self, frame: NDArray[np.uint8], body: BlazePoseDetection) -> Detection | None:
-        """A person whom MoveNet does not see, where the landmark network sees one."""
+        """A body that MoveNet does not detect, if the landmark network sees a person there."""
         reading = self._landmarks.read(frame, body.window)
         box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
-        if box is None or reading.presence < _LEAST_PRESENCE:
+        if box is None or reading.presence < self._parameters.min_presence:
             return None
         return Detection(box, 0.0, None, (body.window,))
 
+    def _is_same(self, window: PersonWindow, box: Box) -> bool:
+        """Whether the window about a body and a box are about the same person."""
+        inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
+        low, high = self._parameters.same_size
+        return inside and low < window.side / PersonWindow.about_box(box).side < high
+
+    def _may_be(self, box: Box, expected: Box) -> bool:
+        """Whether a box may hold an expected person, standing there or on the ground beside."""
+        x, y, width, height = expected.x, expected.y, expected.width, expected.height
+        margin = max(width, height) / 2
+        reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
+        return box.intersection(reach) >= self._parameters.min_expected_share * box.area
+
 
 class HogDetector:
-    """Find upright people by HOG alone; needs no network.
+    """Find upright people by HOG alone, without a network.
 
-    Parameters
-    ----------
-    min_person_px, min_score : float
-        As in :class:`NetworkDetector`.
+    Limits are those of :class:`NetworkDetector`.
     """
 
     name: DetectorName = "hog"
 
     def __init__(
-        self, *, min_person_px: float | None = None, min_score: float = HOG_MIN_SCORE
+        self,
+        *,
+        min_person_px: float | None = None,
+        min_score: float | None = None,
+        parameters: VisionParameters = DEFAULTS,
     ) -> None:
-        self._min_person_px = _checked(min_person_px, min_score)
-        self._min_score = min_score
+        self._parameters = parameters.hog
+        self._tiling = parameters.tiling
+        self._min_score = self._parameters.min_score if min_score is None else min_score
+        self._min_person_px = min_person_px
+        _check_limits(min_person_px, self._min_score)
 
-    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
-        """Find the people; see :class:`Detector`."""
+    def detect(
+        self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
+    ) -> list[Detection]:
+        """Find the people; see :class:`Detector`. Expected boxes make no difference."""
         height, width = frame.shape[:2]
         boxes, margins = self.people(frame)
-        constants = fitted("detection")
+        constants = fitted_constants("detection")
         scores = sigmoid(constants["hog_alone"] * margins + constants["hog_alone_offset"])
         detections = [
             Detection(inside, float(score))
@@ -205,97 +205,50 @@ class HogDetector:
         return _best_first(detections, self._min_score)
 
     def people(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
-        """One box for each person, and its margin; see :func:`hog_people`."""
+        """One box for each person, and its margin; see :func:`app.vision.hog.hog_people`."""
         height, width = frame.shape[:2]
-        smallest = max(_LEAST_HOG_PX, smallest_person_px(frame.shape, self._min_person_px))
-        factor = min(1.0, 50 / smallest, LONGEST_PX / max(height, width))
+        wanted_px = smallest_person_px(frame.shape, self._min_person_px, self._tiling)
+        wanted_px = max(self._parameters.min_person_px, wanted_px)
+        search_px = self._parameters.search_person_px
+        factor = min(1.0, search_px / wanted_px, self._tiling.max_fine_side_px / max(height, width))
         small = resize(frame, max(1, round(width * factor)), max(1, round(height * factor)))
-        boxes, margins = hog_people(small, max(min(50, smallest), 50 * factor))
+        min_px = max(min(search_px, wanted_px), search_px * factor)
+        boxes, margins = hog_people(small, min_px, self._parameters)
         boxes[:, :2] = (boxes[:, :2] + 0.5) / factor - 0.5
         boxes[:, 2:] /= factor
         return boxes, margins
 
 
-def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, NDArray[np.float64]]:
-    """One box for each person that HOG finds.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR, at the resolution to search.
-    min_person_px : float
-        Height of the smallest person wanted, in pixels.
-
-    Returns
-    -------
-    boxes : (K, 4) float64 array
-        x, y, width, height; best first.
-    margins : (K,) float64 array
-        Distance from the decision boundary, positive.
-    """
-    boxes, margins = person_windows(frame, min_person_px, threshold=0.0)
-    if len(boxes) == 0:
-        return boxes, margins
-    kept = drop_parts(boxes, suppress(boxes, margins, SAME_PERSON))
-    return averaged(boxes, margins + 0.1, kept), margins[kept]
-
-
-def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+def detection_odds(
+    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
+) -> NDArray[np.float64]:
     """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
-    constants = fitted("detection")
+    constants = fitted_constants("detection")
     weights = np.array([constants[name] for name in ("movenet", "hog", "pose_detection")])
-    return np.asarray(detection_features(scores) @ weights + constants["offset"])
+    return np.asarray(detection_features(scores, parameters) @ weights + constants["offset"])
 
 
-def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the probability is made of, ``(N, 3)``, from :meth:`NetworkDetector.candidates`.
+def detection_features(
+    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
+) -> NDArray[np.float64]:
+    """Features ``(N, 3)`` of the fitted probability, from :meth:`NetworkDetector.candidates`.
 
-    MoveNet's log odds, HOG's margin where it sees a person, the score of BlazePose's detector.
+    They are MoveNet's log odds, HOG's margin if positive, and the score of BlazePose's detector.
     """
     movenet, margin, body = scores.T
-    odds = logit(np.maximum(movenet, _LEAST_NETWORK_SCORE), least=1e-4)
+    odds = logit(np.maximum(movenet, parameters.min_movenet_score), parameters.min_probability)
     return np.stack([odds, np.maximum(0.0, margin), body], axis=1)
 
 
-def _in_frame(box: Box, tile: Tile, width: int, height: int) -> Box | None:
-    """A tile's box in pixels of the frame; None if the tile's edge cuts the person."""
-    left, top, columns, rows = tile.window
-    reach = _CUT_PX / tile.factor
-    whole = box.scaled(1 / tile.factor)
-    cut_by_tile = (
-        (left > 0 and whole.x < reach)
-        or (top > 0 and whole.y < reach)
-        or (left + columns < width and whole.right > columns - reach)
-        or (top + rows < height and whole.bottom > rows - reach)
-    )
-    if cut_by_tile:
-        return None
-    return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
-
-
-def _is_near(box: Box, lost: Box) -> bool:
-    """Whether somebody who was lost may be in a box: where they stood, or on the ground beside."""
-    return box.intersection(_where_they_may_lie(lost)) >= 0.5 * box.area
-
-
-def _where_they_may_lie(box: Box) -> Box:
-    room = max(box.width, box.height) / 2
-    return Box(box.x - room, box.y, box.width + 2 * room, box.height + room / 2)
-
-
-def _is_about(window: PersonWindow, box: Box) -> bool:
-    """Whether the window of a body is that of the person in a box."""
-    inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
-    ratio = window.side / window_about(box).side
-    return inside and _SAME_SIZE[0] < ratio < _SAME_SIZE[1]
-
-
-def _suppressed(found: Sequence[Detection], preferred: Sequence[bool]) -> list[int]:
-    """Non-maximum suppression over all tiles, people shown at the better size first."""
-    boxes = [one.box for one in found]
-    corners = np.array([[b.x, b.y, b.width, b.height] for b in boxes], np.float64).reshape(-1, 4)
-    scores = np.array([one.score for one in found], np.float64)
-    return suppress(corners, scores + np.array(preferred, np.float64), SAME_PERSON)
+def smallest_person_px(
+    frame_shape: tuple[int, ...],
+    min_person_px: float | None,
+    parameters: TilingParameters = DEFAULTS.tiling,
+) -> float:
+    """Height of the smallest person wanted, in pixels: a share of the frame's unless given."""
+    if min_person_px is not None:
+        return min_person_px
+    return max(1.0, parameters.min_person_share * frame_shape[0])
 
 
 def _best_first(detections: Iterable[Detection], min_score: float) -> list[Detection]:
@@ -303,14 +256,119 @@ def _best_first(detections: Iterable[Detection], min_score: float) -> list[Detec
     return sorted(kept, key=lambda detection: -detection.score)
 
 
-def smallest_person_px(shape: tuple[int, ...], min_person_px: float | None) -> float:
-    """Height of the smallest wanted person of a frame, in pixels."""
-    return max(1.0, SMALLEST_SHARE * shape[0]) if min_person_px is None else min_person_px
-
-
-def _checked(min_person_px: float | None, min_score: float) -> float | None:
+def _check_limits(min_person_px: float | None, min_score: float) -> None:
     if min_person_px is not None and not min_person_px > 0:
         raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
     if not 0 <= min_score <= 1:
         raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")
-    return min_person_px
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of a frame as MoveNet sees it.
+
+    Parameters
+    ----------
+    rect : (left, top, width, height)
+        In pixels of the frame.
+    factor : float
+        By which the part is resized.
+    """
+
+    rect: PixelRect
+    factor: float
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height after resizing, in pixels."""
+        _, _, width, height = self.rect
+        return max(1, round(width * self.factor)), max(1, round(height * self.factor))
+
+    def to_frame(self, box: Box, width: int, height: int, seam_px: float) -> Box | None:
+        """A box of this tile in pixels of the frame.
+
+        None if it lies outside the frame, or ends within ``seam_px`` of an edge of the tile that is
+        not the frame's: such a person is cut.
+        """
+        left, top, columns, rows = self.rect
+        seam = seam_px / self.factor
+        whole = box.scaled(1 / self.factor)
+        is_cut = (
+            (left > 0 and whole.x < seam)
+            or (top > 0 and whole.y < seam)
+            or (left + columns < width and whole.right > columns - seam)
+            or (top + rows < height and whole.bottom > rows - seam)
+        )
+        if is_cut:
+            return None
+        return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
+
+
+def tiles_of(
+    width: int,
+    height: int,
+    min_person_px: float | None = None,
+    parameters: TilingParameters = DEFAULTS.tiling,
+) -> list[Tile]:
+    """The overview of a frame, and tiles at a higher resolution if small people are wanted.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the frame, in pixels.
+    min_person_px : float, optional
+        Height of the smallest person wanted, in pixels of the frame; by default a share of its
+        height, for which the overview is enough.
+
+    Returns
+    -------
+    list of Tile
+        The overview first; empty for a frame too thin to hold a person.
+    """
+    # Portraits are seen as large as landscapes.
+    longer, shorter = max(width, height), min(width, height)
+    long_px, short_px = parameters.overview_px
+    overview = min(long_px / longer, short_px / shorter, parameters.max_enlargement)
+    if shorter * overview < parameters.min_side_px:
+        return []
+    whole = Tile((0, 0, width, height), overview)
+    if min_person_px is None:
+        return [whole]
+    fine = min(
+        parameters.max_fine_side_px / longer,
+        math.sqrt(parameters.max_fine_px / (width * height)),
+        parameters.min_person_px / min_person_px,
+    )
+    if fine <= parameters.min_gain * overview:
+        return [whole]
+    return [whole, *(Tile(rect, fine) for rect in _grid(width, height, fine, parameters))]
+
+
+def _grid(width: int, height: int, factor: float, parameters: TilingParameters) -> list[PixelRect]:
+    """Overlapping tiles that are small enough after resizing by ``factor``, of least total area."""
+    overlap = parameters.overlap_px / factor
+    counts = range(1, parameters.max_tiles_per_side + 1)
+    widths = {columns: _part(width, columns, overlap) for columns in counts}
+    heights = {rows: _part(height, rows, overlap) for rows in counts}
+    _, columns, rows = min(
+        (columns * widths[columns] * rows * heights[rows], columns, rows)
+        for columns in counts
+        for rows in counts
+        if widths[columns] * heights[rows] * factor**2 <= parameters.max_tile_px
+    )
+    return [
+        (left, top, right - left, bottom - top)
+        for top, bottom in _spans(height, rows, overlap)
+        for left, right in _spans(width, columns, overlap)
+    ]
+
+
+def _part(length: int, count: int, overlap: float) -> float:
+    """Length of each of ``count`` overlapping parts."""
+    return (length + (count - 1) * overlap) / count
+
+
+def _spans(length: int, count: int, overlap: float) -> list[tuple[int, int]]:
+    part = _part(length, count, overlap)
+    starts = [round(i * (part - overlap)) for i in range(count)]
+    return [(start, min(length, math.ceil(start + part))) for start in starts]

@@ -1,30 +1,29 @@
-"""What vision finds: boxes, detections and silhouettes."""
+"""Boxes, and the rotated square windows in which people are read, in pixels of a frame."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-SegmenterName = Literal["network", "background", "mask"]
+Boxes = NDArray[np.float64]
+"""Many boxes ``(N, 4)``: x, y, width, height."""
 
-COCO_NAMES = (
-    "nose", "left_eye", "right_eye", "left_ear", "right_ear",
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
-    "left_wrist", "right_wrist", "left_hip", "right_hip",
-    "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
-"""The 17 COCO keypoints, in their order; left and right are the person's own."""
+WINDOW_SCALE = 1.25
+"""Side of a person's window relative to the circle about the body or the longer side of its box, as
+BlazePose was trained."""
+
+_MIN_RADIUS_PX = 1e-3
 
 
 @dataclass(frozen=True)
 class Box:
     """An upright rectangle in pixels.
 
-    The origin lies at the centre of the top-left pixel, so the box of that single pixel is
+    The origin is the centre of the top-left pixel, so the box of that pixel alone is
     ``Box(-0.5, -0.5, 1, 1)``.
 
     Parameters
@@ -45,19 +44,24 @@ class Box:
         if not (finite and self.width > 0 and self.height > 0):
             raise ValueError(f"expected a box of positive finite size, got {self}")
 
+    @classmethod
+    def from_edges(cls, left: float, top: float, right: float, bottom: float) -> Box:
+        """Make the box between four edges."""
+        return cls(left, top, right - left, bottom - top)
+
     @property
     def right(self) -> float:
-        """Right edge, in pixels."""
+        """Right edge."""
         return self.x + self.width
 
     @property
     def bottom(self) -> float:
-        """Bottom edge, in pixels."""
+        """Bottom edge."""
         return self.y + self.height
 
     @property
     def area(self) -> float:
-        """Width times height, in square pixels."""
+        """Area in square pixels."""
         return self.width * self.height
 
     @property
@@ -77,120 +81,87 @@ class Box:
         return shared / (self.area + other.area - shared)
 
     def clip(self, width: int, height: int) -> Box | None:
-        """Return the part inside a frame of ``width`` x ``height`` pixels, None if there is none.
-
-        The frame's own box is ``Box(-0.5, -0.5, width, height)``.
-        """
+        """The part inside a frame of ``width`` x ``height`` pixels; None if there is none."""
         left, top = max(self.x, -0.5), max(self.y, -0.5)
         right, bottom = min(self.right, width - 0.5), min(self.bottom, height - 0.5)
         if right <= left or bottom <= top:
             return None
-        return Box(left, top, right - left, bottom - top)
+        return Box.from_edges(left, top, right, bottom)
 
     def scaled(self, factor: float) -> Box:
-        """Return the same box in a frame resized by ``factor``."""
+        """The same box in a frame resized by ``factor``."""
         x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
         return Box(x, y, self.width * factor, self.height * factor)
 
     def pixels(self) -> tuple[int, int, int, int]:
-        """Return the whole pixels nearest the edges: first column and row, then one past the last.
+        """The pixels nearest the edges: first column and row, then one past the last.
 
-        At least one pixel each way; they may lie outside the frame.
+        There is at least one pixel each way. They may lie outside the frame.
         """
         left, top = round(self.x + 0.5), round(self.y + 0.5)
-        return (
-            left,
-            top,
-            max(left + 1, round(self.right + 0.5)),
-            max(top + 1, round(self.bottom + 0.5)),
-        )
+        right, bottom = round(self.right + 0.5), round(self.bottom + 0.5)
+        return left, top, max(left + 1, right), max(top + 1, bottom)
 
 
-@dataclass(frozen=True)
-class ObservedKeypoints:
-    """Where a photograph shows a person's keypoints.
-
-    Parameters
-    ----------
-    positions : (17, 2) float64 array
-        Pixels, x before y; rows are :data:`COCO_NAMES`.
-    scores : (17,) float64 array
-        Confidence of each, 0 to 1.
-    """
-
-    positions: NDArray[np.float64]
-    scores: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        count = len(COCO_NAMES)
-        if self.positions.shape != (count, 2) or self.scores.shape != (count,):
-            raise ValueError(
-                f"expected positions of shape ({count}, 2) and scores of shape ({count},), "
-                f"got {self.positions.shape} and {self.scores.shape}"
-            )
-
-    def scaled(self, factor: float) -> ObservedKeypoints:
-        """Return the same keypoints in a picture resized by ``factor``."""
-        return ObservedKeypoints((self.positions + 0.5) * factor - 0.5, self.scores)
-
-    def moved(self, x: float, y: float) -> ObservedKeypoints:
-        """Return the same keypoints farther right and down."""
-        return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
+def box_array(boxes: Iterable[Box]) -> Boxes:
+    """Boxes as an array ``(N, 4)``."""
+    rows = [[box.x, box.y, box.width, box.height] for box in boxes]
+    return np.array(rows, np.float64).reshape(-1, 4)
 
 
-LANDMARK_NAMES = (
-    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
-    "right_eye_outer", "left_ear", "right_ear", "mouth_left", "mouth_right",
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
-    "left_pinky", "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb",
-    "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
-)  # fmt: skip
-"""The 33 landmarks of BlazePose, in their order; left and right are the person's own."""
-
-COCO_ROWS = [LANDMARK_NAMES.index(name) for name in COCO_NAMES]
+def intersections(first: Boxes, second: Boxes) -> NDArray[np.float64]:
+    """Shared area ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
+    low = np.maximum(first[:, None, :2], second[None, :, :2])
+    high = np.minimum(
+        first[:, None, :2] + first[:, None, 2:], second[None, :, :2] + second[None, :, 2:]
+    )
+    return np.asarray(np.clip(high - low, 0, None).prod(axis=2))
 
 
-@dataclass(frozen=True)
-class Landmarks:
-    """Where a photograph shows a person's landmarks, and how far away they are.
+def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
+    """Intersection over union ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
+    shared = intersections(first, second)
+    areas = (first[:, 2] * first[:, 3])[:, None] + (second[:, 2] * second[:, 3])[None, :]
+    return np.asarray(shared / (areas - shared))
+
+
+def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: float) -> list[int]:
+    """Keep the best of boxes that overlap.
+
+    Unlike OpenCV's, it keeps the first of boxes with equal scores.
 
     Parameters
     ----------
-    positions : (33, 2) float64 array
-        Pixels, x before y; rows are :data:`LANDMARK_NAMES`.
-    visibility : (33,) float64 array
-        Probability that each is inside the frame and not hidden, 0 to 1.
-    metres : (33, 3) float64 array
-        About the middle of the hips, axes of the camera: x right, y down, z forward.
+    boxes : (N, 4) float64 array
+    scores : (N,) float64 array
+    max_iou : float
+        Intersection over union from which the box of the lower score is dropped.
+
+    Returns
+    -------
+    list of int
+        Rows kept, best first.
     """
+    overlaps = iou_matrix(boxes, boxes)
+    is_open = np.ones(len(boxes), bool)
+    kept = []
+    for row in np.argsort(-scores, kind="stable"):
+        if is_open[row]:
+            kept.append(int(row))
+            is_open &= overlaps[row] < max_iou
+    return kept
 
-    positions: NDArray[np.float64]
-    visibility: NDArray[np.float64]
-    metres: NDArray[np.float64]
 
-    def __post_init__(self) -> None:
-        count = len(LANDMARK_NAMES)
-        shapes = (self.positions.shape, self.visibility.shape, self.metres.shape)
-        expected = ((count, 2), (count,), (count, 3))
-        if shapes != expected:
-            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
-
-    def box(self) -> Box:
-        """The box about all landmarks, seen or not."""
-        (left, top), (right, bottom) = self.positions.min(axis=0), self.positions.max(axis=0)
-        return Box(
-            float(left), float(top), max(1.0, float(right - left)), max(1.0, float(bottom - top))
-        )
-
-    def keypoints(self) -> ObservedKeypoints:
-        """The 17 of COCO among them."""
-        return ObservedKeypoints(self.positions[COCO_ROWS], self.visibility[COCO_ROWS])
+def transform_points(
+    matrix: NDArray[np.float64], points: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Points ``(..., 2)``, x before y, after an affine transform ``(2, 3)``."""
+    return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
 
 
 @dataclass(frozen=True)
 class PersonWindow:
-    """A square of a frame about a person, turned so that the trunk stands.
+    """A square of a frame about a person, rotated so that the trunk is upright in it.
 
     Parameters
     ----------
@@ -199,8 +170,7 @@ class PersonWindow:
     side : float
         Positive, in pixels of the frame.
     roll_deg : float
-        Clockwise rotation of the square in the frame: the direction in which the person's head
-        is, 0 where it is up, 90 where it is on the right.
+        Direction of the head in the frame, clockwise: 0 is up, 90 right.
     """
 
     x: float
@@ -212,117 +182,44 @@ class PersonWindow:
         if not (np.isfinite([self.x, self.y, self.side, self.roll_deg]).all() and self.side > 0):
             raise ValueError(f"expected a window of positive finite size, got {self}")
 
+    @classmethod
+    def about_box(cls, box: Box, roll_deg: float = 0.0) -> PersonWindow:
+        """Make the window about a person's box."""
+        side = WINDOW_SCALE * max(box.width, box.height)
+        return cls(box.x + box.width / 2, box.y + box.height / 2, side, roll_deg)
 
-@dataclass(frozen=True)
-class Detection:
-    """A person found in a frame.
-
-    Parameters
-    ----------
-    box : Box
-        Tight around the visible person.
-    score : float
-        Probability that the box holds a person, 0 to 1.
-    keypoints : ObservedKeypoints or None
-        In pixels of the frame; None where the detector reads none.
-    windows : tuple of PersonWindow
-        Where the detector sees the whole body, the likeliest first; may be empty.
-    """
-
-    box: Box
-    score: float
-    keypoints: ObservedKeypoints | None = None
-    windows: tuple[PersonWindow, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.score <= 1:
-            raise ValueError(f"expected a score from 0 to 1, got {self.score}")
-
-
-@dataclass(frozen=True)
-class Silhouette:
-    """The pixels of one person, as a crop of the frame.
-
-    Parameters
-    ----------
-    crop : (h, w) bool array
-        True on the person; its border rows and columns all hold at least one True pixel.
-    left, top : int
-        Column and row of the crop's first pixel in the frame.
-    segmenter : str
-        What made it: ``network``, ``background`` or ``mask``.
-    truncated : bool
-        Whether the frame's border or another person cuts the body.
-    """
-
-    crop: NDArray[np.bool_]
-    left: int
-    top: int
-    segmenter: SegmenterName
-    truncated: bool
-
-    def __post_init__(self) -> None:
-        if self.crop.ndim != 2 or self.crop.dtype != np.bool_ or self.crop.size == 0:
-            raise ValueError(
-                "expected a crop of shape (h, w) and dtype bool, "
-                f"got {self.crop.shape} and {self.crop.dtype}"
-            )
-        edges = (self.crop[0], self.crop[-1], self.crop[:, 0], self.crop[:, -1])
-        if not all(edge.any() for edge in edges):
-            raise ValueError("expected a tight crop, got one with an empty border row or column")
-        if self.left < 0 or self.top < 0:
-            raise ValueError(f"expected a crop inside the frame, got {self.left}, {self.top}")
-
-    @property
-    def area_px(self) -> int:
-        """Number of pixels on the person."""
-        return int(np.count_nonzero(self.crop))
-
-    @property
-    def centroid(self) -> NDArray[np.float64]:
-        """Mean place ``(2,)`` of the pixels on the person, in the frame."""
-        moments = cv2.moments(self.crop.view(np.uint8), binaryImage=True)
-        first = np.array([self.left, self.top])
-        return np.asarray(first + np.array([moments["m10"], moments["m01"]]) / moments["m00"])
-
-    @property
-    def box(self) -> Box:
-        """The tight box around the silhouette."""
-        height, width = self.crop.shape
-        return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
-
-    def mask(self, frame_shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Paste the crop into an empty mask of the frame's size.
+    @classmethod
+    def about_circle(cls, centre: NDArray[np.floating], top: NDArray[np.floating]) -> PersonWindow:
+        """Make the window about the circle around a body.
 
         Parameters
         ----------
-        frame_shape : tuple of int
-            Height and width first, as ``frame.shape``.
-
-        Returns
-        -------
-        (H, W) bool array
+        centre : (2,) array
+            Middle of the hips, in pixels of the frame.
+        top : (2,) array
+            The circle's point in the direction of the head.
         """
-        mask = np.zeros(frame_shape[:2], bool)
-        height, width = self.crop.shape
-        mask[self.top : self.top + height, self.left : self.left + width] = self.crop
-        return mask
+        right, down = (np.asarray(top, np.float64) - centre).tolist()
+        radius = max(math.hypot(right, down), _MIN_RADIUS_PX)
+        roll_deg = math.degrees(math.atan2(right, -down))
+        return cls(float(centre[0]), float(centre[1]), 2 * WINDOW_SCALE * radius, roll_deg)
 
+    def to_frame(self, pixels: int) -> NDArray[np.float64]:
+        """Affine transform ``(2, 3)`` to the frame from the window at ``pixels`` a side."""
+        angle = math.radians(self.roll_deg)
+        scale = self.side / pixels
+        cosine, sine = scale * math.cos(angle), scale * math.sin(angle)
+        linear = np.array([[cosine, -sine], [sine, cosine]])
+        middle = (pixels - 1) / 2
+        offset = np.array([self.x, self.y]) - linear @ np.array([middle, middle])
+        return np.column_stack([linear, offset])
 
-def silhouette_from_mask(
-    mask: NDArray[np.bool_],
-    *,
-    left: int = 0,
-    top: int = 0,
-    segmenter: SegmenterName,
-    truncated: bool,
-) -> Silhouette | None:
-    """Cut a mask, or a part of one that starts at ``left``, ``top``, to its tight crop.
+    def corners(self) -> NDArray[np.float64]:
+        """Corners ``(4, 2)`` in the frame, clockwise from the top left one of the window."""
+        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
+        return transform_points(self.to_frame(2), corners)
 
-    None if no pixel is set.
-    """
-    x, y, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
-    if width == 0:
-        return None
-    crop = mask[y : y + height, x : x + width].copy()
-    return Silhouette(crop, left + x, top + y, segmenter, truncated)
+    def drift(self, other: PersonWindow) -> float:
+        """Mean distance to the corners of another window, as a share of this one's side."""
+        apart = self.corners() - other.corners()
+        return float(np.linalg.norm(apart, axis=1).mean() / self.side)

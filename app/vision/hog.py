@@ -1,7 +1,7 @@
-"""OpenCV's HOG people detector, a linear SVM on histograms of oriented gradients.
+"""OpenCV's HOG people detector: a linear SVM on histograms of oriented gradients [1]_.
 
-The detector looks at 64x128 windows in which a person is 96 px tall [1]_. Alone it searches a
-pyramid of the frame; beside the network it judges a box on its window alone.
+Alone, it searches a pyramid of the frame for upright people. Beside the networks, it scores their
+boxes.
 
 References
 ----------
@@ -14,24 +14,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.boxes import Boxes
-from app.vision.geometry import Box
-from app.vision.windows import Window, resize
+from app.vision.crops import PixelRect, resize
+from app.vision.geometry import Box, Boxes, intersections, iou_matrix, non_max_suppression
+from app.vision.parameters import HogParameters
 
+# The detector was trained on windows of this size, in which a person is 96 px tall and lies within
+# these shares of width and height.
+_WINDOW_PX = (64, 128)
 _PERSON_PX = 96
-_WINDOW = (64, 128)
-_STRIDE = (8, 8)
-# Coarser than the usual 1.05: half the time.
-_PYRAMID_STEP = 1.15
-# The person inside a window, as shares of its width and height.
 _PERSON_X = (0.18, 0.82)
 _PERSON_Y = (0.09, 0.93)
-# Padding about the frame, in window pixels, so that people at its border get a whole window.
-_BEYOND = 16
-# A box is judged a little larger than it is, in windows up to a stride aside.
-_JUDGED_SCALE = 1.06
-_JUDGED = (_WINDOW[0] + 2 * _STRIDE[0], _WINDOW[1] + 2 * _STRIDE[1])
-_LOWEST_MARGIN = -5.0
+_STRIDE = (8, 8)
+# A box is scored as the best of the windows up to a stride around it.
+_SCORED_PX = (_WINDOW_PX[0] + 2 * _STRIDE[0], _WINDOW_PX[1] + 2 * _STRIDE[1])
 
 
 def _people_classifier() -> cv2.HOGDescriptor:
@@ -44,87 +39,117 @@ def _people_classifier() -> cv2.HOGDescriptor:
 _HOG = _people_classifier()
 
 
-def person_margin(frame: NDArray[np.uint8], box: Box) -> float:
-    """Score how much a box looks like an upright person.
+def hog_margin(frame: NDArray[np.uint8], box: Box, parameters: HogParameters) -> float:
+    """Signed distance of a box from the decision boundary: how much it looks like a person."""
+    scale = parameters.box_scale * box.height / _PERSON_PX
+    width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
+    left = round(box.x + 0.5 + (box.width - width) / 2)
+    top = round(box.y + 0.5 + (box.height - height) / 2)
+    image = resize(_crop_replicated(frame, (left, top, width, height)), *_SCORED_PX)
+    _, margins = _HOG.detect(image, -10.0, _STRIDE, (0, 0))
+    return max(parameters.min_margin, float(np.max(margins)))
 
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    box : Box
-        Of an upright person.
+
+def hog_people(
+    frame: NDArray[np.uint8], min_person_px: float, parameters: HogParameters
+) -> tuple[Boxes, NDArray[np.float64]]:
+    """Find upright people of at least this height in a frame ``(H, W, 3)``, BGR.
 
     Returns
     -------
-    float
-        Signed distance from the decision boundary, the highest of a few windows about the box.
+    boxes : (K, 4) float64 array
+        One for each person, in pixels of the frame, best first.
+    margins : (K,) float64 array
+        Distance from the decision boundary, positive.
     """
-    px = _JUDGED_SCALE * box.height / _PERSON_PX
-    width, height = (max(1, round(side * px)) for side in _JUDGED)
-    left = round(box.x + 0.5 + (box.width - width) / 2)
-    top = round(box.y + 0.5 + (box.height - height) / 2)
-    picture = resize(_cut_replicated(frame, (left, top, width, height)), *_JUDGED)
-    _, margins = _HOG.detect(picture, -10.0, _STRIDE, (0, 0))
-    return max(_LOWEST_MARGIN, float(np.max(margins)))
+    boxes, margins = hog_windows(frame, min_person_px, 0.0, parameters)
+    if len(boxes) == 0:
+        return boxes, margins
+    kept = drop_parts(boxes, non_max_suppression(boxes, margins, parameters.nms_iou), parameters)
+    return mean_boxes(boxes, margins, kept, parameters), margins[kept]
 
 
-def person_windows(
-    frame: NDArray[np.uint8], min_person_px: float, threshold: float
+def hog_windows(
+    frame: NDArray[np.uint8], min_person_px: float, threshold: float, parameters: HogParameters
 ) -> tuple[Boxes, NDArray[np.float64]]:
-    """Windows that look like a person, many for each.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    min_person_px : float
-        Height of the smallest person wanted, in pixels.
-    threshold : float
-        Least classifier score; 0 is the decision boundary, lower finds more.
+    """Find the windows of a pyramid that look like a person, many for each person.
 
     Returns
     -------
     boxes : (N, 4) float64 array
-        Of the person within each window: x, y, width, height in pixels of the frame.
-    scores : (N,) float64 array
-        Signed distance from the decision boundary.
+        Of the person within each window, in pixels of the frame.
+    margins : (N,) float64 array
+        Signed distance from the decision boundary, at least ``threshold``.
     """
     found = [(np.zeros((0, 4)), np.zeros(0))]
     factor = _PERSON_PX / min_person_px
-    while _PERSON_PX / factor <= 1.15 * frame.shape[0]:
-        found.append(_search(frame, factor, threshold))
-        factor /= _PYRAMID_STEP
-    boxes, scores = zip(*found, strict=True)
-    return np.vstack(boxes), np.concatenate(scores)
+    while _PERSON_PX / factor <= parameters.max_person_share * frame.shape[0]:
+        found.append(_search(frame, factor, threshold, parameters.border_px))
+        factor /= parameters.pyramid_step
+    boxes, margins = zip(*found, strict=True)
+    return np.vstack(boxes), np.concatenate(margins)
 
 
 def _search(
-    frame: NDArray[np.uint8], factor: float, threshold: float
+    frame: NDArray[np.uint8], factor: float, threshold: float, border_px: int
 ) -> tuple[Boxes, NDArray[np.float64]]:
     """Search a frame resized by ``factor``."""
     height, width = frame.shape[:2]
-    beyond = int(_BEYOND / factor) + 1
-    columns, rows = round((width + 2 * beyond) * factor), round((height + 2 * beyond) * factor)
-    if columns < _WINDOW[0] or rows < _WINDOW[1]:
+    border = int(border_px / factor) + 1
+    columns, rows = round((width + 2 * border) * factor), round((height + 2 * border) * factor)
+    if columns < _WINDOW_PX[0] or rows < _WINDOW_PX[1]:
         return np.zeros((0, 4)), np.zeros(0)
-    whole = _cut_replicated(frame, (-beyond, -beyond, width + 2 * beyond, height + 2 * beyond))
-    corners, values = _HOG.detect(resize(whole, columns, rows), threshold, _STRIDE, (0, 0))
+    padded = _crop_replicated(frame, (-border, -border, width + 2 * border, height + 2 * border))
+    corners, margins = _HOG.detect(resize(padded, columns, rows), threshold, _STRIDE, (0, 0))
     if len(corners) == 0:
         return np.zeros((0, 4)), np.zeros(0)
     corner = np.asarray(corners, np.float64).reshape(-1, 2)
     boxes = np.empty((len(corner), 4))
-    boxes[:, 0] = (corner[:, 0] + _PERSON_X[0] * _WINDOW[0]) / factor - beyond - 0.5
-    boxes[:, 1] = (corner[:, 1] + _PERSON_Y[0] * _WINDOW[1]) / factor - beyond - 0.5
-    boxes[:, 2] = (_PERSON_X[1] - _PERSON_X[0]) * _WINDOW[0] / factor
-    boxes[:, 3] = (_PERSON_Y[1] - _PERSON_Y[0]) * _WINDOW[1] / factor
-    return boxes, np.ravel(values).astype(np.float64)
+    boxes[:, 0] = (corner[:, 0] + _PERSON_X[0] * _WINDOW_PX[0]) / factor - border - 0.5
+    boxes[:, 1] = (corner[:, 1] + _PERSON_Y[0] * _WINDOW_PX[1]) / factor - border - 0.5
+    boxes[:, 2] = (_PERSON_X[1] - _PERSON_X[0]) * _WINDOW_PX[0] / factor
+    boxes[:, 3] = (_PERSON_Y[1] - _PERSON_Y[0]) * _WINDOW_PX[1] / factor
+    return boxes, np.ravel(margins).astype(np.float64)
 
 
-def _cut_replicated(frame: NDArray[np.uint8], window: Window) -> NDArray[np.uint8]:
-    """Cut a window out of a frame, replicating its border, which adds no edge."""
-    left, top, width, height = window
+def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters) -> list[int]:
+    """Drop boxes of a head and trunk within a better box of the whole body, and the reverse.
+
+    ``kept`` are rows of ``boxes``, best first. Two people side by side have different axes.
+    """
+    shared = intersections(boxes, boxes)
+    area = boxes[:, 2] * boxes[:, 3]
+    axis = boxes[:, 0] + boxes[:, 2] / 2
+    result: list[int] = []
+    for row in kept:
+        is_part = any(
+            shared[row, other] > parameters.part_share * min(area[row], area[other])
+            and abs(axis[row] - axis[other])
+            < parameters.part_distance * max(boxes[row, 2], boxes[other, 2])
+            for other in result
+        )
+        if not is_part:
+            result.append(row)
+    return result
+
+
+def mean_boxes(
+    boxes: Boxes, margins: NDArray[np.float64], kept: list[int], parameters: HogParameters
+) -> Boxes:
+    """Mean of the boxes about each kept one ``(len(kept), 4)``, weighted by margin and overlap."""
+    overlaps = iou_matrix(boxes[kept], boxes)
+    scores = margins + parameters.mean_margin
+    weights = np.where(overlaps > parameters.mean_iou, overlaps * scores**3, 0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    corners = weights @ np.hstack([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]])
+    return np.hstack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
+
+
+def _crop_replicated(frame: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
+    """Crop a frame, replicating its border, which adds no edge."""
+    left, top, width, height = rect
     rows, columns = frame.shape[:2]
-    # A window wholly beyond the frame shows its nearest border.
+    # A rectangle wholly beyond the frame shows its nearest border.
     x0, x1 = (min(max(x, 0), columns - 1) for x in (left, left + width - 1))
     y0, y1 = (min(max(y, 0), rows - 1) for y in (top, top + height - 1))
     inside = frame[y0 : y1 + 1, x0 : x1 + 1]

@@ -1,8 +1,8 @@
-"""MoveNet MultiPose: all people of a picture in one pass, each with a box and 17 keypoints.
+"""MoveNet MultiPose [1]_: all people of an image in one pass, each with a box and 17 keypoints.
 
-The network [1]_ is a CenterNet [2]_: a heatmap of people's centres, and at each centre the size of
-the box and a first guess of the keypoints, which the heatmaps of the keypoints then make precise.
-Its published graph decodes six people; decoding here, there may be any number.
+The network is a CenterNet [2]_: a heatmap of people's centres, at each centre the size of the box
+and a first guess of the keypoints, and heatmaps that refine the keypoints. Google's graph decodes
+six people; decoding here gives any number.
 
 References
 ----------
@@ -20,41 +20,42 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import Box, ObservedKeypoints
+from app.vision.crops import PixelRect, crop_and_resize
+from app.vision.geometry import Box
+from app.vision.parameters import DEFAULTS, KeypointParameters
+from app.vision.people import COCO_NAMES, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
-from app.vision.windows import Window, cut_resized
 
 CELL_PX = 4
-"""Pixels of the picture per heatmap cell, each way."""
+"""Pixels of the input per heatmap cell, each way."""
 
-MULTIPLE_PX = 32
-"""The sides of the network's input are multiples of this."""
+KEYPOINTS = len(COCO_NAMES)
 
-KEYPOINTS = 17
+MIN_KEYPOINT_SCORE = 0.127
+"""Score below which keypoints do not count towards a person's score, as in Google's graph."""
 
-LEAST_KEYPOINT_SCORE = 0.127
-"""Keypoints below do not count for the score of a person, as in the published graph."""
-
-_MOST_PEOPLE = 60
-# Width of the Gaussian that weights a heatmap about the first guess, as a share of the heatmap's
-# shorter side; from the published graph.
+# The sides of the input are multiples of this.
+_INPUT_MULTIPLE_PX = 32
+# Channels of the network's heads, in the order of `decode_heads`.
+_CHANNELS = (1, 2, 2, 2 * KEYPOINTS, KEYPOINTS, 2 * KEYPOINTS)
+# Variance of the Gaussian that weights a heatmap about the first guess, relative to the heatmap's
+# shorter side; from Google's graph.
 _GUESS_SPREAD = 0.3
 
 
 @dataclass(frozen=True)
 class MoveNetDetection:
-    """A person as the network detects them.
+    """A person that MoveNet finds.
 
     Parameters
     ----------
-    box : Box
-        Pixels of the picture.
+    box, keypoints : Box, ObservedKeypoints
+        In pixels of the image.
     score : float
-        0 to 1: of the centre, times the mean of the visible keypoints. It is not a probability,
-        and is low for small and covered people.
+        0 to 1: of the centre, times the mean of the visible keypoints. It is no probability and is
+        low for small and covered people.
     centre_score : float
         Of the centre alone.
-    keypoints : ObservedKeypoints
     """
 
     box: Box
@@ -64,166 +65,147 @@ class MoveNetDetection:
 
 
 class MoveNet:
-    """The network; thread-safe.
+    """MoveNet; thread-safe.
 
-    Parameters
-    ----------
-    path : Path
-        ``movenet_multipose.tflite``.
-    threads : int
-        That share the work of one call.
-    copies : int
-        Number of calls served at once.
-
-    Raises
-    ------
-    NetworkError
-        If the file cannot be read or is another network.
+    Paths, threads, copies and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
-    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
-        heads = [(None, None, channels) for channels in (1, 2, 2, 34, 17, 34)]
+    def __init__(
+        self,
+        path: Path,
+        *,
+        threads: int = 1,
+        copies: int = 1,
+        parameters: KeypointParameters = DEFAULTS.keypoints,
+    ) -> None:
+        heads = [(None, None, channels) for channels in _CHANNELS]
         self._network = TfliteNetwork(path, (None, None, 3), heads, threads=threads, copies=copies)
+        self._parameters = parameters
 
-    def people(
-        self, picture: NDArray[np.uint8], least_centre_score: float = 0.03
-    ) -> list[MoveNetDetection]:
-        """Find the people of a picture.
+    def detect(self, image: NDArray[np.uint8]) -> list[MoveNetDetection]:
+        """Find the people of an image ``(H, W, 3)``, BGR, highest centre score first.
 
-        Parameters
-        ----------
-        picture : (H, W, 3) uint8 array
-            BGR; taken at its full size, which memory and time must allow.
-        least_centre_score : float
-            People below are left out.
-
-        Returns
-        -------
-        list of MoveNetDetection
-            Highest centre score first.
+        The network sees the image at its full size, which memory and time must allow.
         """
-        height, width = picture.shape[:2]
-        rows, columns = (-(-side // MULTIPLE_PX) * MULTIPLE_PX for side in (height, width))
-        shown: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
-        shown[:height, :width] = picture[..., ::-1]
-        return decode(self._network.run(shown), least_centre_score)
+        height, width = image.shape[:2]
+        rows, columns = (
+            -(-side // _INPUT_MULTIPLE_PX) * _INPUT_MULTIPLE_PX for side in (height, width)
+        )
+        padded: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
+        padded[:height, :width] = image[..., ::-1]
+        return decode_heads(self._network.run(padded), self._parameters)
 
 
-def decode(
-    heads: Sequence[NDArray[np.float32]], least_centre_score: float
+def decode_heads(
+    heads: Sequence[NDArray[np.float32]], parameters: KeypointParameters = DEFAULTS.keypoints
 ) -> list[MoveNetDetection]:
-    """Decode the network's heads into people.
+    """Decode the network's heads into people, highest centre score first.
 
     Parameters
     ----------
     heads : sequence of (h, w, C) float32 arrays
         Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
-        from a centre (34), heatmaps of keypoints (17), and where in its cell each keypoint lies
-        (34); rows before columns, in cells.
-    least_centre_score : float
+        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
+        cell (34); rows before columns, in cells.
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
-    rows, columns = np.nonzero((centres >= highest - 1e-6) & (centres >= least_centre_score))
-    order = np.argsort(-centres[rows, columns], kind="stable")[:_MOST_PEOPLE]
-    found = (_decode_one(heads, int(rows[i]), int(columns[i])) for i in order)
+    is_peak = (centres >= highest - 1e-6) & (centres >= parameters.min_centre_score)
+    rows, columns = np.nonzero(is_peak)
+    order = np.argsort(-centres[rows, columns], kind="stable")[: parameters.max_people]
+    found = (_decode_person(heads, int(rows[i]), int(columns[i]), parameters) for i in order)
     return [person for person in found if person is not None]
 
 
-def _decode_one(
-    heads: Sequence[NDArray[np.float32]], row: int, column: int
+def _decode_person(
+    heads: Sequence[NDArray[np.float32]], row: int, column: int, parameters: KeypointParameters
 ) -> MoveNetDetection | None:
-    """The person whose centre lies in a cell; None where the box is empty."""
-    centres, sizes, offsets, guesses, heatmaps, places = heads
+    """Decode the person whose centre lies in a cell; None if the box is empty."""
+    centres, sizes, offsets, guesses, heatmaps, refinements = heads
     cells = np.array(centres.shape[:2])
     middle = np.array([row, column]) + offsets[row, column]
     half = np.maximum(sizes[row, column], 0) / 2
     low, high = np.clip(middle - half, 0, cells), np.clip(middle + half, 0, cells)
-    if (high - low < 0.25).any():
+    if (high - low < parameters.min_box_cells).any():
         return None
     first = np.minimum(np.ceil(low).astype(int), cells - 1)
     last = np.maximum(np.ceil(high).astype(int), first + 1)
-    inside = heatmaps[first[0] : last[0], first[1] : last[1]]
     guess = guesses[row, column].reshape(KEYPOINTS, 2) + np.array([row, column])
-    down = np.arange(first[0], last[0])[:, None] - guess[:, 0]
-    across = np.arange(first[1], last[1])[:, None] - guess[:, 1]
-    spread = _GUESS_SPREAD * cells.min()
-    near = np.exp(-(down**2) / spread)[:, None] * np.exp(-(across**2) / spread)[None]
-    weighted = (inside * near).reshape(-1, KEYPOINTS)
-    best, which = weighted.argmax(axis=0), np.arange(KEYPOINTS)
-    scores = np.clip(weighted[best, which], 0, 1).astype(np.float64)
-    at = np.stack([first[0] + best // inside.shape[1], first[1] + best % inside.shape[1]], axis=-1)
-    precise = at + places[at[:, 0], at[:, 1]].reshape(KEYPOINTS, KEYPOINTS, 2)[which, which]
-    seen = scores > LEAST_KEYPOINT_SCORE
-    mean = float(scores[seen].mean()) if seen.any() else 0.0
+    inside = heatmaps[first[0] : last[0], first[1] : last[1]]
+    at, scores = _heatmap_peaks(inside, first, guess, _GUESS_SPREAD * cells.min())
+    which = np.arange(KEYPOINTS)
+    refined = at + refinements[at[:, 0], at[:, 1]].reshape(KEYPOINTS, KEYPOINTS, 2)[which, which]
+    visible = scores > MIN_KEYPOINT_SCORE
+    mean = float(scores[visible].mean()) if visible.any() else 0.0
     centre = float(centres[row, column, 0])
     top, left, bottom, right = (float(CELL_PX * edge - 0.5) for edge in (*low, *high))
     return MoveNetDetection(
-        Box(left, top, right - left, bottom - top),
+        Box.from_edges(left, top, right, bottom),
         centre * mean,
         centre,
-        ObservedKeypoints(CELL_PX * precise[:, ::-1].astype(np.float64) - 0.5, scores),
+        ObservedKeypoints(CELL_PX * refined[:, ::-1].astype(np.float64) - 0.5, scores),
     )
 
 
-LONG_PX, SHORT_PX = 256, 160
-"""Sides of the network's input: the long one along the person."""
+def _heatmap_peaks(
+    heatmaps: NDArray[np.float32],
+    first: NDArray[np.int_],
+    guess: NDArray[np.float32],
+    variance: float,
+) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    """Cells ``(17, 2)`` and scores ``(17,)`` of the keypoints in a part of the heatmaps.
 
-ROOM = 1.25
-"""Size of the window, as a multiple of the person's box."""
-
-MIN_OVERLAP = 0.2
-"""Least overlap (IoU) with the box of a person found in the window."""
+    ``first`` is the part's first cell. Heatmaps are weighted about the guesses ``(17, 2)``.
+    """
+    rows, columns = heatmaps.shape[:2]
+    down = np.arange(first[0], first[0] + rows)[:, None] - guess[:, 0]
+    across = np.arange(first[1], first[1] + columns)[:, None] - guess[:, 1]
+    near = np.exp(-(down**2) / variance)[:, None] * np.exp(-(across**2) / variance)[None]
+    weighted = (heatmaps * near).reshape(-1, KEYPOINTS)
+    best = weighted.argmax(axis=0)
+    scores = np.clip(weighted[best, np.arange(KEYPOINTS)], 0, 1).astype(np.float64)
+    return np.stack([first[0] + best // columns, first[1] + best % columns], axis=-1), scores
 
 
 class KeypointReader:
-    """Reads keypoints; thread-safe.
+    """Reads the keypoints of one person in a box; thread-safe."""
 
-    Parameters
-    ----------
-    network : MoveNet
-    """
-
-    def __init__(self, network: MoveNet) -> None:
+    def __init__(
+        self, network: MoveNet, parameters: KeypointParameters = DEFAULTS.keypoints
+    ) -> None:
         self._network = network
+        self._parameters = parameters
 
     def read(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
-        """Read the keypoints of the person in a box.
+        """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
 
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR.
-        box : Box
-            Tight around the visible person.
-
-        Returns
-        -------
-        ObservedKeypoints or None
-            Pixels of the frame; None if the network finds nobody in the box.
+        They are in pixels of the frame; None if the network finds nobody in the box.
         """
-        window, columns, rows = keypoint_window(box)
-        seen = self._network.people(cut_resized(frame, window, columns, rows))
-        scale = window[2] / columns
-        inside = Box(box.x - window[0], box.y - window[1], box.width, box.height).scaled(1 / scale)
-        person = _best_match(seen, inside)
+        rect, columns, rows = keypoint_window(box, self._parameters)
+        people = self._network.detect(crop_and_resize(frame, rect, columns, rows))
+        scale = rect[2] / columns
+        inside = Box(box.x - rect[0], box.y - rect[1], box.width, box.height).scaled(1 / scale)
+        person = self._best_match(people, inside)
         if person is None:
             return None
-        return person.keypoints.scaled(scale).moved(window[0], window[1])
+        return person.keypoints.scaled(scale).moved(rect[0], rect[1])
+
+    def _best_match(self, people: list[MoveNetDetection], box: Box) -> MoveNetDetection | None:
+        """The person in a box, whose window may show neighbours as well."""
+        # A blank wall can have a centre but no keypoints: its score is 0.
+        min_iou = self._parameters.min_iou
+        near = [one for one in people if one.score > 0 and box.iou(one.box) >= min_iou]
+        return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)
 
 
-def keypoint_window(box: Box) -> tuple[Window, int, int]:
-    """Window about a box in whole pixels, and the columns and rows it is resized to."""
-    columns, rows = (LONG_PX, SHORT_PX) if box.width > box.height else (SHORT_PX, LONG_PX)
-    scale = ROOM * max(box.width / columns, box.height / rows)
+def keypoint_window(
+    box: Box, parameters: KeypointParameters = DEFAULTS.keypoints
+) -> tuple[PixelRect, int, int]:
+    """Window about a box in whole pixels, and the columns and rows at which MoveNet sees it."""
+    long_px, short_px = parameters.input_px
+    columns, rows = (long_px, short_px) if box.width > box.height else (short_px, long_px)
+    scale = parameters.window_scale * max(box.width / columns, box.height / rows)
     width, height = max(1, round(scale * columns)), max(1, round(scale * rows))
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)
     return (left, top, width, height), columns, rows
-
-
-def _best_match(people: list[MoveNetDetection], box: Box) -> MoveNetDetection | None:
-    """The person whom a box is about; the window may show neighbours as well."""
-    # A blank wall can have a centre but no keypoints: its score is 0.
-    near = [person for person in people if person.score > 0 and box.iou(person.box) >= MIN_OVERLAP]
-    return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)

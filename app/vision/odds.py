@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 
 Scalar = TypeVar("Scalar", np.float32, np.float64)
 
-LEAST_PROBABILITY = 1e-3
-"""Nothing is taken to be surer than this, or than its opposite."""
-
 
 def sigmoid(odds: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Probabilities of log odds, of the same type; neither 0 nor 1 however large they are."""
+    """Probabilities of log odds, of the same type; never 0 or 1, however large the odds."""
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 
@@ -23,12 +20,12 @@ def probability_of(odds: float) -> float:
     return float(sigmoid(np.array(odds, np.float64)))
 
 
-def logit(probabilities: NDArray[np.float64], least: float) -> NDArray[np.float64]:
-    """Log odds of probabilities, none of which counts as surer than ``least`` or its opposite."""
-    clipped = np.clip(probabilities, least, 1 - least)
+def logit(probabilities: NDArray[np.float64], min_probability: float) -> NDArray[np.float64]:
+    """Log odds of probabilities, which are first clipped to ``min_probability`` from 0 and 1."""
+    clipped = np.clip(probabilities, min_probability, 1 - min_probability)
     return np.asarray(np.log(clipped / (1 - clipped)))
 
 
-def log_odds(probability: float) -> float:
-    """The log odds of a probability, finite."""
-    return float(logit(np.array(probability, np.float64), LEAST_PROBABILITY))
+def log_odds(probability: float, min_probability: float = 1e-3) -> float:
+    """The finite log odds of one probability; see :func:`logit`."""
+    return float(logit(np.array(probability, np.float64), min_probability))

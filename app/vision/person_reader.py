@@ -1,64 +1,38 @@
-"""What a photograph shows of one person: the best reading of a few windows, and its keypoints.
+"""Reads one person: the best of the landmark network's readings, fused with MoveNet's keypoints.
 
-The landmark network reads well where its window is right: about the body, the trunk upright. The
-windows come from the detectors. MoveNet's keypoints, read without any window, say which of the
-readings is right, and place joints a little more finely where they agree.
+The landmark network reads well if its window is right: about the body, with the trunk upright.
+Windows come from the detectors. MoveNet's keypoints need no window: they show which reading is
+right, and make its landmarks a little more precise where both networks agree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, Reading
-from app.vision.geometry import (
+from app.vision.blazepose import LandmarkNetwork, PoseReading
+from app.vision.geometry import Box, PersonWindow
+from app.vision.movenet import KeypointReader
+from app.vision.parameters import DEFAULTS, ReadingParameters
+from app.vision.people import (
+    COCO_LANDMARKS,
     COCO_NAMES,
-    COCO_ROWS,
     LANDMARK_NAMES,
-    Box,
     Landmarks,
     ObservedKeypoints,
-    PersonWindow,
+    coco_rows,
 )
-from app.vision.movenet import KeypointReader
 from app.vision.truncation import ends_at_border
-from app.vision.windows import window_about, window_of_circle
 
-SURE = 0.85
-"""Quality from which a reading is taken without trying another window."""
-
-PRESENCE_WEIGHT, DRIFT_WEIGHT = 0.3, 1.0
-"""Weights of the network's presence and of the window's drift beside the agreement with MoveNet."""
-
-AGREES_WITHIN = 0.15
-"""Distance, as a share of the body's size, within which keypoints of both networks are fused."""
-
-KEYPOINT_WEIGHT = 2.0
-"""Weight of a MoveNet keypoint of score 1 against the landmark it agrees with."""
-
-NEAR_BORDER = 0.3
-"""Distance from the frame's border, as a share of the body's size, within which landmarks are
-visible only as far as MoveNet's keypoints are."""
-
-SEEN_SCORE = 0.25
-"""Score of a MoveNet keypoint from which it is seen."""
-
-UNKNOWN_AGREEMENT = 0.6
-"""Agreement where MoveNet reads nothing to agree with."""
-
-_COMPARED = [
-    i for i, name in enumerate(COCO_NAMES) if name == "nose" or not name.endswith(("eye", "ear"))
-]
-_LEAST_SCORE = 0.15
-# From the hips to the feet, as a multiple of the trunk.
-_BODY_OF_TRUNK = 1.7
+# Of the face, the nose alone counts.
+_COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
 
 
-def _keypoint_of(landmark: str) -> int:
-    """Position in ``COCO_NAMES`` of the keypoint of the same part of the body."""
+def _nearest_keypoint(landmark: str) -> int:
+    """Row of the COCO keypoint at, or nearest along the body to, a landmark."""
     if landmark.startswith("mouth"):
         return COCO_NAMES.index("nose")
     side, _, part = landmark.partition("_")
@@ -71,22 +45,16 @@ def _keypoint_of(landmark: str) -> int:
     return COCO_NAMES.index(f"{side}_{part}" if part else side)
 
 
-_KEYPOINT_OF_LANDMARK = [_keypoint_of(name) for name in LANDMARK_NAMES]
+_NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
 
 
 @dataclass(frozen=True)
 class PersonReader:
-    """Reads people; thread-safe.
-
-    Parameters
-    ----------
-    network : LandmarkNetwork
-    keypoint_reader : KeypointReader
-        Reads the keypoints of people for whom none are known.
-    """
+    """Reads people; thread-safe."""
 
     network: LandmarkNetwork
     keypoint_reader: KeypointReader
+    parameters: ReadingParameters = DEFAULTS.reading
 
     def read(
         self,
@@ -94,7 +62,7 @@ class PersonReader:
         box: Box,
         keypoints: ObservedKeypoints | None = None,
         windows: Sequence[PersonWindow] = (),
-    ) -> Reading:
+    ) -> PoseReading:
         """Read the person in a box.
 
         Parameters
@@ -104,134 +72,161 @@ class PersonReader:
         box : Box
             Tight around the visible person.
         keypoints : ObservedKeypoints, optional
-            MoveNet's, in pixels of the frame; read in the box where they are not given.
+            MoveNet's, in pixels of the frame; by default they are read in the box.
         windows : sequence of PersonWindow
-            Where else the person may be, the likeliest first.
+            Windows to try besides the one about the box, the likeliest first.
 
         Returns
         -------
-        Reading
+        PoseReading
             Its landmarks fused with the keypoints that agree.
         """
         if keypoints is None:
             keypoints = self.keypoint_reader.read(frame, box)
-        best = None
-        beyond = window_beyond_border(keypoints, box, frame.shape)
-        about = window_about(box, trunk_roll_deg(keypoints) or 0.0)
-        for window in (*beyond, *windows, about):
-            best = self._better(best, frame, window, keypoints)
-            if quality(best, keypoints) >= SURE:
-                break
-        else:
-            assert best is not None
-            best = self._better(best, frame, best.next_window, keypoints)
-        return best if keypoints is None else fuse(best, keypoints)
+        beyond = window_beyond_border(keypoints, box, frame.shape, self.parameters)
+        about = PersonWindow.about_box(box, trunk_roll_deg(keypoints, self.parameters) or 0.0)
+        best = self._best_reading(frame, (*beyond, *windows, about), keypoints)
+        return best if keypoints is None else fuse(best, keypoints, self.parameters)
 
-    def _better(
+    def _best_reading(
         self,
-        best: Reading | None,
         frame: NDArray[np.uint8],
-        window: PersonWindow,
+        windows: Iterable[PersonWindow],
         keypoints: ObservedKeypoints | None,
-    ) -> Reading:
-        """The better of a reading and that of another window."""
-        other = self.network.read(frame, window)
-        if best is None or quality(other, keypoints) > quality(best, keypoints):
-            return other
-        return best
+    ) -> PoseReading:
+        """The first good reading; without one, the best, or that of the window it points to."""
+
+        def quality_of(reading: PoseReading) -> float:
+            return reading_quality(reading, keypoints, self.parameters)
+
+        readings = []
+        for window in windows:
+            readings.append(self.network.read(frame, window))
+            if quality_of(readings[-1]) >= self.parameters.good_quality:
+                return readings[-1]
+        best = max(readings, key=quality_of)
+        return max(best, self.network.read(frame, best.next_window), key=quality_of)
 
 
 def window_beyond_border(
-    keypoints: ObservedKeypoints | None, box: Box, frame_shape: tuple[int, ...]
+    keypoints: ObservedKeypoints | None,
+    box: Box,
+    frame_shape: tuple[int, ...],
+    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> list[PersonWindow]:
-    """Window about the whole of a body whose head or feet the border cuts off, if it is one.
+    """Window about the whole body if the border cuts off its head or its feet; else none.
 
-    The other windows hold what is seen of it, in which the network reads a small whole body.
+    In a window about the visible part alone, the network would read a small whole body.
     """
     if keypoints is None or not ends_at_border(box, frame_shape):
         return []
-    head, shoulders, hips, ankles = (
-        _middle(keypoints, part, SEEN_SCORE) for part in ("nose", "shoulder", "hip", "ankle")
+    nose, shoulders, hips, ankles = (
+        _mean_position(keypoints, part, parameters.min_visible_score)
+        for part in ("nose", "shoulder", "hip", "ankle")
     )
-    if hips is None or (head is None) == (ankles is None):
+    if hips is None or (nose is None) == (ankles is None):
         return []
-    if head is None:
-        assert ankles is not None
-        towards_head = hips - ankles
-    else:
-        towards_head = _BODY_OF_TRUNK * ((head if shoulders is None else shoulders) - hips)
-    return [window_of_circle(hips, hips + towards_head)]
+    if ankles is not None:
+        return [PersonWindow.about_circle(hips, hips + (hips - ankles))]
+    top = nose if shoulders is None else shoulders
+    assert top is not None
+    return [PersonWindow.about_circle(hips, hips + parameters.hips_to_feet * (top - hips))]
 
 
-def quality(reading: Reading, keypoints: ObservedKeypoints | None) -> float:
-    """How far to trust a reading: agreement with MoveNet, presence, and a window that stays."""
-    agreement = UNKNOWN_AGREEMENT if keypoints is None else _agreement(reading, keypoints)
-    return agreement + PRESENCE_WEIGHT * reading.presence - DRIFT_WEIGHT * reading.drift
+def reading_quality(
+    reading: PoseReading,
+    keypoints: ObservedKeypoints | None,
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> float:
+    """How good a reading is: it agrees with MoveNet, sees a person, and its window stays."""
+    agreement = parameters.unknown_agreement
+    if keypoints is not None:
+        agreement = _agreement(reading, keypoints, parameters)
+    return (
+        agreement
+        + parameters.presence_weight * reading.presence
+        - parameters.drift_weight * reading.drift
+    )
 
 
-def _agreement(reading: Reading, keypoints: ObservedKeypoints) -> float:
-    """Share of MoveNet's keypoints, by score, at which the reading's lie, 0 to 1."""
+def _agreement(
+    reading: PoseReading, keypoints: ObservedKeypoints, parameters: ReadingParameters
+) -> float:
+    """Share of MoveNet's keypoints, weighted by score, that the landmarks match, 0 to 1."""
     scores = keypoints.scores[_COMPARED]
-    apart = _apart(reading, keypoints)[_COMPARED]
-    agrees = np.exp(-((apart / AGREES_WITHIN) ** 2))
+    distances = _distances(reading, keypoints)[_COMPARED]
+    agrees = np.exp(-((distances / parameters.agreement_distance) ** 2))
     total = float(scores.sum())
-    # Few keypoints say little.
+    # Few keypoints show little.
     known = min(1.0, total)
     share = float((scores * agrees).sum() / max(total, 1e-9))
-    return known * share + (1 - known) * UNKNOWN_AGREEMENT
+    return known * share + (1 - known) * parameters.unknown_agreement
 
 
-def _apart(reading: Reading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
+def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
     """Distances ``(17,)`` between both networks' keypoints, in sizes of the body."""
-    size = reading.body_px
-    offsets = keypoints.positions - reading.landmarks.positions[COCO_ROWS]
-    return np.asarray(np.linalg.norm(offsets, axis=1) / size)
+    offsets = keypoints.positions - reading.landmarks.positions[COCO_LANDMARKS]
+    return np.asarray(np.linalg.norm(offsets, axis=1) / reading.body_px)
 
 
-def fuse(reading: Reading, keypoints: ObservedKeypoints) -> Reading:
+def fuse(
+    reading: PoseReading,
+    keypoints: ObservedKeypoints,
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> PoseReading:
     """Move landmarks towards the keypoints of MoveNet that agree with them."""
-    weights = KEYPOINT_WEIGHT * keypoints.scores * (_apart(reading, keypoints) < AGREES_WITHIN)
-    landmarks = reading.landmarks
-    positions = landmarks.positions.copy()
+    agrees = _distances(reading, keypoints) < parameters.agreement_distance
+    weights = parameters.keypoint_weight * keypoints.scores * agrees
+    positions = reading.landmarks.positions.copy()
     shares = (weights / (1 + weights))[:, None]
-    positions[COCO_ROWS] += shares * (keypoints.positions - positions[COCO_ROWS])
-    landmarks = replace(landmarks, positions=positions)
+    positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])
+    landmarks = replace(reading.landmarks, positions=positions)
     return replace(reading, landmarks=landmarks, keypoints=keypoints)
 
 
-def attenuate_visibility_at_border(reading: Reading, frame_shape: tuple[int, ...]) -> Landmarks:
-    """Landmarks of a reading, near the frame's border no more visible than MoveNet's keypoints.
+def attenuate_visibility_at_border(
+    reading: PoseReading,
+    frame_shape: tuple[int, ...],
+    parameters: ReadingParameters = DEFAULTS.reading,
+) -> Landmarks:
+    """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
 
-    The landmark network squeezes a body that the border cuts into what is left of it, and says that
-    all of it is visible. MoveNet gives what it does not see a low score.
+    If the border cuts a body, the landmark network squeezes the whole of it into the visible part
+    and calls all of it visible. MoveNet gives a low score to what it does not see.
     """
     landmarks = reading.landmarks
     if reading.keypoints is None:
         return landmarks
-    reach = NEAR_BORDER * reading.body_px
+    reach = parameters.border_distance * reading.body_px
     end = np.array([frame_shape[1], frame_shape[0]]) - 1
     near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
-    seen = np.minimum(1.0, reading.keypoints.scores[_KEYPOINT_OF_LANDMARK] / SEEN_SCORE)
-    visibility = np.where(near, seen * landmarks.visibility, landmarks.visibility)
+    scores = reading.keypoints.scores[_NEAREST_KEYPOINTS]
+    factors = np.minimum(1.0, scores / parameters.min_visible_score)
+    visibility = np.where(near, factors * landmarks.visibility, landmarks.visibility)
     return replace(landmarks, visibility=visibility)
 
 
-def trunk_roll_deg(keypoints: ObservedKeypoints | None) -> float | None:
-    """Direction from the hips to the shoulders, clockwise from up; None where either is unseen."""
+def trunk_roll_deg(
+    keypoints: ObservedKeypoints | None, parameters: ReadingParameters = DEFAULTS.reading
+) -> float | None:
+    """Direction from hips to shoulders, clockwise from up; None if either is not visible."""
     if keypoints is None:
         return None
-    hips, shoulders = (_middle(keypoints, part) for part in ("hip", "shoulder"))
+    hips, shoulders = (
+        _mean_position(keypoints, part, parameters.min_trunk_score) for part in ("hip", "shoulder")
+    )
     if hips is None or shoulders is None:
         return None
     right, down = shoulders - hips
     return float(np.rad2deg(np.arctan2(right, -down)))
 
 
-def _middle(
-    keypoints: ObservedKeypoints, part: str, least_score: float = _LEAST_SCORE
+def _mean_position(
+    keypoints: ObservedKeypoints, part: str, min_score: float
 ) -> NDArray[np.float64] | None:
-    rows = [i for i, name in enumerate(COCO_NAMES) if name.endswith(part)]
+    """Mean position ``(2,)`` of a part on both sides, by score; None if neither is visible."""
+    rows = coco_rows(part)
     scores = keypoints.scores[rows]
-    if scores.max() < least_score:
+    if scores.max() < min_score:
         return None
     return np.asarray(scores @ keypoints.positions[rows] / scores.sum())

@@ -19,17 +19,16 @@ class NetworkError(RuntimeError):
 
 
 class TfliteNetwork:
-    """An image in, images out; thread-safe.
+    """A network from one image to several arrays; thread-safe.
 
     Parameters
     ----------
-    path : Path
     input_shape : (int or None, int or None, int)
         Rows, columns and channels; None where the network takes any.
     output_shapes : sequence of the same
-        Of each output.
+        Shape of each output.
     threads : int
-        That share the work of one call.
+        Threads that share the work of one call.
     copies : int
         Number of calls served at once; others wait.
 
@@ -70,13 +69,13 @@ class TfliteNetwork:
         interpreter = self._idle.get()
         usable = None
         try:
-            interpreter = interpreter or self._read()
+            interpreter = interpreter or self._load()
             yield interpreter
             usable = interpreter
         finally:
             self._idle.put(usable)
 
-    def _read(self) -> Interpreter:
+    def _load(self) -> Interpreter:
         if not self._path.is_file():
             raise NetworkError(f"cannot read a network: {self._path} is missing")
         try:
@@ -87,7 +86,7 @@ class TfliteNetwork:
         return interpreter
 
     def run(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Run it on one input ``(H, W, C)`` and return each output."""
+        """Run the network on one input ``(H, W, C)`` and return each output."""
         with self._interpreter() as interpreter:
             (source,) = interpreter.get_input_details()
             if tuple(source["shape"]) != (1, *image.shape):

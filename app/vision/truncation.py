@@ -1,4 +1,4 @@
-"""Telling bodies that are seen whole from those that the frame or another person cuts."""
+"""Whether a body is cut: by the frame's border, or by another person in front of it."""
 
 from __future__ import annotations
 
@@ -7,29 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.vision.geometry import COCO_NAMES, Box, ObservedKeypoints, Silhouette
+from app.vision.geometry import Box
+from app.vision.parameters import DEFAULTS, TruncationParameters
+from app.vision.people import ObservedKeypoints, Silhouette, coco_rows
 
-# All of this was chosen on even-numbered photographs: see docs/history.md.
-# Who is cut by the frame's edge ends at it, or so near to it as silhouettes are precise: in pixels,
-# and as a share of the person's longer side.
-_NEAR_PX = 1.0
-_NEAR = 0.01
-# Along how much of its extent a silhouette may run on the frame's border: a shoe that just
-# reaches the last row is no cut.
-_ALONG_BORDER = 0.1
-# Where the head or the feet are not seen, a box ends farther from the edge that hides them.
-_NEAR_UNSEEN = 0.05
-_LEAST_SCORE = 0.3
-_HEAD = [i for i, name in enumerate(COCO_NAMES) if name.endswith(("nose", "eye", "ear"))]
-_FEET = [i for i, name in enumerate(COCO_NAMES) if name.endswith("ankle")]
-# How much of a person's box a nearer one may fill.
-_COVERED = 0.05
+_HEAD, _FEET = coco_rows("nose", "eye", "ear"), coco_rows("ankle")
 
 
 def with_truncation(
     silhouettes: Sequence[Silhouette | None],
     boxes: Sequence[Box],
     frame_shape: tuple[int, ...],
+    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> list[Silhouette | None]:
     """Set the flag ``truncated`` of the silhouettes of one frame.
 
@@ -37,65 +26,63 @@ def with_truncation(
     ----------
     silhouettes : sequence of Silhouette or None
     boxes : sequence of Box
-        Where each was looked for; stands in for the silhouettes that were not found.
+        The people's boxes, which stand in for missing silhouettes.
     frame_shape : tuple of int
         Height and width first.
-
-    Returns
-    -------
-    list of Silhouette or None
     """
+    people = [one or box for one, box in zip(silhouettes, boxes, strict=True)]
     result: list[Silhouette | None] = []
-    for index, silhouette in enumerate(silhouettes):
-        if silhouette is None:
-            result.append(None)
-            continue
-        others = [
-            other or box
-            for i, (other, box) in enumerate(zip(silhouettes, boxes, strict=True))
-            if i != index
-        ]
-        flag = touches_border(silhouette, frame_shape) or hidden_by_others(silhouette, others)
-        result.append(replace(silhouette, truncated=flag))
+    for row, silhouette in enumerate(silhouettes):
+        if silhouette is not None:
+            others = people[:row] + people[row + 1 :]
+            is_cut = touches_border(silhouette, frame_shape, parameters)
+            is_cut = is_cut or hidden_by_others(silhouette, others, parameters)
+            silhouette = replace(silhouette, truncated=is_cut)
+        result.append(silhouette)
     return result
 
 
-def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool:
-    """Whether a silhouette runs along the frame's border; a caller's mask is exact to the pixel."""
+def touches_border(
+    silhouette: Silhouette,
+    frame_shape: tuple[int, ...],
+    parameters: TruncationParameters = DEFAULTS.truncation,
+) -> bool:
+    """Whether a silhouette runs along the frame's border; a caller's mask is taken to the pixel."""
     crop = silhouette.crop
-    near = 0.0 if silhouette.segmenter == "mask" else max(_NEAR_PX, _NEAR * max(crop.shape))
-    # As seen from each edge: how far each row or column of the silhouette is from it.
-    for gap, seen in zip(
-        _gaps(silhouette.box, frame_shape),
-        (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1]),
-        strict=True,
-    ):
-        if gap <= near and seen[:, : int(near - gap) + 1].any(axis=1).mean() > _ALONG_BORDER:
-            return True
-    return False
+    near = max(parameters.border_px, parameters.border_share * max(crop.shape))
+    if silhouette.segmenter == "mask":
+        near = 0.0
+    # The crop as seen from each edge: its first columns are nearest.
+    views = (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1])
+    return any(
+        gap <= near
+        and view[:, : int(near - gap) + 1].any(axis=1).mean() > parameters.min_border_run
+        for gap, view in zip(_gaps(silhouette.box, frame_shape), views, strict=True)
+    )
 
 
-def end_beyond_border(box: Box, keypoints: ObservedKeypoints, frame_shape: tuple[int, ...]) -> bool:
-    """Whether the frame cuts off the head or the feet: no keypoint of them is seen inside it.
-
-    Parameters
-    ----------
-    box : Box
-        Of the person.
-    keypoints : ObservedKeypoints
-    frame_shape : tuple of int
-        Height and width first.
-    """
+def end_beyond_border(
+    box: Box,
+    keypoints: ObservedKeypoints,
+    frame_shape: tuple[int, ...],
+    parameters: TruncationParameters = DEFAULTS.truncation,
+) -> bool:
+    """Whether the frame cuts off a person's head or feet: none of their keypoints is seen in it."""
     height, width = frame_shape[:2]
     inside = ((keypoints.positions > -0.5) & (keypoints.positions < [width, height])).all(axis=1)
-    seen = inside & (keypoints.scores >= _LEAST_SCORE)
-    whole = seen[_HEAD].any() and seen[_FEET].any()
-    return ends_at_border(box, frame_shape) and not whole
+    seen = inside & (keypoints.scores >= parameters.min_keypoint_score)
+    is_whole = seen[_HEAD].any() and seen[_FEET].any()
+    return ends_at_border(box, frame_shape, parameters) and not is_whole
 
 
-def ends_at_border(box: Box, frame_shape: tuple[int, ...]) -> bool:
-    """Whether the box of somebody ends so near the frame's edge that it may cut them."""
-    return min(_gaps(box, frame_shape)) <= _NEAR_UNSEEN * max(box.width, box.height)
+def ends_at_border(
+    box: Box,
+    frame_shape: tuple[int, ...],
+    parameters: TruncationParameters = DEFAULTS.truncation,
+) -> bool:
+    """Whether a person's box ends so near the frame's edge that it may cut them."""
+    reach = parameters.unseen_end_share * max(box.width, box.height)
+    return min(_gaps(box, frame_shape)) <= reach
 
 
 def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, float]:
@@ -104,11 +91,12 @@ def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, 
     return box.x + 0.5, box.y + 0.5, width - 0.5 - box.right, height - 0.5 - box.bottom
 
 
-def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box]) -> bool:
-    """Whether a nearer person, one whose feet are lower in the frame, covers part of this one.
-
-    Of a person known by the box alone, half the shared area counts as covered.
-    """
+def hidden_by_others(
+    silhouette: Silhouette,
+    others: Sequence[Silhouette | Box],
+    parameters: TruncationParameters = DEFAULTS.truncation,
+) -> bool:
+    """Whether a nearer person, one whose feet are lower in the frame, covers part of this one."""
     box = silhouette.box
     for other in others:
         other_box = other.box if isinstance(other, Silhouette) else other
@@ -117,13 +105,14 @@ def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box])
         if isinstance(other, Silhouette):
             covered = _pixels_inside(other, box)
         else:
-            covered = 0.5 * box.intersection(other_box)
-        if covered > _COVERED * box.area:
+            covered = parameters.box_fill * box.intersection(other_box)
+        if covered > parameters.max_cover * box.area:
             return True
     return False
 
 
 def _pixels_inside(silhouette: Silhouette, box: Box) -> float:
+    """Number of a silhouette's pixels inside a box."""
     left, top, right, bottom = box.pixels()
     rows = slice(max(0, top - silhouette.top), max(0, bottom - silhouette.top))
     columns = slice(max(0, left - silhouette.left), max(0, right - silhouette.left))

@@ -28,20 +28,20 @@ BONE_OF_JOINT = {
 """A joint is the start of its bone; the head is the middle of the bone Head."""
 
 INFLUENCES = 8
-"""Bones that may move one vertex."""
+"""Largest number of bones that move one vertex."""
 
 _FOLLOWS_HAND = ("LThumb", "LeftFingerBase", "LeftHandFinger1", "RThumb", "RightFingerBase",
                  "RightHandFinger1")  # fmt: skip
-"""CMU's hands carry too few markers: fingers are held as the hand is."""
+"""Fingers follow the hand: CMU's hands carry too few markers."""
 
 _UPRIGHT = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "Spine1", "Neck", "Neck1",
             "Head")  # fmt: skip
-"""Bones that stand in the body's rest pose as they do in the zero pose of the motion."""
+"""Bones with the same direction in the body's rest pose as in the zero pose of the motion."""
 
 
 @dataclass(frozen=True)
 class Phenotype:
-    """Who an avatar is, in MakeHuman's parameters, all in 0..1.
+    """Shape of a body in MakeHuman's parameters, all in 0..1.
 
     ``gender`` 0 male, 1 female; ``age`` 0.33 child, 0.67 young adult, 1 old.
     """
@@ -66,11 +66,11 @@ class Avatar:
         Rest pose, body axes, metres.
     triangles : (T, 3) int32 array
     closed : int
-        So many of the first triangles form closed surfaces: the body before its garments.
+        Number of leading triangles that form closed surfaces: the body before its garments.
     influences : (V, 8) int32 array
         Bones that move each vertex.
     weights : (V, 8) float32 array
-        How much; rows sum to 1.
+        Weight of each of these bones; rows sum to 1.
     bones : tuple of str
     parents : tuple of int
     heads : (B, 3) float64 array
@@ -242,7 +242,7 @@ def retarget(clip: Clip, avatar: Avatar) -> Retargeting:
             continue
         tip = clip.tips[source[bone]]
         if not tip.any():
-            # Some clips give the toes no length: they then lie as the foot does.
+            # Some clips give the toes no length; they then follow the foot.
             alignment[bone] = alignment[avatar.parents[bone]]
             continue
         leader = avatar.bones.index(driver)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -14,21 +15,19 @@ from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match
+from index.parameters import DEFAULT_HYPOTHESES
 from index.posture import POSTURES
 from index.reranker import RERANKING_FEATURES
-from index.search import rotate_clockwise
-from index.skeleton import JOINTS, exchange_sides
+from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
 
-HYPOTHESES = 7
-
 OWN_ROLL_DEG = 30.0
-"""Cameras roll less by themselves, and more for silhouettes that are wider than high."""
+"""Cameras roll by less than this, unless they were rolled for a silhouette wider than high."""
 
 
 @dataclass(frozen=True)
 class Queries:
-    """Silhouettes to ask for, and where their joints truly are.
+    """Silhouettes to ask an index for, with their true joints.
 
     Parameters
     ----------
@@ -38,7 +37,7 @@ class Queries:
     joints_3d : (Q, 19, 3) float array
         Axes of an upright camera, metres, pelvis at the origin.
     roll_deg : (Q,) float array
-        Of the camera where it was rolled for a wide silhouette, else 0.
+        Roll of the camera if it was rolled for a wide silhouette, else 0.
     """
 
     silhouettes: NDArray[np.uint8]
@@ -66,7 +65,7 @@ class Queries:
 
     @classmethod
     def of(cls, simulation: Simulation) -> Queries:
-        """The silhouettes of a simulation as they are."""
+        """The silhouettes of a simulation, not degraded."""
         joints_3d, joints_2d = view_joints(simulation)
         roll_deg = simulation.entries["roll_deg"].astype(np.float64)
         # A roll of a few degrees is the camera's own.
@@ -76,7 +75,7 @@ class Queries:
         return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d, roll_deg)
 
     def degraded(self, seed: int) -> Queries:
-        """The same as if they had been cut out of photographs; see :mod:`index.build.noise`."""
+        """The same queries with the faults of photographs; see :mod:`index.build.noise`."""
         silhouettes, joints_2d = degrade_all(
             self.silhouettes, self.joints_2d, np.random.default_rng(seed)
         )
@@ -94,7 +93,7 @@ class Queries:
 
 @dataclass(frozen=True)
 class Trial:
-    """What an index answered to simulated queries, and how far off it was.
+    """Answers of an index to simulated queries, and their errors.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ class Trial:
     confidence : (Q, N) float64 array
         As features.
     joint_errors_px : (Q, N, 19) float64 array
-        Error of each joint in the normalised frame; infinite where there is no hypothesis.
+        Error of each joint, normalised pixels; infinite where there is no hypothesis.
     twin_error_px : (Q, N) float64 array
         Mean joint error if left and right are exchanged, as an outline seen from the height of
         the hips cannot tell them.
@@ -138,7 +137,7 @@ class Trial:
 
 
 def run_trial(
-    index: PoseIndex, queries: Queries, *, n: int = HYPOTHESES, progress: bool = False
+    index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES, progress: bool = False
 ) -> Trial:
     """Ask an index for silhouettes whose skeletons are known.
 
@@ -149,7 +148,7 @@ def run_trial(
     n : int
         Hypotheses per query.
     progress : bool
-        Whether to draw a progress bar.
+        Whether to show a progress bar.
     """
     names = FEATURES if index.reranker is None else RERANKING_FEATURES
     features = np.zeros((len(queries), n, len(names)))
@@ -175,13 +174,35 @@ def run_trial(
 
 
 def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calibration:
-    """Logistic regression of being right on what a hypothesis shows of itself."""
+    """Logistic regression of the correctness of hypotheses on their features."""
     offered = np.isfinite(trial.error_px)
-    # To the optimum itself: where the default stops near it hangs on the last digits of features.
+    # Converged fully: where the default stops depends on the last digits of the features.
     model = LogisticRegression(C=1e3, solver="newton-cholesky", tol=1e-8)
     model.fit(trial.features[offered], trial.right[offered])
     weights = tuple(float(w) for w in model.coef_[0])
     return Calibration(weights, float(model.intercept_[0]), features)
+
+
+def calibrate(
+    index: PoseIndex,
+    queries: Queries,
+    features: tuple[str, ...] = FEATURES,
+    *,
+    progress: bool = False,
+    log: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """Fit the confidence on an index's answers to silhouettes of clips and bodies that it lacks."""
+    trial = run_trial(index, queries, progress=progress)
+    calibration = fit_calibration(trial, features)
+    confidence = calibration.probability(trial.features.reshape(-1, len(features)))
+    log(
+        f"Confidence fitted on {len(queries)} silhouettes that were held out, "
+        "every second one degraded: "
+        f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
+        f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
+        f"{expected_calibration_error(confidence, trial.right):.3f}."
+    )
+    return calibration
 
 
 def expected_calibration_error(

@@ -25,28 +25,28 @@ from index.build.simulate import BLOCK, Simulation
 from index.skeleton import JOINTS, camera_rotation, project
 
 ANCHORS = 20_000
-"""Silhouettes whose nearest skeletons are looked up."""
+"""Number of silhouettes whose nearest skeletons are searched."""
 
 NEAREST = 5
-"""Nearest skeletons of each."""
+"""Number of nearest skeletons of each."""
 
 NOISE_WEIGHT = 0.25
-"""What the faults of real silhouettes count beside the differences of body, clothes and pose."""
+"""Weight of the faults of real silhouettes against differences of body, clothes and pose."""
 
 SCALE_PX = 5.0
 SCALE_M = 0.11
-"""Joint differences, in the normalised frame and in space, that count alike."""
+"""Joint differences, in the normalised frame and in space, with equal weight."""
 
 Faults = Callable[
     [NDArray[np.uint8], NDArray[np.floating], np.random.Generator],
     tuple[NDArray[np.uint8], NDArray[np.floating]],
 ]
-"""As :func:`index.build.noise.degrade_all`: silhouettes, their joints and chance to faulty ones."""
+"""Degrades silhouettes and moves their joints, as :func:`index.build.noise.degrade_all` does."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Which moments a descriptor is made of, and how.
+    """Moments and parameters of a discriminant descriptor.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Scatter:
-    """What moments do over a simulation.
+    """Scatter matrices of the moments over a simulation.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Scatter:
     within : (F, F) float64 array
         Mean square difference of silhouettes that belong together; not yet regularised.
     recipe : Recipe
-        Of the moments; its dimension and regularisation play no part.
+        Describes the moments; its dimension and regularisation are not used.
     """
 
     total: NDArray[np.float64]
@@ -133,7 +133,7 @@ def learn_descriptor(
         Chooses the silhouettes whose neighbours are compared.
     recipe : Recipe
     faults : callable
-        Makes the silhouettes faulty that the descriptor learns to overlook the faults of.
+        Degrades silhouettes; the descriptor learns to ignore these faults.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def learn_descriptor(
 def measure_scatter(
     simulation: Simulation, seed: int, recipe: Recipe, *, faults: Faults = degrade_all
 ) -> Scatter:
-    """Measure what the moments of a recipe do over a simulation.
+    """Measure the scatter of the moments of a recipe over a simulation.
 
     Moments are computed block by block, some of them twice: those of all entries would take
     kilobytes each.
@@ -221,7 +221,7 @@ def discriminate(scatter: Scatter, dimension: int, regularisation: float) -> Dis
 
 
 def _odd(recipe: Recipe) -> NDArray[np.bool_]:
-    """Which moments ``(F,)`` are of odd horizontal order."""
+    """Mask ``(F,)`` of the moments of odd horizontal order."""
     count = len(recipe.p2) * recipe.vertical_orders * recipe.horizontal_orders
     return np.asarray(np.arange(count) % recipe.horizontal_orders % 2 == 1)
 
@@ -233,7 +233,7 @@ def _noise_scatter(
     recipe: Recipe,
     faults: Faults,
 ) -> NDArray[np.float64]:
-    """What faults do to the moments ``(F, F)``."""
+    """Mean square change ``(F, F)`` of the moments by faults."""
     some = np.sort(anchors[: ANCHORS // 4])
     silhouettes, joints_2d = simulation.silhouettes(some), view_joints(simulation, some)[1]
     rough, _ = faults(silhouettes, joints_2d, np.random.default_rng(seed))

@@ -20,49 +20,49 @@ from index.network import (
     CONVOLUTIONS,
     EXACT_BELOW,
     HIDDEN,
-    MOST,
+    QUANT_MAX,
     JointNetwork,
     Layer,
+    bin_positions,
     input_planes,
-    inputs_of,
     largest_sums,
+    layer_input,
     network_input,
-    places,
-    rectified,
-    whole_numbers,
+    quantise,
+    quantised_relu,
 )
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 
 ROLLED_DEG = 30.0
-"""Entries rolled by more were wider than high, and rotated to stand."""
+"""Entries rolled by more than this were wider than high and rotated upright."""
 
 DEGRADED_SHARE = 0.5
-"""Of the silhouettes, how many are shown degraded as well."""
+"""Share of the silhouettes that are also shown degraded."""
 
 FLIPPED_SHARE = 0.25
-"""Silhouettes whose border pixels are flipped at random."""
+"""Share of the silhouettes whose border pixels are flipped at random."""
 
 FLIPS = 0.2
-"""Share of the border pixels that are flipped, at the most."""
+"""Largest share of the border pixels that are flipped."""
 
 _BLOCK = 4096
 
 
 @dataclass(frozen=True)
-class Course:
-    """How the network is trained.
+class TrainingConfig:
+    """Hyperparameters of the training.
 
     Parameters
     ----------
     passes : float
-        Over the silhouettes, those degraded included.
+        Epochs over the silhouettes, including degraded ones.
     batch : int
-        Silhouettes of a step.
+        Silhouettes per step.
     rate : float
         Highest learning rate; it rises over the first twentieth, then falls to nothing.
     decay : float
-        Of the weights.
+        Weight decay.
     seed : int
     """
 
@@ -76,10 +76,10 @@ class Course:
 def train(
     index: PoseIndex,
     rows: NDArray[np.integer],
-    course: Course,
+    config: TrainingConfig,
     *,
     start: nn.Sequential | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
     every: int = 500,
 ) -> nn.Sequential:
     """Train on some entries of an index, their mirror images and degraded versions.
@@ -89,11 +89,11 @@ def train(
     index : PoseIndex
     rows : (R,) int array
         The entries.
-    course : Course
+    config : TrainingConfig
     start : torch.nn.Sequential, optional
-        Trained already, on other silhouettes or fewer; by default one of random weights.
-    say : callable
-        Takes a line about the progress.
+        Already trained network to start from; by default one of random weights.
+    log : callable
+        Takes sentences about the progress.
     every : int
         Steps between two lines.
 
@@ -103,21 +103,21 @@ def train(
         For :func:`in_whole_numbers`.
     """
     torch.set_num_threads(1)
-    torch.manual_seed(course.seed)
-    generator = np.random.default_rng(course.seed)
+    torch.manual_seed(config.seed)
+    generator = np.random.default_rng(config.seed)
     examples = Examples.of(index, rows, generator)
     layers = _layers() if start is None else copy.deepcopy(start)
     layers = layers.to(memory_format=torch.channels_last)
-    steps = max(1, round(course.passes * len(examples) / course.batch))
-    optimiser = torch.optim.AdamW(layers.parameters(), lr=course.rate, weight_decay=course.decay)
+    steps = max(1, round(config.passes * len(examples) / config.batch))
+    optimiser = torch.optim.AdamW(layers.parameters(), lr=config.rate, weight_decay=config.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, course.rate, total_steps=steps, pct_start=0.05
+        optimiser, config.rate, total_steps=steps, pct_start=0.05
     )
     order, lost = np.empty(0, np.int64), 0.0
     for step in range(1, steps + 1):
-        if len(order) < course.batch:
+        if len(order) < config.batch:
             order = np.concatenate([order, generator.permutation(len(examples))])
-        batch, order = order[: course.batch], order[course.batch :]
+        batch, order = order[: config.batch], order[config.batch :]
         planes, truth = examples.take(batch, generator)
         # 32 bits take half as long again; 16 would where the processor has to emulate them.
         with torch.autocast("cpu", torch.bfloat16, torch.cpu._is_avx512_bf16_supported()):
@@ -130,14 +130,14 @@ def train(
         schedule.step()
         lost += loss.item()
         if step % every == 0 or step == steps:
-            say(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
+            log(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
             lost = 0.0
     return layers
 
 
 @dataclass(frozen=True)
 class Examples:
-    """What the network learns from.
+    """Training examples.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Examples:
     points : (N, 24, 3) float16 array
         Column and row in pixels of the normalised frame, and depth in metres.
     stood_up : (N,) bool array
-        Those that were wider than high, and rotated to stand.
+        Silhouettes that were wider than high and rotated upright.
     """
 
     bits: NDArray[np.uint8]
@@ -160,7 +160,7 @@ class Examples:
     def of(
         cls, index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
     ) -> Examples:
-        """Some entries of an index, and a share of them degraded."""
+        """Examples of some entries of an index, and of a degraded share of them."""
         worse = generator.random(len(rows)) < DEGRADED_SHARE
         numbers = np.concatenate([rows, rows[worse]])
         degraded = np.arange(len(numbers)) >= len(rows)
@@ -182,10 +182,10 @@ class Examples:
     def take(
         self, rows: NDArray[np.integer], generator: np.random.Generator
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What the network is shown of some examples, and where their joints are.
+        """Augmented network inputs of some examples, and the positions of their joints.
 
-        Each is mirrored or not; who was rotated to stand also stands on the head, since a
-        silhouette alone does not tell which end that is.
+        Each is mirrored at random. Those rotated upright are also turned upside down at random,
+        since a silhouette alone does not show at which end the head is.
 
         Returns
         -------
@@ -204,7 +204,7 @@ class Examples:
         points[turned, :, :2] = (WIDTH - 1, HEIGHT - 1) - points[turned, :, :2]
         noisy = generator.random(len(rows)) < FLIPPED_SHARE
         pictures[noisy] = _flipped(pictures[noisy], generator)
-        return input_planes(pictures), places(points[:, :JOINTS])
+        return input_planes(pictures), bin_positions(points[:, :JOINTS])
 
 
 def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
@@ -263,13 +263,13 @@ def in_whole_numbers(layers: nn.Sequential, planes: NDArray[np.float32]) -> Join
     layers : torch.nn.Sequential
         As trained.
     planes : (B, 64, 24, 3) float32 array
-        Some input, which shows how large the values between the layers become.
+        Sample input, which shows how large the values between the layers become.
     """
     weighted = _weights_and_biases(layers)
-    values, step = [whole_numbers(picture) for picture in planes], 1 / MOST
+    values, step = [quantise(picture) for picture in planes], 1 / QUANT_MAX
     found = []
     for number, (weights, bias) in enumerate(weighted):
-        scale = np.abs(weights).max(axis=0) / MOST + 1e-12
+        scale = np.abs(weights).max(axis=0) / QUANT_MAX + 1e-12
         # A little coarser where sums might not be exact; rounding adds to them.
         scale *= np.maximum(1, largest_sums(weights / scale) / (0.98 * EXACT_BELOW))
         whole = np.rint(weights / scale).astype(np.float32)
@@ -277,10 +277,10 @@ def in_whole_numbers(layers: nn.Sequential, planes: NDArray[np.float32]) -> Join
             found.append(Layer(whole, _array(scale * step), bias))
             break
         sums = Layer(whole, _array(scale * step), bias)
-        inputs = [inputs_of(number, picture) for picture in values]
-        next_step = max(float(sums(one).max()) for one in inputs) / MOST + 1e-12
+        inputs = [layer_input(number, picture) for picture in values]
+        next_step = max(float(sums(one).max()) for one in inputs) / QUANT_MAX + 1e-12
         found.append(Layer(whole, _array(scale * step / next_step), _array(bias / next_step)))
-        values, step = [rectified(found[-1](one)) for one in inputs], next_step
+        values, step = [quantised_relu(found[-1](one)) for one in inputs], next_step
     return JointNetwork(tuple(found))
 
 

@@ -4,8 +4,8 @@ A motion folder whose BVH files are not CMU's holds a ``rig.json``::
 
     {"metres_per_unit": 0.01, "joints": {"Hips": "mixamorig:Hips", "LowerBack": "mixamorig:Spine"}}
 
-``joints`` names for a joint of ours the joint of the files that turns it; one of theirs may serve
-several of ours. Joints left out are called as ours are.
+``joints`` maps our joints to those of the files that drive them; one of theirs may drive several of
+ours. Joints left out have our names in the files.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ The calibration poses at the start of some clips stay below 5.8, living ones abo
 """
 
 JUMP_ABOVE_DEG = 45.0
-"""A bone that turns more than this in 1/30 s, and far more than just before and after, broke."""
+"""A bone is broken that turns more than this in 1/30 s, and far more than before and after."""
 
 JUMP_RATIO = 4.0
 
@@ -95,7 +95,7 @@ MANIFESTS = ("manifest.csv", "manifest-ground.csv")
 """The second one, of people near the ground, may be missing."""
 
 RENAMED = {"get-up": "get-up-or-fall"}
-"""A single frame does not tell its direction: getting up played backwards is a fall."""
+"""A single frame shows no direction: getting up played backwards is a fall."""
 
 SHORT_RUN = 8
 """Frames between two jumps that are as broken as the jumps: a bone flipped and flipped back."""
@@ -141,7 +141,7 @@ class Clip:
     broken : (F,) bool array
         Frames that hold a T-pose or a jump.
     t_poses, jumps : int
-        How many frames were marked for which reason.
+        Frames marked for each reason.
     """
 
     name: str
@@ -212,13 +212,13 @@ def _read_segments(file: Path) -> list[Segment]:
 
 
 def read_clip(file: Path, rig: Rig = CMU) -> Clip:
-    """Read one BVH file, whose joints get the names of ours.
+    """Read one BVH file; its joints get our names.
 
     Parameters
     ----------
     file : Path
     rig : Rig
-        How its own joints are called.
+        Names of its own joints.
 
     Raises
     ------
@@ -274,7 +274,7 @@ def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...
         raise MotionError(
             f"the clip {file} has no joint {theirs!r}, which {RIG_FILE} names for {ours!r}"
         )
-    # A joint of theirs may be called as another one of ours.
+    # A joint of theirs may have the name of another one of ours.
     kept = tuple(f"{name} of the file" if name in rig.joints else name for name in names)
     return kept + tuple(rig.joints), [*range(len(names)), *map(names.index, rig.joints.values())]
 
@@ -316,7 +316,7 @@ def _jumps(local: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _at_line(file: Path, error: Exception) -> str:
-    """Where in the motion part the text goes wrong, else what the parser said."""
+    """First malformed line of the motion part; else the parser's message."""
     lines = Path(file).read_text(errors="replace").splitlines()
     start = next((n for n, line in enumerate(lines) if line.strip().startswith("Frame Time")), None)
     if start is None:

@@ -1,4 +1,4 @@
-"""What silhouettes cut out of photographs have and simulated ones lack.
+"""Faults of silhouettes cut out of photographs, which simulated ones lack.
 
 Outlines are ragged and a little too wide, gaps between the limbs are filled, background sticks to
 the body, and hands, feet and heads are cut off. The shares and sizes below are those of the
@@ -15,29 +15,29 @@ from descriptor.silhouette import HEIGHT, Placement, normalise
 from index.skeleton import JOINT_NAMES
 
 MARGIN = 8
-"""Room about the silhouette for an outline that moves outwards."""
+"""Pixels around the silhouette for an outline that moves outwards."""
 
 GRAIN_PX = 3.5
-"""How far along the outline an error reaches."""
+"""Length of an error along the outline (one standard deviation)."""
 
 OUTLINE_STD_PX = (0.6, 2.4)
-"""Least and most standard deviation of the shift across the outline of an upright person."""
+"""Range of the standard deviation of the shift across the outline of an upright person."""
 
 WIDER_PX = 0.4
-"""How much the outline lies outside the body's on average."""
+"""Mean distance of the outline outside the body's."""
 
 EXTRA_SHARE, MISSING_SHARE = 0.4, 0.3
-"""How many silhouettes have filled gaps or background, and how many lack a part."""
+"""Shares of silhouettes with filled gaps or background, and of those that lack a part."""
 
 GAP_PX = (3, 8)
-"""Least and most radius of a gap that is filled."""
+"""Range of the radius of a filled gap."""
 
 BLOB_SHARE = (0.02, 0.12)
-"""Least and most area of background that sticks to the body, as a share of the body's."""
+"""Range of the area of background that sticks to the body, as a share of the body's."""
 
 CUT_SHARE = (0.03, 0.09)
-"""Least and most radius that is cut off about a hand, a foot or the head, as a share of the
-height of the frame."""
+"""Range of the radius that is cut off around a hand, a foot or the head, as a share of the height
+of the frame."""
 
 _ENDS = tuple(
     JOINT_NAMES.index(name)
@@ -60,7 +60,7 @@ def degrade(
     silhouette : (128, 48) uint8 array
         Normalised; 1 on the person.
     joints : (19, 2) array
-        Where the joints are in it.
+        Positions of the joints in it.
     generator : numpy.random.Generator
 
     Returns
@@ -164,7 +164,7 @@ def degrade_all(
     -------
     degraded : (B, 128, 48) uint8 array
     joints : (B, 19, 2) float64 array
-        Where the joints are in them.
+        Positions of the joints in them.
     """
     degraded = np.empty_like(silhouettes)
     moved = np.empty(joints.shape)

@@ -1,9 +1,9 @@
-"""Which poses go into an index: all sound frames, thinned to those that add most.
+"""Poses for an index: all sound frames, thinned to those that add most.
 
 Marker sets let the heads of whole subjects hang or rise: the median pitch of a subject's head over
 all upright frames lies anywhere from 6 degrees up to 41 down. Heads are therefore levelled first.
-Hardly any motion capture shows people who lie, so recorded poses are also laid on the ground: on
-the back, the belly, a side, or anything between.
+Motion capture hardly shows people lying, so recorded poses are also laid on the ground: on the
+back, the belly, a side, or anything between.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from index.build.body import (
     turned_to_front,
 )
 from index.build.motion import Clip, MotionError, Segment, read_clip, read_rig
-from index.posture import POSTURES, classify
+from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 
 UPRIGHT_ABOVE = np.cos(np.deg2rad(25.0))
 """Vertical part of the trunk's axis from which a frame counts as upright."""
 
-FEWEST_FRAMES = 100
-"""Subjects with fewer upright frames are given the middle pitch of the others."""
+MIN_UPRIGHT_FRAMES = 100
+"""Subjects with fewer upright frames are given the median pitch of the others."""
 
 
 def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Clip, ...]:
@@ -41,13 +41,15 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
     ----------
     clips : sequence of Clip
     subjects : sequence of str
-        Whose each clip is.
+        Subject of each clip.
     """
     pitches: dict[str, list[NDArray[np.float64]]] = {subject: [] for subject in subjects}
     for clip, subject in zip(clips, subjects, strict=True):
         pitches[subject].append(_upright_pitches(clip))
     all_pitches = {subject: np.concatenate(parts) for subject, parts in pitches.items()}
-    middle = {s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= FEWEST_FRAMES}
+    middle = {
+        s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= MIN_UPRIGHT_FRAMES
+    }
     usual = float(np.median(list(middle.values()))) if middle else 0.0
     return tuple(
         _pitched(clip, middle.get(subject, usual))
@@ -73,10 +75,10 @@ def _pitched(clip: Clip, angle: float) -> Clip:
 
 
 SIDES = ("back", "left", "belly", "right")
-"""What somebody lies on, by quarters of the turn about the body's long axis."""
+"""Parts of the body that a pose lies on, by quarters of the turn about the body's long axis."""
 
 TRUNK_BELOW_M = 0.3
-"""Pelvis and chest of a body that lies are no higher than this above its lowest joint."""
+"""Pelvis and chest of a lying body are at most this far above its lowest joint."""
 
 
 def laid_down(
@@ -95,7 +97,7 @@ def laid_down(
     Returns
     -------
     (P, B, 3, 3) float64 array
-        The pelvis faces +z again, as far as it faces anywhere.
+        The pelvis faces +z again.
     """
     about_long_axis = about_vertical(np.deg2rad(np.nan_to_num(lying_deg)))
     # From upright to the back: what was up points backwards, what was ahead points up.
@@ -105,7 +107,7 @@ def laid_down(
 
 
 def side_of(lying_deg: float) -> str:
-    """What a body laid down lies on, one of :data:`SIDES`."""
+    """Part that a body laid down lies on, one of :data:`SIDES`."""
     return SIDES[int(np.rint(lying_deg / 90.0)) % 4]
 
 
@@ -226,17 +228,17 @@ def joints_of(poses: Poses, avatar: Avatar) -> NDArray[np.float32]:
 
 
 def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
-    """Lay some poses on the ground, each turned about the body's long axis by chance.
+    """Lay some poses on the ground, each turned about the body's long axis at random.
 
-    Only poses come out whose trunk then lies on the ground rather than on the limbs.
+    Only poses whose trunk then lies on the ground, rather than on the limbs, are returned.
 
     Parameters
     ----------
     poses : Poses
     avatar : Avatar
-        Whose body is laid down.
+        Body that is laid down.
     count : int
-        How many poses are tried.
+        Number of poses to try.
     seed : int
 
     Returns
@@ -259,12 +261,12 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
     joints = joints_of(laid, avatar)
     heights = joints[..., 1] - joints[..., 1].min(axis=1, keepdims=True)
     trunk = heights[:, [JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("chest")]].max(axis=1)
-    lies = classify(joints, BODY_UP) == POSTURES.index("lying")
+    lies = classify_postures(joints, BODY_UP) == POSTURES.index("lying")
     return laid.take(np.flatnonzero(lies & (trunk < TRUNK_BELOW_M)))
 
 
 def merged(parts: Sequence[Poses]) -> Poses:
-    """Put poses of the same clips together; actions are those of the part with most."""
+    """Concatenate poses of the same clips; the actions are those of the part with most."""
     first = max(parts, key=lambda part: len(part.actions))
     return replace(
         first,
@@ -276,7 +278,7 @@ def merged(parts: Sequence[Poses]) -> Poses:
 
 
 def farthest_points(features: NDArray[np.floating], count: int) -> NDArray[np.int64]:
-    """Rows that cover a set: each the farthest from all chosen before it.
+    """Farthest point sampling: each row chosen is the farthest from those before it.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from descriptor.silhouette import HEIGHT, WIDTH
 
 SUPERSAMPLING = 2
-"""Samples per normalised pixel and axis; a pixel is on where at least half of them are."""
+"""Samples per normalised pixel and axis; a pixel is set if at least half of them are."""
 
 
 @njit(nogil=True, cache=True)
@@ -65,10 +65,10 @@ def render(
     Parameters
     ----------
     vertices : (V, 3) float32 array
-        Body axes, metres, pelvis at the origin; each used by a triangle.
+        Body axes, metres, pelvis at the origin; every vertex is used by a triangle.
     triangles : (T, 3) int32 array
     closed : int
-        So many of the first triangles form closed surfaces, whose far side needs no drawing.
+        Number of leading triangles that form closed surfaces, whose far side is not drawn.
     rotation : (3, 3) float32 array
         Body axes to camera axes.
     distance : float
@@ -110,7 +110,7 @@ def fill_triangles(
         Projected vertices, pixels, x before y.
     triangles : (T, 3) int32 array
     closed : int
-        So many of the first triangles form closed surfaces, whose far side needs no drawing.
+        Number of leading triangles that form closed surfaces, whose far side is not drawn.
     image : (H, W) uint8 array
         Written.
     """

@@ -1,108 +1,101 @@
-"""Training what re-ranks the hypotheses of an index, and fitting its confidence."""
+"""Training the network that re-ranks the hypotheses of an index, and fitting its confidence."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from index.build.builder import NOT_HELD_OUT, Asked, Plan, entries_of, simulate_queries, split
-from index.build.calibrate import (
-    Queries,
-    expected_calibration_error,
-    fit_calibration,
-    run_trial,
-)
-from index.build.garments import CALIBRATION_AVATARS, make_avatars
-from index.build.joint_training import Course, in_whole_numbers, train
-from index.build.motion import Segment
+from index.build.builder import IndexSpec, simulate_queries
+from index.build.calibrate import Queries, calibrate
+from index.build.garments import make_avatars
+from index.build.joint_training import TrainingConfig, in_whole_numbers, train
+from index.build.motion import read_manifest
+from index.build.splits import CALIBRATION_AVATARS, NOT_HELD_OUT, entries_of, split
 from index.network import JointNetwork, network_input
 from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
 
-SHOWN = 400
-"""Silhouettes that show how large values become within the network."""
+SCALE_SAMPLE = 400
+"""Number of silhouettes that show how large values become within the network."""
 
-FINISH = 0.2
+FINISHING_SHARE = 0.2
 """Passes over all silhouettes, as a share of those without the clips kept for the confidence."""
 
 
 def train_reranker(
     index: PoseIndex,
-    motion: Path,
-    garments: Path | None,
-    segments: Sequence[Segment],
-    course: Course,
+    spec: IndexSpec,
+    config: TrainingConfig,
     *,
-    asked: Asked = Plan.calibration,
     progress: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
 ) -> RankingModel:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
-    Some clips are kept from the network at first; the confidence is fitted on what the index,
+    At first the network does not see some clips; the confidence is fitted on what the index,
     without their entries, answers to silhouettes of these clips on bodies of their own. Then the
     network learns from them as well, as the index has their entries.
 
     Parameters
     ----------
     index : PoseIndex
-    motion : Path
-        Folder with ``manifest.csv`` and ``bvh/``.
-    garments : Path or None
-        Folder of MakeHuman garments; without it the bodies that are asked for stay unclothed.
-    segments : sequence of Segment
-        Those that may be used: an experiment leaves out what it asks for.
-    course : Course
-    asked : Asked
-        How many silhouettes the confidence is fitted on.
+    spec : IndexSpec
+        What the index was built from. Its ``segments`` may be used: an experiment leaves out those
+        that it asks for. The confidence is fitted on ``plan.calibration`` silhouettes.
+    config : TrainingConfig
     progress : bool
-        Whether to draw progress bars.
-    say : callable
-        Takes a line about the progress.
+        Whether to show progress bars.
+    log : callable
+        Takes sentences about the progress.
 
-    Returns
-    -------
-    RankingModel
+    Raises
+    ------
+    ValueError
+        If the index has no entry of the segments.
     """
-    kept, held, honest = split(segments)
-    if not honest:
-        say(NOT_HELD_OUT)
+    segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
+    kept, held, by_clip = split(segments)
+    if not by_clip:
+        log(NOT_HELD_OUT)
     rows = entries_of(index, kept)
     if not len(rows):
         raise ValueError("expected an index with entries of the given motion, got none")
-    say(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
-    layers = train(index, rows, course, say=say)
+    log(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
+    layers = train(index, rows, config, log=log)
     network = _whole(layers, index, rows)
     simulated = simulate_queries(
-        motion, held, make_avatars(CALIBRATION_AVATARS, garments), asked, course.seed + 1
+        spec.motion,
+        held,
+        make_avatars(CALIBRATION_AVATARS, spec.garments),
+        spec.plan.calibration,
+        config.seed + 1,
     )
-    queries = Queries.of(simulated).half_degraded(course.seed + 1)
-    reranker = calibrated(part(index, rows), network, queries, progress=progress, say=say)
+    queries = Queries.of(simulated).half_degraded(config.seed + 1)
+    reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
     everything = entries_of(index, segments)
-    say(f"Going on with {len(everything):,} silhouettes.")
-    finish = replace(course, passes=FINISH * course.passes, rate=course.rate / 2)
-    layers = train(index, everything, finish, start=layers, say=say)
+    log(f"Going on with {len(everything):,} silhouettes.")
+    finish = replace(config, passes=FINISHING_SHARE * config.passes, rate=config.rate / 2)
+    layers = train(index, everything, finish, start=layers, log=log)
     training: dict[str, Any] = {
         "index": index.version,
         "entries": len(everything),
         "clips": sorted({segment.clip for segment in segments}),
-        "passes": course.passes,
-        "seed": course.seed,
+        "passes": config.passes,
+        "seed": config.seed,
         "confidence_fitted_on": len(queries),
-        "of_clips_held_out": honest,
+        "of_clips_held_out": by_clip,
     }
     return replace(reranker, network=_whole(layers, index, everything), training=training)
 
 
 def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
-    """What was trained, in whole numbers whose steps some of the entries show."""
-    some = rows[:: max(1, len(rows) // SHOWN)]
+    """The trained network in whole numbers, scaled to the values of some of the entries."""
+    some = rows[:: max(1, len(rows) // SCALE_SAMPLE)]
     return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 
@@ -112,19 +105,11 @@ def calibrated(
     queries: Queries,
     *,
     progress: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
 ) -> RankingModel:
-    """Fit the confidence of what a network re-ranks, as the index builder does without one."""
-    trial = run_trial(replace(index, reranker=RankingModel.of(network)), queries, progress=progress)
-    calibration = fit_calibration(trial, RERANKING_FEATURES)
-    confidence = calibration.probability(trial.features.reshape(-1, len(RERANKING_FEATURES)))
-    say(
-        f"Confidence fitted on {len(queries)} silhouettes that were held out, "
-        "every second one degraded: "
-        f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
-        f"{100 * trial.right.any(axis=1).mean():.1f} % within 7, calibration error "
-        f"{expected_calibration_error(confidence, trial.right):.3f}."
-    )
+    """A network with the confidence that is fitted to its ranking of an index's answers."""
+    asked = replace(index, reranker=RankingModel.of(network))
+    calibration = calibrate(asked, queries, RERANKING_FEATURES, progress=progress, log=log)
     return RankingModel(network, calibration)
 
 

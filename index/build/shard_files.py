@@ -1,18 +1,15 @@
-"""Shards and avatars as files in a folder that all who draw can reach.
+"""Shards and avatars as files in a folder that all processes of a build can reach.
 
-A file is named by the hash of what it was computed from, and appears under its name only when it
-is whole: what is there can be used, by this build or by a later one.
+A file is named by the hash of what it is computed from and appears under its name once it is
+complete, so that an interrupted build can be resumed.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
-import os
 import platform
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,39 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.body import Avatar
-from index.build.views import Drawn, Shard, draw
+from index.build.views import RenderedShard, Shard, render_bodies
 
 _PACKAGES = Path(__file__).resolve().parents[2]
 
 
 class ShardError(RuntimeError):
-    """A shard that could not be drawn or read; the message is one sentence."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """A shard to draw into a file.
-
-    Parameters
-    ----------
-    shard : Shard
-    avatars : Path
-        File of the avatars.
-    file : Path
-        Where the silhouettes go.
-    code : str
-        The :func:`code_version` that the file's name stands for.
-    """
-
-    shard: Shard
-    avatars: Path
-    file: Path
-    code: str
+    """Silhouettes that cannot be rendered or read; the message is one sentence."""
 
 
 @lru_cache(maxsize=1)
 def code_version() -> str:
-    """What computes here: a hash of the sources, and versions that decide the bytes of a shard."""
+    """Hash of the sources, and the versions that decide the bytes of a shard."""
     sources = hashlib.sha256()
     for package in ("descriptor", "index"):
         for file in sorted((_PACKAGES / package).rglob("*.py")):
@@ -66,36 +42,46 @@ def code_version() -> str:
     )
 
 
-def name_of(shard: Shard, avatars: Path, code: str) -> str:
-    """Name of the file of a shard: what it is computed from, hashed."""
+def shard_name(shard: Shard, avatars: Path, code: str) -> str:
+    """Name of the file of a shard: the hash of its inputs."""
     return f"shard-{_digest({**vars(shard), 'avatars': avatars.name, 'code': code})}.npz"
 
 
-def perform(task: Task) -> int:
-    """Draw a shard into its file; return how many bodies it holds.
+def render_shard(shard: Shard, avatars: Path, file: Path, code: str) -> int:
+    """Render a shard into a file; return how many bodies it holds.
+
+    Parameters
+    ----------
+    shard : Shard
+    avatars : Path
+        File that :func:`write_avatars` wrote.
+    file : Path
+        Where the silhouettes go.
+    code : str
+        The :func:`code_version` of the build.
 
     Raises
     ------
     ShardError
-        If the code here is not that of the task, or the avatars are not to be found.
+        If the code here is another one, or the avatars cannot be read.
     """
-    if code_version() != task.code:
+    if code_version() != code:
         raise ShardError(
             f"a worker on {platform.node()} runs other code ({code_version()}) than this build "
-            f"({task.code})"
+            f"({code})"
         )
     try:
-        avatars = read_avatars(task.avatars)
+        bodies = read_avatars(avatars)
     except OSError as error:
         raise ShardError(
-            f"a worker on {platform.node()} cannot read {task.avatars}: the folder of the shards "
+            f"a worker on {platform.node()} cannot read {avatars}: the folder of the shards "
             f"must be shared by all ({error.strerror})"
         ) from error
-    _write(task.file, vars(draw(task.shard, avatars)))
-    return len(task.shard)
+    _write(file, vars(render_bodies(shard, bodies)))
+    return len(shard)
 
 
-def read_drawn(file: Path) -> Drawn:
+def read_shard(file: Path) -> RenderedShard:
     """Read the silhouettes of a shard.
 
     Raises
@@ -104,7 +90,7 @@ def read_drawn(file: Path) -> Drawn:
         If the file is missing or damaged.
     """
     try:
-        return Drawn(**_read(file))
+        return RenderedShard(**_read(file))
     except FileNotFoundError as error:
         raise ShardError(
             f"the shard {file} is missing: the folder of the shards must be shared by all"
@@ -128,19 +114,17 @@ def write_avatars(avatars: Sequence[Avatar], folder: Path) -> Path:
 
 @lru_cache(maxsize=2)
 def read_avatars(file: Path) -> tuple[Avatar, ...]:
-    """Read avatars; those read last are kept in memory."""
-    fields = _read(file)
-    avatars = []
-    for number in range(1 + max(int(name.split(".")[0]) for name in fields)):
-        own: dict[str, Any] = {
-            name.split(".")[1]: value
-            for name, value in fields.items()
-            if name.startswith(f"{number}.")
-        }
-        own["name"], own["closed"] = str(own["name"]), int(own["closed"])
-        own["bones"], own["parents"] = tuple(own["bones"].tolist()), tuple(own["parents"].tolist())
-        avatars.append(Avatar(**own))
-    return tuple(avatars)
+    """Read avatars; the last two files stay in memory."""
+    avatars: dict[int, dict[str, Any]] = {}
+    for key, value in _read(file).items():
+        number, name = key.split(".")
+        # Everything but the arrays: names, and a number of triangles.
+        plain = name in ("name", "closed", "bones", "parents")
+        avatars.setdefault(int(number), {})[name] = value.tolist() if plain else value
+    return tuple(
+        Avatar(**{**own, "bones": tuple(own["bones"]), "parents": tuple(own["parents"])})
+        for _, own in sorted(avatars.items())
+    )
 
 
 def _digest(values: Mapping[str, Any]) -> str:
@@ -153,19 +137,14 @@ def _digest(values: Mapping[str, Any]) -> str:
 
 
 def _write(file: Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays as an ``.npz`` file, which appears under its name when it is whole."""
-    content = io.BytesIO()
-    np.savez(content, **arrays)
+    """Write arrays as an ``.npz`` file, which appears under its name once it is complete."""
     unfinished = file.with_name(f".unfinished-{uuid4().hex}")
     try:
         with unfinished.open("wb") as stream:
-            stream.write(content.getbuffer())
-            stream.flush()
-            os.fsync(stream.fileno())
+            np.savez(stream, **arrays)
         unfinished.replace(file)
-    except BaseException:
+    finally:
         unfinished.unlink(missing_ok=True)
-        raise
 
 
 def _read(file: Path) -> dict[str, NDArray[Any]]:

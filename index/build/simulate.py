@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +21,13 @@ from descriptor.descriptor import Descriptor
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
 from index.build.poses import Poses
 from index.build.shard_files import (
-    Task,
     code_version,
-    name_of,
-    perform,
-    read_drawn,
+    read_shard,
+    render_shard,
+    shard_name,
     write_avatars,
 )
 from index.build.views import Shard
-from index.build.workers import Threads, Workers
 from index.silhouettes import Silhouettes, sampled
 from index.store import SKELETON_DTYPE
 
@@ -33,7 +35,12 @@ BLOCK = 4096
 """Silhouettes unpacked and described at a time."""
 
 SHARD_POSES = 100
-"""Poses drawn at a time: a second or two of work."""
+"""Poses rendered at a time: a second or two of work."""
+
+MAX_PENDING = 128
+"""Shards handed out at a time: enough for the threads of a large cluster, 40 MB of transforms."""
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -88,7 +95,7 @@ def simulate(
     seed: int,
     only_new: bool = False,
     progress: bool = False,
-    workers: Workers | None = None,
+    executor: Executor | None = None,
     folder: Path | None = None,
 ) -> Simulation:
     """Render every pose on some bodies from some views, shard by shard.
@@ -103,16 +110,17 @@ def simulate(
     views : int
         Views per pose and body.
     seed : int
-        The same seed, poses and avatars give the same bytes, whoever draws.
+        The same seed, poses and avatars give the same bytes, whatever the executor.
     only_new : bool
-        Whether poses laid down are left out where standing ones look the same: seen across.
+        Whether poses laid down are seen along the trunk only: seen across, they look like
+        standing ones.
     progress : bool
-        Whether to draw a progress bar.
-    workers : Workers, optional
-        Who draws; by default threads of this process.
+        Whether to show a progress bar.
+    executor : Executor, optional
+        Renders the shards; by default threads of this process.
     folder : Path, optional
-        Where the shards go, and stay; those that are there are not drawn again. By default a
-        temporary folder.
+        Where the shards are written and stay; those that are there already are not rendered
+        again. By default a temporary folder.
 
     Returns
     -------
@@ -122,18 +130,21 @@ def simulate(
     Raises
     ------
     ShardError
-        If a shard cannot be drawn or read.
+        If a shard cannot be rendered or read.
     """
     bodies = min(bodies, len(avatars))
-    cast = _cast(len(poses) * bodies, len(avatars), seed)
-    shards = _shards(poses, avatars, cast, views, seed, only_new)
-    with nullcontext(folder) if folder else TemporaryDirectory() as where:
-        files = _draw_all(shards, len(cast), avatars, Path(where), workers or Threads(), progress)
-        store, entries, skeletons = _merge(files, len(cast) * views)
+    assigned = assign_avatars(len(poses) * bodies, len(avatars), seed)
+    shards = _shards(poses, avatars, assigned, views, seed, only_new)
+    with (
+        nullcontext(folder) if folder else TemporaryDirectory() as where,
+        nullcontext(executor) if executor else ThreadPoolExecutor(os.cpu_count()) as pool,
+    ):
+        files = _render_missing(shards, len(assigned), avatars, Path(where), pool, progress)
+        store, entries, skeletons = _merge(files, len(assigned) * views)
     rows = np.repeat(np.arange(len(poses)), bodies)
-    labels = np.zeros(len(cast), SKELETON_DTYPE)
+    labels = np.zeros(len(assigned), SKELETON_DTYPE)
     labels["clip"], labels["frame"] = poses.clip[rows], poses.frame[rows]
-    labels["subject"], labels["action"] = cast, poses.action[rows]
+    labels["subject"], labels["action"] = assigned, poses.action[rows]
     labels["speed"] = poses.speeds()[rows]
     return Simulation(
         store, entries, skeletons, labels,
@@ -141,8 +152,8 @@ def simulate(
     )  # fmt: skip
 
 
-def _cast(count: int, avatars: int, seed: int) -> NDArray[np.int64]:
-    """Which avatar each body is ``(count,)``."""
+def assign_avatars(count: int, avatars: int, seed: int) -> NDArray[np.int64]:
+    """Position of the avatar of each of ``count`` bodies; each avatar is as frequent as others."""
     generator = np.random.default_rng(seed)
     rounds = [generator.permutation(avatars) for _ in range(-(-count // avatars))]
     return np.concatenate(rounds)[:count]
@@ -151,19 +162,19 @@ def _cast(count: int, avatars: int, seed: int) -> NDArray[np.int64]:
 def _shards(
     poses: Poses,
     avatars: Sequence[Avatar],
-    cast: NDArray[np.int64],
+    assigned: NDArray[np.int64],
     views: int,
     seed: int,
     only_new: bool,
 ) -> Iterator[Shard]:
-    bodies = len(cast) // len(poses)
+    bodies = len(assigned) // len(poses)
 
     @cache
     def retargeting(clip: int, avatar: int) -> Retargeting:
         return retarget(poses.clips[clip], avatars[avatar])
 
     def transforms(number: int) -> NDArray[np.float64]:
-        row, avatar = number // bodies, int(cast[number])
+        row, avatar = number // bodies, int(assigned[number])
         rotations = poses.rotations(np.array([row]))
         retargeted = retargeting(int(poses.clip[row]), avatar)
         return np.asarray(pose_transforms(avatars[avatar], retargeted, rotations)[0])
@@ -173,7 +184,7 @@ def _shards(
         numbers = range(bodies * start, bodies * (rows[-1] + 1))
         yield Shard(
             first=numbers.start,
-            avatar=cast[numbers.start : numbers.stop],
+            avatar=assigned[numbers.start : numbers.stop],
             transforms=np.stack([transforms(number) for number in numbers]),
             foreshortened=np.repeat(only_new & ~np.isnan(poses.lying_deg[rows]), bodies),
             views=views,
@@ -181,52 +192,74 @@ def _shards(
         )
 
 
-def _draw_all(
+def _render_missing(
     shards: Iterator[Shard],
     bodies: int,
     avatars: Sequence[Avatar],
     folder: Path,
-    workers: Workers,
+    executor: Executor,
     progress: bool,
 ) -> list[Path]:
-    """Have the shards drawn that are not there, and return the files of all, in order."""
+    """Render the shards that have no file yet, and return the files of all, in order."""
     # Workers may run in other folders.
     folder = folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     avatar_file, code = write_avatars(avatars, folder), code_version()
-    there = {file.name for file in folder.iterdir()}
     files = []
     with tqdm(total=bodies, unit="body", desc="simulating", disable=not progress) as bar:
 
-        def tasks() -> Iterator[Task]:
+        def missing() -> Iterator[tuple[Shard, Path, Path, str]]:
             for shard in shards:
-                file = folder / name_of(shard, avatar_file, code)
+                file = folder / shard_name(shard, avatar_file, code)
                 files.append(file)
-                if file.name in there:
+                if file.exists():
                     bar.update(len(shard))
                 else:
-                    yield Task(shard, avatar_file, file, code)
+                    yield shard, avatar_file, file, code
 
-        for drawn in workers.map(perform, tasks()):
-            bar.update(drawn)
+        for rendered in bounded_map(executor, render_shard, missing()):
+            bar.update(rendered)
     return files
+
+
+def bounded_map(
+    executor: Executor,
+    function: Callable[..., Result],
+    tasks: Iterable[tuple[Any, ...]],
+    max_pending: int = MAX_PENDING,
+) -> Iterator[Result]:
+    """Call a function with each task's arguments; results in order, ``max_pending`` at a time.
+
+    :meth:`concurrent.futures.Executor.map` would take all tasks at once.
+    """
+    pending: deque[Future[Result]] = deque()
+    try:
+        for task in tasks:
+            pending.append(executor.submit(function, *task))
+            if len(pending) == max_pending:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        for future in pending:
+            future.cancel()
 
 
 def _merge(
     files: Sequence[Path], count: int
 ) -> tuple[Silhouettes, NDArray[np.void], NDArray[np.float16]]:
     """Read shards one by one; return their silhouettes, compressed, entries and skeletons."""
-    in_each = len(read_drawn(files[0]).entries)
+    in_each = len(read_shard(files[0]).entries)
     sample = []
     wanted = sampled(count)
     for number in np.unique(wanted // in_each):
         rows = wanted[wanted // in_each == number] % in_each
-        sample.append(read_drawn(files[number]).bits[rows])
+        sample.append(read_shard(files[number]).bits[rows])
     dictionary = np.concatenate(sample)
     stores, entries, skeletons = [], [], []
     for file in files:
-        drawn = read_drawn(file)
-        stores.append(Silhouettes.compress(drawn.bits, dictionary))
-        entries.append(drawn.entries)
-        skeletons.append(drawn.skeletons)
+        shard = read_shard(file)
+        stores.append(Silhouettes.compress(shard.bits, dictionary))
+        entries.append(shard.entries)
+        skeletons.append(shard.skeletons)
     return Silhouettes.joined(stores), np.concatenate(entries), np.concatenate(skeletons)

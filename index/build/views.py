@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg
 from index.build.body import Avatar, posed_points
 from index.build.render import render, skin
-from index.posture import POSTURES, classify
+from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
 from index.store import ENTRY_DTYPE
 
 ELEVATIONS_DEG = (-5.0, 60.0)
-"""From a little below the pelvis to a steep surveillance view."""
+"""From a little below the height of the pelvis to a steep surveillance view."""
 
 GROUND_ELEVATIONS_DEG = (5.0, 70.0)
 """For bodies that lie or crawl."""
@@ -37,7 +37,7 @@ def sample_views(
     generator: np.random.Generator,
     elevations_deg: tuple[float, float] = ELEVATIONS_DEG,
 ) -> NDArray[np.void]:
-    """Cameras spread over the hemisphere, each a little off its place.
+    """Cameras spread over the hemisphere, with jitter.
 
     Azimuths are stratified, so that ``count`` views of one pose surround it. Elevations crowd
     towards eye level, where most cameras are, with a third above 25 degrees. Distances are
@@ -51,7 +51,7 @@ def sample_views(
     strata = (np.arange(count) + generator.random(count)) / count
     views["azimuth_deg"] = (360.0 * (strata + generator.random())) % 360.0
     low, high = elevations_deg
-    # Stratified as well, in an order of its own; the power crowds them towards eye level.
+    # Stratified as well, in another order; the power crowds them towards eye level.
     heights = generator.permutation((np.arange(count) + generator.random(count)) / count)
     views["elevation_deg"] = low + (high - low) * heights**1.8
     views["roll_deg"] = generator.normal(0.0, ROLL_STD_DEG, count)
@@ -61,15 +61,15 @@ def sample_views(
 
 
 FORESHORTENED_OF = 2
-"""Cameras sampled for each that looks at a pose laid down: who lies across the picture looks as
-somebody who stands."""
+"""Cameras sampled for each one kept of a pose laid down: a body that lies across the picture looks
+like one that stands."""
 
 _NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Posed bodies to draw; the same shard and avatars give the same bytes anywhere.
+    """Posed bodies to render; the same shard and avatars give the same bytes anywhere.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ class Shard:
     avatar : (N,) int64 array
         Position of each body among the avatars.
     transforms : (N, B, 3, 4) float64 array
-        Of the bones; see :func:`index.build.body.pose_transforms`.
+        Transforms of the bones; see :func:`index.build.body.pose_transforms`.
     foreshortened : (N,) bool array
-        Bodies that are seen along the trunk only.
+        Bodies seen along the trunk only.
     views : int
         Views per body.
     seed : int
-        With the number of a body, decides its cameras.
+        Decides, with the number of a body, its cameras.
     """
 
     first: int
@@ -99,7 +99,7 @@ class Shard:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class RenderedShard:
     """The silhouettes of a shard.
 
     Parameters
@@ -115,8 +115,8 @@ class Drawn:
     skeletons: NDArray[np.float16]
 
 
-def draw(shard: Shard, avatars: Sequence[Avatar]) -> Drawn:
-    """Draw every body of a shard from its views."""
+def render_bodies(shard: Shard, avatars: Sequence[Avatar]) -> RenderedShard:
+    """Render every body of a shard from its views."""
     views = shard.views
     bits = np.empty((len(shard) * views, HEIGHT * WIDTH // 8), np.uint8)
     entries = np.zeros(len(shard) * views, ENTRY_DTYPE)
@@ -129,9 +129,9 @@ def draw(shard: Shard, avatars: Sequence[Avatar]) -> Drawn:
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
         )
-        near_ground = classify(points, BODY_UP)[0] in _NEAR_GROUND
+        near_ground = classify_postures(points, BODY_UP)[0] in _NEAR_GROUND
         foreshortened = bool(shard.foreshortened[row])
-        # What SeedSequence.spawn gives the body, whatever shard it is in.
+        # As SeedSequence.spawn would give the body, whatever its shard.
         seed = np.random.SeedSequence(shard.seed, spawn_key=(number,))
         cameras = sample_views(
             (FORESHORTENED_OF if foreshortened else 1) * views,
@@ -145,7 +145,7 @@ def draw(shard: Shard, avatars: Sequence[Avatar]) -> Drawn:
                 number, *_draw_view(avatar, vertices, points[0], camera, silhouettes[view])
             )  # fmt: skip
         bits[row * views : (row + 1) * views] = pack(silhouettes)
-    return Drawn(bits, entries, skeletons)
+    return RenderedShard(bits, entries, skeletons)
 
 
 def most_foreshortened(

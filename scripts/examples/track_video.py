@@ -1,9 +1,9 @@
-"""Annotate a video with the people who are followed in it, in this process.
+"""Annotate a video with the people who are tracked in it, in this process.
 
-    python -m scripts.examples.track_video VIDEO OUT.mp4 [--stride 1] [--sheet FILE]
+    python -m scripts track-video VIDEO OUT.mp4 [--stride 1] [--sheet FILE]
 
-The video is MPEG-4 Part 2, which players show and most browsers do not. What is told of each frame
-as JSON, a service answers to ``POST /sequence``.
+The video is MPEG-4 Part 2, which players show and most browsers do not. A service answers the same
+results as JSON to ``POST /sequence``.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from app.api.overlay import PEOPLE, draw_skeleton, write_text
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
+from index import DEFAULT_PATH
+from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
-from index.store import DEFAULT_PATH
+from scripts.outputs import check_outputs
 
-HYPOTHESES = 7
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
 EVENT_SHOWN_S = 2.0
 _USUAL_FPS = 25.0
@@ -48,7 +50,7 @@ class Annotator:
         letter = max(14, max(picture.shape[:2]) // 40)
         for tracked in frame.persons:
             _draw_skeleton_and_box(picture, tracked)
-        # Afterwards, so that nobody covers another one's captions.
+        # Afterwards, so that no skeleton covers a caption.
         for tracked in frame.persons:
             _draw_captions(picture, tracked, letter)
         write_text(picture, f"{frame.timestamp:.1f} s", (letter, 2 * letter), letter, _WHITE)
@@ -82,7 +84,7 @@ def _draw_captions(picture: Picture, tracked: TrackedPerson, letter: int) -> Non
     corner = (left, max(letter + 2, round(box.y) - 4))
     write_text(picture, str(tracked.track_id), corner, letter, _colour(tracked.track_id))
     lines = [posture.label.replace("_", " ")] if posture else []
-    # Who walks need not be said to be walking as well.
+    # An action that repeats the posture is left out.
     if action is not None and not (posture and posture.label.startswith(action.label)):
         lines.append(action.label)
     for line, text in enumerate(lines, start=1):
@@ -115,7 +117,7 @@ def frames_of(video: Path, stride: int) -> Iterator[tuple[float, Picture]]:
             yield number / fps, np.asarray(read[1], np.uint8)
         number += 1
     if not number:
-        raise SystemExit(f"track_video: expected a video that OpenCV reads, got {video}")
+        raise SystemExit(f"track-video: expected a video that OpenCV reads, got {video}")
 
 
 def annotated(
@@ -124,7 +126,7 @@ def annotated(
     """Follow the people of a video and yield its frames with what is known of them."""
     session, annotator = CameraSession(estimator), Annotator()
     for timestamp, pixels in islice(frames_of(video, stride), max_frames):
-        tracked = session.process(Upload(pixels), timestamp, HYPOTHESES, Job())
+        tracked = session.process(Upload(pixels), timestamp, DEFAULT_HYPOTHESES, Job())
         yield annotator.draw(tracked)
 
 
@@ -140,7 +142,7 @@ def write_video(pictures: Iterator[Picture], path: Path, fps: float, shown: int)
             codec = cv2.VideoWriter.fourcc(*"mp4v")
             writer = cv2.VideoWriter(str(path), codec, fps, (width, height))
             if not writer.isOpened():
-                raise SystemExit(f"track_video: expected a place to write to, got {path}")
+                raise SystemExit(f"track-video: expected a place to write to, got {path}")
         writer.write(picture)
         if number in for_sheet:
             size = (CELL_PX, CELL_PX * height // width)
@@ -156,8 +158,8 @@ def _fps(capture: cv2.VideoCapture) -> float:
     return fps if 0 < fps < 1000 else _USUAL_FPS
 
 
-def main() -> None:
-    """Command line."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Annotate as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("video", type=Path)
     parser.add_argument("out", type=Path, help="annotated video, .mp4")
@@ -165,19 +167,16 @@ def main() -> None:
     parser.add_argument("--max-frames", type=int, help="work on no more frames than this")
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--sheet", type=Path, help="contact sheet of 12 frames, PNG")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.stride < 1 or (options.max_frames is not None and options.max_frames < 1):
         parser.error("--stride and --max-frames: expected at least 1")
+    check_outputs((options.out, options.sheet), (options.video,))
     capture = cv2.VideoCapture(str(options.video))
     frames = -(-max(1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) // options.stride)
-    estimator = Estimator.load(Settings(index=options.index))
+    estimator = load_estimator(Settings(index=options.index))
     pictures = annotated(options.video, options.stride, options.max_frames, estimator)
     shown = min(frames, options.max_frames or frames)
     cells = write_video(pictures, options.out, _fps(capture) / options.stride, shown)
     if options.sheet and cells:
         sheet = contact_sheet(cells)
         cv2.imwrite(str(options.sheet), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-
-
-if __name__ == "__main__":
-    main()

@@ -1,10 +1,10 @@
-"""Have a service follow the people before a camera: an example of a client.
+"""Have a service track the people before a camera: an example of a client.
 
-    python -m scripts.examples.watch_camera SOURCE CAMERA_ID [--url URL] [--fps 10] [--api-key KEY]
+    python -m scripts watch-camera SOURCE CAMERA_ID [--url URL] [--fps 10] [--api-key KEY]
 
-SOURCE is a video file, the number of a device (0) or the URL of a stream (rtsp://...). Frames are
-posted as the service answers them; of those that come meanwhile, the newest counts. Events are
-printed as they come, and every ten seconds who is there. Needs OpenCV and the standard library.
+SOURCE is a video file, the number of a device (0) or the URL of a stream (rtsp://...). The newest
+frame is posted whenever the service has answered the last one. Events are printed as they come, and
+the people present every ten seconds. Needs OpenCV and the standard library.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -202,12 +202,12 @@ def watch(source: Source, camera: Camera, fps: float) -> None:
 
 
 def status(answer: dict[str, Any]) -> str:
-    """Say who is there and how long the service took."""
+    """Return who is there and how long the service took."""
     people = ", ".join(
         f"{person['track_id']} {(person['posture'] or {'label': 'unclear'})['label']}"
         for person in answer["persons"]
     )
-    return f"{people or 'nobody'}; {answer['timings_ms']['total']:.0f} ms"
+    return f"{people or 'no people'}; {answer['timings_ms']['total']:.0f} ms"
 
 
 def say(text: str) -> None:
@@ -215,15 +215,15 @@ def say(text: str) -> None:
     print(time.strftime("%H:%M:%S"), text, flush=True)
 
 
-def main() -> int:
-    """Command line."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Watch as the command line asks."""
     parser = argparse.ArgumentParser(description="Post the frames of a camera to a service.")
     parser.add_argument("source", help="file, number of a device, or URL of a stream")
     parser.add_argument("camera_id", help="name of the camera for the service")
     parser.add_argument("--url", default="http://127.0.0.1:8000", help="of the service")
     parser.add_argument("--fps", type=float, default=10.0, help="frames a second at most")
     parser.add_argument("--api-key")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     source = str(options.source)
     if not (source.isdecimal() or "://" in source or Path(source).is_file()):
         parser.error(f"source: expected a file, a number or a URL, got {source}")
@@ -239,10 +239,6 @@ def main() -> int:
         with suppress(OSError, http.client.HTTPException, RefusedError):
             camera.forget()
     except RefusedError as refusal:
-        print(f"watch_camera: the service refuses: {refusal}", file=sys.stderr)
+        print(f"watch-camera: the service refuses: {refusal}", file=sys.stderr)
         return 1
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

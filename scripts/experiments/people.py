@@ -1,7 +1,7 @@
-"""The people experiment: sport, falls, leaning bodies, cameras. What must be right, or unclear.
+"""The people experiment: sport, falls, leaning bodies, cameras. Answers must be right, or unclear.
 
-Asks the estimator and camera sessions in this process about ``../shared/real``. Of these data the
-fall photographs, the sports photographs (detection and confidence alone), and the street video
+Asks the estimator and camera sessions in this process about ``../shared/real``. The fall
+photographs, the sports photographs (detection and confidence alone) and the street video
 (detection, ground) were learned from; UP-Fall, the fall videos and Pose2Sim were not.
 """
 
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -19,259 +19,258 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
-from app.estimation.posture import GROUNDED
 from app.estimation.results import Person
-from app.estimation.upload import Upload
-from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.tracking.session import CameraSession
-from app.vision.geometry import LANDMARK_NAMES, Box
-from index.skeleton import LIMBS, POINT_NAMES
-from scripts.experiments.asking import HYPOTHESES, estimate
-from scripts.experiments.real_data import read_frames, read_pennfudan
-from scripts.results import machine, revision
+from app.vision.geometry import Box
+from app.vision.people import LANDMARK_NAMES
+from index.posture import ON_THE_GROUND
+from index.skeleton import LIMB_ROWS, LIMBS, POINT_NAMES
+from scripts.datasets import (
+    Athlete,
+    Photograph,
+    about_hips,
+    read_frames,
+    read_lsp,
+    read_pennfudan,
+    read_pose2sim_joints,
+)
+from scripts.helpers import encoded, estimate, track
 
-COMMAND = "python -m scripts.evaluate people"
-CUT_FROM_PX, SAME_PERSON = 180, 0.3
-"""Height of people who are cut off, and overlap (IoU) from which a box is theirs."""
+MIN_CUT_PX, SAME_PERSON = 180, 0.3
+"""Minimum height of people who are cut off, and minimum overlap (IoU) of a box with theirs."""
+
+NEAR_OF_TRUNK, NEAR_OF_HEIGHT = 0.2, 0.1
+"""A joint is right within this share of the trunk (sport) or of the height (cut off)."""
+
+TRUNK_TILTS = {"upright": (0, 45), "horizontal": (45, 135), "inverted": (135, 181)}
+CUTS = tuple(itertools.product(("head", "feet"), (0.2, 0.35, 0.5)))
+CAMERAS = ("cam01", "cam03")
 
 FALL_VIDEOS = (("video_3", 80, 90), ("video_5", 120, 135))
-"""Videos, the frames before which everybody stands, and from which on somebody has fallen."""
+"""Videos, the frame before which everybody stands, and the one from which a person has fallen."""
 
-ACTIVITIES: dict[int, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
-    6: ("walks", ("walking", "standing"), ("walk",)),
-    7: ("stands", ("standing",), ("stand",)),
-    8: ("sits", ("sitting",), ("sit",)),
-    10: ("jumps", ("standing", "crouching", "bending", "arms_raised"), ("jump",)),
-    11: ("lies", GROUNDED, ("lie",)),
-}
-"""Of UP-Fall's activities what people do, in which postures, and with which actions."""
+STREET_FRAMES = 300
+MIN_TRACK = 10
+"""Fewest poses of a track in which exchanges of left and right are counted."""
 
+LOW = (*ON_THE_GROUND, "sitting", "kneeling", "crouching")
 ONLOOKER_FROM_PX = 500.0
+"""A person sits in the corner of UP-Fall's camera 2, right of this column."""
 
-_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
-_LANDMARKS = [LANDMARK_NAMES.index(name) for name in LIMBS]
-_HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
-# Names of the limbs in the files of Pose2Sim.
-_TRIANGULATED = {
-    f"{side}_{part}": f"{side[0].upper()}{part.capitalize()}"
-    for side in ("left", "right")
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+
+@dataclass(frozen=True)
+class Activity:
+    """An activity of UP-Fall: a fall, or what is right to say about it."""
+
+    name: str
+    is_fall: bool = False
+    is_upright: bool = False
+    postures: tuple[str, ...] = ()
+    actions: tuple[str, ...] = ()
+
+
+ACTIVITIES = {
+    **{number: Activity(f"fall_{number}", is_fall=True) for number in range(1, 6)},
+    6: Activity("walks", False, True, ("walking", "standing"), ("walk",)),
+    7: Activity("stands", False, True, ("standing",), ("stand",)),
+    8: Activity("sits", False, False, ("sitting",), ("sit",)),
+    9: Activity("picks_up", False, True),
+    10: Activity(
+        "jumps", False, True, ("standing", "crouching", "bending", "arms_raised"), ("jump",)
+    ),
+    11: Activity("lies", False, False, ON_THE_GROUND, ("lie",)),
 }
+UPFALL_FPS, UPFALL_STEP, UPFALL_FRAMES = 18, 3, 144
+"""Frame rate, step between frames that are sent, and frames of an activity that is no fall."""
 
-Row = tuple[str, str, str]
+_LANDMARKS = [LANDMARK_NAMES.index(name) for name in LIMBS]
+_TRUNK = [
+    LIMBS.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "shoulder")
+]
+
+Figures = dict[str, float]
 
 
-def add_arguments(parser: argparse._ArgumentGroup) -> None:
-    """Add no options."""
-
-
-def run(options: argparse.Namespace) -> None:
-    """Run the experiment as the command line asks."""
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Run the experiment."""
     real = options.shared / "real"
     if not real.is_dir():
         raise FileNotFoundError(f"expected {real} to hold photographs and videos, it is not there")
-    estimator = Estimator.load(Settings())
-    rows = [
-        *sport(estimator, real / "lsp"),
-        *fallen(estimator, real / "falls"),
-        *cut_off(estimator, real / "pennfudan"),
-        *leaning(estimator, real / "pose2sim"),
-        *fall_videos(estimator, real / "falls"),
-        *upfall(estimator, real / "upfall"),
-        *street(estimator, real / "vtest"),
-    ]
-    table = "".join(f"| {data} | {what} | {figure} |\n" for data, what, figure in rows)
-    page = (
-        "# People who fall, sit, lie, lean or do sport\n\n"
-        f"`{COMMAND}` at revision {revision()}, {machine()}.\n\n"
-        "| data | | |\n|---|---|---|\n" + table
-    )
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "people.md").write_text(page)
-    print(table)
+    estimator = load_estimator(Settings())
+    return {
+        "sport": sport(estimator, read_lsp(real / "lsp")),
+        "fallen": {
+            "fall": fallen(estimator, sorted((real / "falls" / "fall").glob("*.jpg"))),
+            "not_fall": fallen(estimator, sorted((real / "falls" / "not-fall").glob("*.jpg"))),
+        },
+        "cut_off": cut_off(estimator, read_pennfudan(real / "pennfudan")[1::2]),
+        "leaning": {camera: leaning(estimator, real / "pose2sim", camera) for camera in CAMERAS},
+        "fall_videos": fall_videos(estimator, real / "falls"),
+        "upfall": upfall(estimator, sorted((real / "upfall").glob("*.mp4"))),
+        "street": street(estimator, real / "vtest" / "vtest.avi"),
+    }
 
 
-def _encoded(frame: NDArray[np.uint8]) -> bytes:
-    return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
+def percent(values: Sequence[float] | NDArray[np.generic]) -> float:
+    """Return the mean in percent."""
+    return 100 * float(np.mean(np.asarray(values, np.float64)))
 
 
-def grounded(person: Person) -> bool:
-    """Whether somebody is said to lie or crawl."""
-    return person.posture is not None and person.posture.label in GROUNDED
+def is_low(person: Person) -> bool:
+    """Return whether the posture is reported as lying or crawling."""
+    return person.posture is not None and person.posture.label in ON_THE_GROUND
 
 
-def sport(estimator: Estimator, folder: Path) -> list[Row]:
+def sport(estimator: Estimator, athletes: Iterable[Athlete]) -> dict[str, Figures]:
     """People in sport: found, and limb joints within a fifth of the trunk."""
-    document = json.loads((folder / "joints.json").read_text())
-    names = document["joint_names"]
-    order = [names.index(name) for name in LIMBS]
-    found: dict[str, list[tuple[float, float, float]]] = {}
-    for one in tqdm(document["people"], desc="sport"):
-        joints, seen = np.array(one["joints_2d"]), np.array(one["visible"])[order]
-        trunk = max(
-            float(np.linalg.norm(joints[names.index(f"{side}_shoulder")] - joints[hip]))
-            for side, hip in (
-                ("left", names.index("right_hip")),
-                ("right", names.index("left_hip")),
-            )
-        )
-        limbs = joints[order]
-        middle = limbs[
-            [LIMBS.index(f"{s}_{p}") for s in ("left", "right") for p in ("hip", "shoulder")]
-        ]
-        best = (0.0, 0.0, 0.0)
-        for person in estimate(estimator, (folder / one["image"]).read_bytes()):
-            box = person.observed.box
-            centre = middle.mean(axis=0)
-            near = (box.x - 5 <= centre[0] <= box.right + 5) and (
-                box.y - 5 <= centre[1] <= box.bottom + 5
-            )
-            landmarks = person.observed.landmarks
-            if not near or landmarks is None or not person.hypotheses:
-                continue
-            read, first = (
-                float((np.linalg.norm(places - limbs, axis=1)[seen] < 0.2 * trunk).mean())
-                for places in (
-                    landmarks.positions[_LANDMARKS],
-                    person.hypotheses[0].points_2d[_ROWS],
+    found: dict[str, list[tuple[float, float, float]]] = {kind: [] for kind in TRUNK_TILTS}
+    for one in tqdm(athletes, desc="sport"):
+        scores = [score_athlete(one, person) for person in estimate(estimator, one.encoded)]
+        best = max(scores, key=lambda row: row[1] + row[2] + row[0] / 1e3, default=(0.0, 0.0, 0.0))
+        tilt = abs(one.trunk_deg)
+        kind = next(kind for kind, (low, high) in TRUNK_TILTS.items() if low <= tilt < high)
+        found[kind].append(best)
+    return {
+        kind: {
+            "people": len(rows),
+            **{
+                name: percent(column)
+                for name, column in zip(
+                    ("found", "keypoints_pck", "first_pck"), zip(*rows, strict=True), strict=True
                 )
-            )
-            best = max(best, (1.0, read, first), key=lambda row: row[1] + row[2] + row[0] / 1e3)
-        tilt = abs(one["trunk_deg"])
-        kind = "upright" if tilt < 45 else "horizontal" if tilt < 135 else "inverted"
-        found.setdefault(kind, []).append(best)
-    kinds = [kind for kind in ("upright", "horizontal", "inverted") if kind in found]
-    shares = 100 * np.array([np.mean(found[kind], axis=0) for kind in kinds])
-    count = ", ".join(f"{len(found[kind])} {kind}" for kind in kinds)
-    return [
-        (f"LSP Extended ({count})", what, " / ".join(f"{share:.1f}" for share in column) + " %")
-        for what, column in zip(
-            ("found", "keypoints, PCK 0.2", "first hypothesis, PCK 0.2"), shares.T, strict=True
-        )
-    ]
+            },
+        }
+        for kind, rows in found.items()
+        if rows
+    }
 
 
-def fallen(estimator: Estimator, folder: Path) -> list[Row]:
-    """Photographs of people who fell, and who did not."""
-    rows = []
-    for kind, what in (("fall", "people who fell"), ("not-fall", "people who did not")):
-        files = sorted((folder / kind).glob("*.jpg"))
-        people = [estimate(estimator, file.read_bytes()) for file in tqdm(files, desc=kind)]
-        found = 100 * np.mean([bool(one) for one in people])
-        low = 100 * np.mean([any(map(grounded, one)) for one in people])
-        rows.append((f"{len(files)} photographs of {what}", "somebody found", f"{found:.1f} %"))
-        rows.append(
-            (f"{len(files)} photographs of {what}", "somebody on the ground", f"{low:.1f} %")
-        )
-    return rows
+def score_athlete(one: Athlete, person: Person) -> tuple[float, float, float]:
+    """Return 1 for the annotated person, and the right shares of landmarks and of joints."""
+    box, landmarks = person.observed.box, person.observed.landmarks
+    x, y = one.limbs[_TRUNK].mean(axis=0)
+    near = (box.x - 5 <= x <= box.right + 5) and (box.y - 5 <= y <= box.bottom + 5)
+    if not near or landmarks is None or not person.hypotheses:
+        return 0.0, 0.0, 0.0
+    # Across, from each shoulder to the other side's hip.
+    trunk = np.linalg.norm(one.limbs[[0, 1]] - one.limbs[[7, 6]], axis=1).max()
+    read, first = (
+        float((np.linalg.norm(p - one.limbs, axis=1)[one.visible] < NEAR_OF_TRUNK * trunk).mean())
+        for p in (landmarks.positions[_LANDMARKS], person.hypotheses[0].points_2d[LIMB_ROWS])
+    )
+    return 1.0, read, first
 
 
-def cut_off(estimator: Estimator, folder: Path) -> list[Row]:
-    """Street people of every second photograph, cut off by its upper or lower border.
+def fallen(estimator: Estimator, files: Sequence[Path]) -> Figures:
+    """Photographs with, or without, a fallen person."""
+    people = [estimate(estimator, file.read_bytes()) for file in tqdm(files, desc="falls")]
+    return {
+        "photographs": len(files),
+        "found": percent([bool(one) for one in people]),
+        "on_the_ground": percent([any(map(is_low, one)) for one in people]),
+    }
 
-    Truth is what the whole photograph shows of them; the others were looked at in development.
+
+def cut_off(estimator: Estimator, photographs: Sequence[Photograph]) -> dict[str, Figures]:
+    """Street people cut off by the upper or lower border of every second photograph.
+
+    The truth is what is found in the whole photograph; the others were used in development.
     """
-    rows: list[tuple[str, bool, float, float, bool]] = []
-    for photograph in tqdm(read_pennfudan(folder)[1::2], desc="cut off"):
+    rows: dict[str, list[tuple[float, float, float, float]]] = {}
+    for photograph in tqdm(photographs, desc="cut off"):
         tallest = max(photograph.boxes, key=lambda box: box.height)
-        whole = _at(tallest, estimate(estimator, _encoded(photograph.frame)))
-        if tallest.height < CUT_FROM_PX or whole is None or whole.observed.landmarks is None:
+        whole = _person_at(tallest, estimate(estimator, encoded(photograph.frame)))
+        if tallest.height < MIN_CUT_PX or whole is None or whole.observed.landmarks is None:
             continue
         truth = whole.observed.landmarks.positions[_LANDMARKS]
-        for end, share in itertools.product(("head", "feet"), (0.2, 0.35, 0.5)):
-            missing = round(share * tallest.height)
-            top = round(tallest.y) + missing if end == "head" else 0
-            bottom = photograph.frame.shape[0] if end == "head" else round(tallest.bottom) - missing
-            frame = np.ascontiguousarray(photograph.frame[top:bottom])
-            box = Box(
-                tallest.x, max(tallest.y - top, -0.5), tallest.width, tallest.height - missing
-            )
-            name = f"{end}, {100 * share:.0f} %"
-            person = _at(box, estimate(estimator, _encoded(frame)))
-            if person is None or not person.hypotheses or person.observed.silhouette is None:
-                rows.append((name, False, np.nan, np.nan, False))
-                continue
-            apart = person.hypotheses[0].points_2d[_ROWS] + [0, top] - truth
-            right = np.linalg.norm(apart, axis=1) < 0.1 * tallest.height
-            inside = (truth[:, 1] > top) & (truth[:, 1] < bottom)
-            seen, unseen = (
-                float(right[k].mean()) if k.any() else np.nan for k in (inside, ~inside)
-            )
-            rows.append((name, True, seen, unseen, person.observed.silhouette.truncated))
-    told = []
-    for name in dict.fromkeys(row[0] for row in rows):
-        figures = np.array([row[1:] for row in rows if row[0] == name], np.float64)
-        found, seen, unseen = 100 * np.nanmean(figures[:, :3], axis=0)
-        flagged = 100 * figures[figures[:, 0] == 1, 3].mean()
-        what = (
-            f"{name} of the height missing: found / joints within a tenth: seen, unseen / flagged"
-        )
-        told.append(
-            (
-                f"{len(figures)} street people cut off by the border",
-                what,
-                f"{found:.0f} / {seen:.0f}, {unseen:.0f} / {flagged:.0f} %",
-            )
-        )
-    return told
+        for end, share in CUTS:
+            name = f"{end}_{100 * share:.0f}"
+            row = score_cut(estimator, photograph.frame, tallest, truth, end, share)
+            rows.setdefault(name, []).append(row)
+    return {name: summarise_cuts(np.array(table)) for name, table in rows.items()}
 
 
-def _at(box: Box, people: tuple[Person, ...]) -> Person | None:
-    """Who is in a box."""
+def score_cut(
+    estimator: Estimator, frame: NDArray[np.uint8], tallest: Box, truth: NDArray[np.float64],
+    end: str, share: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Cut a share of a person off; found, joints right that are seen and not, and flagged."""
+    missing = round(share * tallest.height)
+    top = round(tallest.y) + missing if end == "head" else 0
+    bottom = frame.shape[0] if end == "head" else round(tallest.bottom) - missing
+    box = Box(tallest.x, max(tallest.y - top, -0.5), tallest.width, tallest.height - missing)
+    cut = np.ascontiguousarray(frame[top:bottom])
+    person = _person_at(box, estimate(estimator, encoded(cut)))
+    if person is None or not person.hypotheses or person.observed.silhouette is None:
+        return 0.0, np.nan, np.nan, 0.0
+    apart = person.hypotheses[0].points_2d[LIMB_ROWS] + [0, top] - truth
+    right = np.linalg.norm(apart, axis=1) < NEAR_OF_HEIGHT * tallest.height
+    inside = (truth[:, 1] > top) & (truth[:, 1] < bottom)
+    seen, unseen = (float(right[k].mean()) if k.any() else np.nan for k in (inside, ~inside))
+    return 1.0, seen, unseen, float(person.observed.silhouette.truncated)
+
+
+def summarise_cuts(rows: NDArray[np.float64]) -> Figures:
+    """Return the means of rows of :func:`score_cut`."""
+    found, seen, unseen = 100 * np.nanmean(rows[:, :3], axis=0)
+    return {
+        "people": len(rows),
+        "found": float(found),
+        "seen_joints": float(seen),
+        "unseen_joints": float(unseen),
+        "flagged": percent(rows[rows[:, 0] == 1, 3]),
+    }
+
+
+def _person_at(box: Box, people: Sequence[Person]) -> Person | None:
+    """Return the person in a box."""
     overlaps = [person.observed.box.iou(box) for person in people]
     if max(overlaps, default=0.0) < SAME_PERSON:
         return None
     return people[int(np.argmax(overlaps))]
 
 
-def leaning(estimator: Estimator, folder: Path) -> list[Row]:
-    """A balancing person before two calibrated cameras: single frames, and a camera session."""
-    rows: list[Row] = []
-    for camera in ("cam01", "cam03"):
-        document = json.loads((folder / f"{camera}.json").read_text())
-        order = [document["joint_names"].index(_TRIANGULATED[name]) for name in LIMBS]
-        truths, places = np.array(document["joints_3d"]), np.array(document["joints_2d"])
-        session = CameraSession(estimator)
-        single, followed, told, identities = [], [], [], set()
-        frames = read_frames(folder / document["video"])
-        for number, frame in tqdm(list(frames)[: len(truths)], desc=camera):
-            truth = truths[number][order]
-            if number % 4 == 0:
-                box = _padded(places[number])
-                (person,) = estimate(estimator, _encoded(frame), box)
-                errors = [_error_mm(one.hypothesis.points_3d, truth) for one in person.hypotheses]
-                single.append((errors[0], min(errors)))
-                told.append(grounded(person))
-            tracked = session.process(Upload(_encoded(frame)), number / 60, HYPOTHESES, Job())
-            seen = [one for one in tracked.persons if one.pose and one.person.hypotheses]
-            if seen:
-                one = max(seen, key=lambda other: other.person.observed.box.height)
-                assert one.pose is not None
-                identities.add(one.track_id)
-                followed.append(
-                    (
-                        _error_mm(one.person.hypotheses[0].hypothesis.points_3d, truth),
-                        _error_mm(one.pose.points_3d, truth),
-                    )
-                )
-        first, best = np.mean(single, axis=0)
-        frame_mm, smooth_mm = np.mean(followed, axis=0)
-        data = f"Pose2Sim {camera}"
-        rows += [
-            (data, "true box: first / best of 7", f"{first:.0f} / {best:.0f} mm"),
-            (data, "said to lie or crawl", f"{100 * np.mean(told):.1f} %"),
-            (
-                data,
-                "camera session: first / smooth, identities",
-                f"{frame_mm:.0f} / {smooth_mm:.0f} mm, {len(identities)}",
-            ),
+def leaning(estimator: Estimator, folder: Path, camera: str) -> Figures:
+    """A balancing person before a calibrated camera: single frames, and a camera session."""
+    video, _, limbs_3d, joints_2d = read_pose2sim_joints(folder, camera)
+    session = CameraSession(estimator)
+    single, tracked, low = [], [], []
+    identities = set()
+    frames = itertools.islice(read_frames(video), len(limbs_3d))
+    for number, frame in tqdm(frames, desc=camera):
+        truth = limbs_3d[number]
+        if number % 4 == 0:
+            (person,) = estimate(estimator, encoded(frame), _generous_box(joints_2d[number]))
+            errors = [error_mm(one.points_3d, truth) for one in person.hypotheses]
+            single.append((errors[0], min(errors)))
+            low.append(is_low(person))
+        seen = [
+            one
+            for one in track(session, frame, number / 60).persons
+            if one.pose and one.person.hypotheses
         ]
-    return rows
+        if seen:
+            one = max(seen, key=lambda other: other.person.observed.box.height)
+            assert one.pose is not None
+            first = one.person.hypotheses[0]
+            identities.add(one.track_id)
+            tracked.append((error_mm(first.points_3d, truth), error_mm(one.pose.points_3d, truth)))
+    first_mm, best_mm = np.mean(single, axis=0).tolist()
+    session_first_mm, session_smooth_mm = np.mean(tracked, axis=0).tolist()
+    return {
+        "first_mm": first_mm,
+        "best_mm": best_mm,
+        "low": percent(low),
+        "session_first_mm": session_first_mm,
+        "session_smooth_mm": session_smooth_mm,
+        "identities": len(identities),
+    }
 
 
-def _padded(joints: NDArray[np.float64]) -> Box:
+def _generous_box(joints: NDArray[np.float64]) -> Box:
     low, high = joints.min(axis=0), joints.max(axis=0)
     height = float(high[1] - low[1])
     return Box(
@@ -282,140 +281,149 @@ def _padded(joints: NDArray[np.float64]) -> Box:
     )
 
 
-def _error_mm(points_3d: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Mean distance of the limb joints about the hips, millimetres."""
-    limbs = points_3d[_ROWS]
-    own, true = (limb - limb[_HIPS].mean(axis=0) for limb in (limbs, truth))
-    return float(1000 * np.linalg.norm(own - true, axis=1).mean())
+def error_mm(points_3d: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Return the mean distance of the limb joints about the hips, in millimetres."""
+    apart = about_hips(points_3d[LIMB_ROWS]) - about_hips(truth)
+    return float(1000 * np.linalg.norm(apart, axis=1).mean())
 
 
-def begins(frame: TrackedFrame) -> bool:
-    """Whether somebody falls or lies from this frame on."""
+def reports_fall(frame: TrackedFrame) -> bool:
+    """Return whether a fall or lying begins in a frame."""
     return any(event.event in ("fell", "lying") and event.state != "end" for event in frame.events)
 
 
-def fall_videos(estimator: Estimator, folder: Path) -> list[Row]:
+def fall_videos(estimator: Estimator, folder: Path) -> Figures:
     """Care-home surveillance, every second frame, the last one held for four seconds."""
-    told, seen, low = 0, [], []
+    detected, seen, low = 0, [], []
     for name, upright_until, fallen_from in FALL_VIDEOS:
-        video = cv2.VideoCapture(str(folder / f"{name}.mp4"))
-        fps = float(video.get(cv2.CAP_PROP_FPS)) or 25.0
-        frames = [frame for _, frame in read_frames(folder / f"{name}.mp4")]
+        file = folder / f"{name}.mp4"
+        fps = float(cv2.VideoCapture(str(file)).get(cv2.CAP_PROP_FPS)) or 25.0
+        frames = [frame for _, frame in read_frames(file)]
         session = CameraSession(estimator)
         shown = [(i, frames[i], i / fps) for i in range(0, len(frames), 2)]
         end = (len(frames) - 1) / fps
         shown += [(len(frames), frames[-1], end + 0.2 * step) for step in range(1, 21)]
-        hit = False
-        for number, frame, time in shown:
-            result = session.process(Upload(_encoded(frame)), time, HYPOTHESES, Job())
-            hit |= number >= fallen_from and begins(result)
+        fell = False
+        for number, frame, timestamp in shown:
+            result = track(session, frame, timestamp)
+            fell |= number >= fallen_from and reports_fall(result)
             if number < upright_until:
                 seen.append(bool(result.persons))
-                low += [grounded(one.person) for one in result.persons]
-        told += hit
-    return [
-        ("two care-home videos", "falls told", f"{told} of {len(FALL_VIDEOS)}"),
-        (
-            "two care-home videos",
-            "before the fall: somebody seen / said to lie or crawl",
-            f"{100 * np.mean(seen):.1f} / {100 * np.mean(low):.1f} %",
-        ),
-    ]
+                low += [is_low(one.person) for one in result.persons]
+        detected += fell
+    return {
+        "videos": len(FALL_VIDEOS),
+        "falls_detected": detected,
+        "seen_before_fall": percent(seen),
+        "low_before_fall": percent(low),
+    }
 
 
-def upfall(estimator: Estimator, folder: Path) -> list[Row]:
+@dataclass
+class Watched:
+    """What a camera session reported of a video of UP-Fall.
+
+    ``postures`` and ``actions`` are 1 where right, 0 where wrong and NaN where none is reported;
+    ``low`` is whether a person lies or crawls in each frame.
+    """
+
+    activity: Activity
+    alarm: bool = False
+    low: list[bool] = field(default_factory=list)
+    postures: list[float] = field(default_factory=list)
+    actions: list[float] = field(default_factory=list)
+
+
+def upfall(estimator: Estimator, files: Sequence[Path]) -> dict[str, object]:
     """UP-Fall: falls and daily activities at 6 frames a second."""
-    falls, activities, upright, lying = [], [], [], []
-    postures: dict[str, list[float]] = {name: [] for name, *_ in ACTIVITIES.values()}
-    actions: dict[str, list[float]] = {name: [] for name, *_ in ACTIVITIES.values()}
-    for file in tqdm(sorted(folder.glob("*.mp4")), desc="UP-Fall"):
-        activity = int(file.name.split("_")[0].removeprefix("activity"))
-        session, hit, low = CameraSession(estimator), False, []
-        for number, frame in read_frames(file):
-            if activity > 5 and number >= 144:
-                break
-            if number % 3:
-                continue
-            result = session.process(Upload(_encoded(frame)), number / 18, HYPOTHESES, Job())
-            hit |= begins(result)
-            low.append(any(grounded(one.person) for one in result.persons))
-            if activity in ACTIVITIES and (actor := _actor(result.persons)):
-                name, shown, done = ACTIVITIES[activity]
-                posture = actor.person.posture
-                label = "unclear" if posture is None else posture.label
-                postures[name].append(np.nan if label == "unclear" else label in shown)
-                action = actor.action
-                actions[name].append(np.nan if action is None else action.label in done)
-        if activity <= 5:
-            falls.append(hit)
-        elif activity < 11:
-            activities.append(hit)
-        if activity in (6, 7, 9, 10):
-            upright += low
-        if activity == 11:
-            lying += low
-    return [
-        ("UP-Fall, held out", "falls told", f"{sum(falls)} of {len(falls)}"),
-        (
-            "UP-Fall, held out",
-            "activities with a false alarm",
-            f"{sum(activities)} of {len(activities)}",
-        ),
-        (
-            "UP-Fall, held out",
-            "frames in which somebody lies or crawls: of upright activities / of lying",
-            f"{100 * np.mean(upright):.1f} / {100 * np.mean(lying):.1f} %",
-        ),
-        *(
-            ("UP-Fall, held out", f"{what} of who {name}: right / none told", _right_or_none(told))
-            for what, by_activity in (("posture", postures), ("action", actions))
-            for name, told in by_activity.items()
-        ),
+    watched = [watch(estimator, file) for file in tqdm(files, desc="UP-Fall")]
+    falls = [one.alarm for one in watched if one.activity.is_fall]
+    # Lying down is reported as an event, and rightly so.
+    daily = [
+        one.alarm
+        for one in watched
+        if not one.activity.is_fall and one.activity.postures != ON_THE_GROUND
     ]
+    lying = [one for one in watched if one.activity.postures == ON_THE_GROUND]
+    upright = [one for one in watched if one.activity.is_upright]
+    judged = [activity for activity in ACTIVITIES.values() if activity.postures]
+    by_activity = {
+        activity.name: [one for one in watched if one.activity is activity] for activity in judged
+    }
+    return {
+        "falls": len(falls),
+        "falls_detected": sum(falls),
+        "activities": len(daily),
+        "false_alarms": sum(daily),
+        "low_of_upright": percent([low for one in upright for low in one.low]),
+        "low_of_lying": percent([low for one in lying for low in one.low]),
+        "postures": {
+            name: _right_or_none([right for one in some for right in one.postures])
+            for name, some in by_activity.items()
+        },
+        "actions": {
+            name: _right_or_none([right for one in some for right in one.actions])
+            for name, some in by_activity.items()
+        },
+    }
+
+
+def watch(estimator: Estimator, file: Path) -> Watched:
+    """Send a video of UP-Fall to a camera session."""
+    activity = ACTIVITIES[int(file.name.split("_")[0].removeprefix("activity"))]
+    watched, session = Watched(activity), CameraSession(estimator)
+    for number, frame in read_frames(file):
+        if not activity.is_fall and number >= UPFALL_FRAMES:
+            break
+        if number % UPFALL_STEP:
+            continue
+        result = track(session, frame, number / UPFALL_FPS)
+        watched.alarm |= reports_fall(result)
+        watched.low.append(any(is_low(one.person) for one in result.persons))
+        actor = _actor(result.persons)
+        if actor is not None and activity.postures:
+            posture, action = actor.person.posture, actor.action
+            label = "unclear" if posture is None else posture.label
+            watched.postures.append(np.nan if label == "unclear" else label in activity.postures)
+            watched.actions.append(np.nan if action is None else action.label in activity.actions)
+    return watched
 
 
 def _actor(persons: Sequence[TrackedPerson]) -> TrackedPerson | None:
-    """Who does what the video is of: the largest, apart from who sits in a corner of camera 2."""
+    """Return the largest person apart from the onlooker."""
     rest = [one for one in persons if one.person.observed.box.x < ONLOOKER_FROM_PX]
     return max(rest, key=lambda one: one.person.observed.box.area, default=None)
 
 
-def _right_or_none(told: Sequence[float]) -> str:
-    """Percent of answers that are right, and that are NaN."""
-    none = np.isnan(told)
-    return f"{100 * np.nansum(told) / len(told):.0f} / {100 * none.mean():.0f} %"
+def _right_or_none(answers: Sequence[float]) -> Figures:
+    """Return the percentages of answers that are right, and that are NaN."""
+    if not answers:
+        return {}
+    none = np.isnan(answers)
+    return {"right": 100 * float(np.nansum(answers)) / len(answers), "none": percent(none)}
 
 
-def street(estimator: Estimator, folder: Path, frames: int = 300) -> list[Row]:
+def street(estimator: Estimator, video: Path, frames: int = STREET_FRAMES) -> Figures:
     """The street video as a camera: everybody walks or stands."""
     session = CameraSession(estimator)
     postures: list[str] = []
-    sides: dict[int, list[float]] = {}
     actions: list[str] = []
+    sides: dict[int, list[float]] = {}
     left, right = POINT_NAMES.index("left_shoulder"), POINT_NAMES.index("right_shoulder")
-    for number, frame in tqdm(list(read_frames(folder / "vtest.avi"))[:frames]):
-        result = session.process(Upload(_encoded(frame)), number / 10, HYPOTHESES, Job())
-        for one in result.persons:
+    for number, frame in tqdm(itertools.islice(read_frames(video), frames), desc="street"):
+        for one in track(session, frame, number / 10).persons:
             if one.person.posture is not None:
                 postures.append(one.person.posture.label)
             if one.pose is not None:
-                points = one.pose.points_3d
-                side = float(np.sign(points[left, 0] - points[right, 0]))
-                sides.setdefault(one.track_id, []).append(side)
+                x = one.pose.points_3d[:, 0]
+                sides.setdefault(one.track_id, []).append(float(np.sign(x[left] - x[right])))
             if one.action is not None:
                 actions.append(one.action.label)
-    long = [track for track in sides.values() if len(track) >= 10]
-    flips = [a != b for track in long for a, b in itertools.pairwise(track)]
-    low = [label in (*GROUNDED, "sitting", "kneeling", "crouching") for label in postures]
-    return [
-        (
-            f"PETS 2009, {frames} frames",
-            "said to be low / unclear",
-            f"{100 * np.mean(low):.1f} / {100 * np.mean([p == 'unclear' for p in postures]):.1f} %",
-        ),
-        (
-            f"PETS 2009, {frames} frames",
-            "left and right exchanged from pose to pose / action `walk`",
-            f"{100 * np.mean(flips):.1f} / {100 * np.mean([a == 'walk' for a in actions]):.0f} %",
-        ),
-    ]
+    long = [track for track in sides.values() if len(track) >= MIN_TRACK]
+    return {
+        "frames": frames,
+        "low": percent([label in LOW for label in postures]),
+        "unclear": percent([label == "unclear" for label in postures]),
+        "sides_exchanged": percent([a != b for one in long for a, b in itertools.pairwise(one)]),
+        "walk": percent([label == "walk" for label in actions]),
+    }

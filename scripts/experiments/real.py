@@ -9,50 +9,57 @@ The references of poses are MediaPipe's (street people) and a multi-view triangu
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
+from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import MIN_SCORE, Detector, NetworkDetector
+from app.vision.detector import Detector, NetworkDetector
+from app.vision.geometry import Box, iou_matrix
+from app.vision.parameters import DEFAULTS
+from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
-from index.store import DEFAULT_PATH
-from scripts.experiments.real_data import (
+from scripts.datasets import (
+    Marks,
+    Photograph,
+    as_array,
+    read_marks,
     read_pennfudan,
     read_pose2sim,
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import all_candidates, measure_detection
-from scripts.experiments.real_detection_scores import FOUND_FROM
-from scripts.experiments.real_lying import measure_lying
+from scripts.experiments.real_detection import all_candidates, measure_detection, measure_lying
 from scripts.experiments.real_poses import (
     BOTH,
     LIMBS_RIGHT_BELOW_PX,
     WAYS,
     Trial,
-    Way,
     cross_validated,
-    figures,
+    cut_out,
     in_photographs,
     in_video,
     observed_pck,
+    overlap,
+    pose_figures,
     trials_of,
 )
-from scripts.experiments.real_silhouettes import in_true_boxes
-from scripts.experiments.real_vtest import measure_vtest, read_marks
-from scripts.experiments.report import plot_reliability, reliability, table, write
-from scripts.results import machine
+from scripts.metrics import FOUND_FROM, reliability, rightness
 
-COMMAND = "python -m scripts.evaluate real"
 CAMERAS = ("cam01", "cam03")
 VTEST_FRAMES = 20
-SCORES = (MIN_SCORE, 0.5)
-"""Detection scores from which a box is reported (the service's default) or sure."""
+SCORES = {"default": DEFAULTS.detector.min_score, "sure": 0.5}
+"""Minimum detection scores."""
+
+IGNORED_FROM = 0.3
+"""Minimum overlap (IoU) of a box with an ignored person at which it counts neither way."""
 
 Figures = dict[str, float]
 
@@ -63,39 +70,42 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
 
 
-def run(options: argparse.Namespace) -> None:
-    """Run the experiment as the command line asks."""
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Run the experiment."""
     cv2.setNumThreads(1)
-    estimator = Estimator.load(Settings(index=options.index))
+    estimator = load_estimator(Settings(index=options.index))
     detector = estimator.detector
     assert isinstance(detector, NetworkDetector)
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
-    candidates = all_candidates(photographs, detector)
-    results: dict[str, Any] = {"machine": machine()}
-    results["detection"] = measure_detection(photographs, candidates)
-    results["lying"] = measure_lying(photographs, estimator)
-    results["silhouettes"] = in_true_boxes(photographs, estimator)
-    asked = in_photographs(people, estimator)
-    street = {way: trials_of(asked, estimator, way) for way in WAYS}
-    results["street"] = street_figures(street)
-    results["observed"] = observed_pck(people, estimator)
-    videos, results["pose2sim"] = pose2sim(folder, estimator, options.step)
-    results["vtest"] = vtest(folder, detector)
+    shown = in_photographs(people, estimator)
+    street = {way: trials_of(shown, estimator, way) for way in WAYS}
+    videos, pose2sim = measure_pose2sim(folder / "pose2sim", estimator, options.step)
     own = cross_validated(street[BOTH])
-    results["confidence"] = {
-        "street people": stated_and_met(own),
-        "street people, odd": stated_and_met([trial for trial in own if trial.odd]),
-        "pose2sim": stated_and_met(videos),
+    frames = read_vtest(folder / "vtest", VTEST_FRAMES)
+    return {
+        "detection": measure_detection(photographs, all_candidates(photographs, detector)),
+        "lying": measure_lying(photographs, estimator),
+        "silhouettes": measure_silhouettes(photographs, estimator),
+        "street": by_half(street),
+        "landmarks": observed_pck(people, estimator),
+        "pose2sim": pose2sim,
+        "vtest": {
+            name: measure_vtest(frames, read_marks(), detector, score)
+            for name, score in SCORES.items()
+        },
+        "limbs_right_below_px": LIMBS_RIGHT_BELOW_PX,
+        "confidence": {
+            "street_people": stated_and_met(own),
+            "street_people_odd": stated_and_met([trial for trial in own if trial.odd]),
+            "pose2sim": stated_and_met(videos),
+        },
     }
-    write(options.out, "real", COMMAND, report(results), results)
-    curves = {name: one["bins"] for name, one in results["confidence"].items()}
-    plot_reliability(curves, options.out / "real-reliability.png")
 
 
-def stated_and_met(trials: Sequence[Trial]) -> dict[str, Any]:
-    """Expected calibration error of all hypotheses, and their confidences in five bins."""
+def stated_and_met(trials: Sequence[Trial]) -> dict[str, object]:
+    """Return the calibration error of all hypotheses, and their confidences in five bins."""
     confidence = np.concatenate([trial.confidence for trial in trials])
     right = np.concatenate([trial.right for trial in trials])
     return {
@@ -104,166 +114,88 @@ def stated_and_met(trials: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def street_figures(street: Mapping[Way, list[Trial]]) -> dict[str, dict[str, Figures]]:
-    """Figures of all street people and of those in odd photographs."""
+def by_half(street: Mapping[str, list[Trial]]) -> dict[str, dict[str, Figures]]:
+    """Return the figures of all street people and of those in odd photographs."""
     return {
-        name: {"all": figures(trials), "odd": figures([t for t in trials if t.odd])}
+        name: {"all": pose_figures(trials), "odd": pose_figures([t for t in trials if t.odd])}
         for name, trials in street.items()
     }
 
 
-def pose2sim(
+def measure_pose2sim(
     folder: Path, estimator: Estimator, step: int
 ) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
-    """Trials in the true boxes of both cameras, and the figures of each way to answer."""
+    """Return trials in the true boxes of both cameras, and figures of each kind of evidence."""
     together: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
     for camera in CAMERAS:
-        frames = read_pose2sim(folder / "pose2sim", camera, step)
-        asked = in_video(frames, estimator)
-        trials = {way: trials_of(asked, estimator, way) for way in WAYS}
+        frames = read_pose2sim(folder, camera, step)
+        shown = in_video(frames, estimator)
+        trials = {way: trials_of(shown, estimator, way) for way in WAYS}
         together += trials[BOTH]
         found[camera] = {
-            way: {**figures(some), "frames": len(frames)} for way, some in trials.items()
+            way: {**pose_figures(some), "frames": len(frames)} for way, some in trials.items()
         }
     return together, found
 
 
-def vtest(folder: Path, detector: Detector) -> dict[str, Figures]:
-    """People found in the street video, at each of :data:`SCORES`."""
-    frames = read_vtest(folder / "vtest", VTEST_FRAMES)
-    return {f"{score:g}": measure_vtest(frames, read_marks(), detector, score) for score in SCORES}
+def measure_silhouettes(photographs: Sequence[Photograph], estimator: Estimator) -> Figures:
+    """Return the overlap with the true masks in true boxes; 0 where nobody is made out."""
+    values, spent = [], 0.0
+    for photograph in tqdm(photographs, desc="true boxes", unit="photograph"):
+        started = time.perf_counter()
+        silhouettes = cut_out(estimator, photograph.frame, photograph.boxes)
+        spent += time.perf_counter() - started
+        for label, one in enumerate(silhouettes, start=1):
+            truth = photograph.labels == label
+            values.append(0.0 if one is None else overlap(one.mask(truth.shape), truth))
+    odd = np.concatenate([np.full(len(one.boxes), one.odd) for one in photographs])
+    every = np.array(values)
+    return {
+        "people": len(every),
+        "mean": float(every.mean()),
+        "median": float(np.median(every)),
+        "odd_mean": float(every[odd].mean()),
+        "odd_median": float(np.median(every[odd])),
+        "milliseconds": 1000 * spent / len(values),
+    }
 
 
-def report(results: dict[str, Any]) -> list[str]:
-    """The paragraphs of the page."""
-    return [
-        "Real photographs and videos",
-        f"On {results['machine']}, one thread. What is fitted of the detector is cross-validated "
-        "by photograph. *Odd*: the odd-numbered ones, on which no setting of silhouettes or poses "
-        "was tuned. Times are of a machine that did other work as well.",
-        "## Detection",
-        *_detection(results["detection"]),
-        *_lying(results["lying"]),
-        "## Silhouettes",
-        *_silhouettes(results["silhouettes"]),
-        "## Street people",
-        *_street(results["street"], results["observed"]),
-        "## A balancing person, two cameras",
-        "Mean distance of the 12 limb joints, hips on hips, in true boxes.",
-        table(
-            ["camera", "poses from", "frames answered", "first (mm)", "best of 7 (mm)", "PCK"],
-            [[camera, name, f"{one['people']} of {one['frames']}",
-              *(_or_dash(one, key, ".0f") for key in ("first_mm", "best_mm", "pck"))]
-             for camera, rows in results["pose2sim"].items() for name, one in rows.items()],
-        ),
-        "## Walkers in a street video",
-        *_vtest(results["vtest"]),
-        "## Confidence",
-        *_confidence(results["confidence"]),
-    ]  # fmt: skip
+def measure_vtest(
+    frames: Sequence[tuple[int, NDArray[np.uint8]]],
+    marks: Sequence[Marks],
+    detector: Detector,
+    min_score: float,
+) -> Figures:
+    """Return the percentage of marked walkers found in numbered frames, and false boxes."""
+    by_number = dict(frames)
+    marked = found = boxes = false = 0
+    spent = []
+    for one in marks:
+        frame = by_number[one.frame]
+        started = time.perf_counter()
+        detections = [d for d in detector.detect(frame) if d.score >= min_score]
+        spent.append(1000 * (time.perf_counter() - started))
+        hits, wrong = compare([d.box for d in detections], one)
+        marked += len(one.people)
+        found += hits
+        boxes += len(detections)
+        false += wrong
+    return {
+        "min_score": min_score,
+        "found_from": FOUND_FROM,
+        "frames": len(marks),
+        "walkers": marked,
+        "found": 100 * found / max(1, marked),
+        "boxes": boxes,
+        "false_per_frame": false / max(1, len(marks)),
+        "milliseconds": float(np.median(spent)),
+    }
 
 
-def _or_dash(figures: Figures, key: str, form: str) -> str:
-    return format(figures[key], form) if key in figures else "-"
-
-
-def _detection(found: dict[str, Figures]) -> list[str]:
-    people = next(iter(found.values()))["people"]
-    keys = ("average_precision", "recall_at_90", "recall", "precision", "highest_recall")
-    return [
-        f"Penn-Fudan, {people:.0f} labelled people in 74 photographs; a box is right from an "
-        "overlap (IoU) of 0.5. People left unlabelled count as false: of the 24 surest false "
-        "boxes all show somebody. Recall and precision: at a detection score of 0.5.",
-        table(
-            ["detector", "AP", "recall at a precision of 0.9", "recall", "precision",
-             "recall at any score", "ms a photograph"],
-            [[name, *(_or_dash(one, key, ".3f") for key in keys), f"{one['milliseconds']:.0f}"]
-             for name, one in found.items()],
-        ),
-    ]  # fmt: skip
-
-
-def _lying(found: Figures) -> list[str]:
-    return [
-        f"People who lie: the {found['photographs']} photographs turned by a quarter, the "
-        f"odd ones to the left, the others to the right. Of the {found['people']} people "
-        f"{100 * found['found']:.0f} % are found (precision {100 * found['precision']:.0f} %, "
-        f"unlabelled people counting as false), {100 * found['right_way_up']:.1f} % of them the "
-        "right way up. In the photographs as they are, "
-        f"{100 * found['upright_taken_for_lying']:.1f} % of those found are taken to lie.",
-        "Where the box of somebody who lies is given, the way up is right for "
-        f"{100 * found['by_box']:.0f} %, and silhouettes overlap the true ones by "
-        f"{found['overlap_mean']:.3f} (mean; median {found['overlap_median']:.3f}). Posture, by "
-        f"the vote of seven hypotheses: `lying` for {100 * found['posture_lying']:.1f} % of them, "
-        f"`standing` or `walking` for {100 * found['posture_upright']:.1f} % of the same people "
-        "in the photographs as they are.",
-    ]
-
-
-def _silhouettes(found: Figures) -> list[str]:
-    overlaps = (f"{found[key]:.3f}" for key in ("mean", "median", "odd_mean", "odd_median"))
-    return [
-        "Overlap (IoU) with the true masks, in true boxes; 0 where nobody is found.",
-        table(
-            ["people", "mean", "median", "odd: mean", "odd: median", "ms a person"],
-            [[str(found["people"]), *overlaps, f"{found['milliseconds']:.1f}"]],
-        ),
-    ]
-
-
-def _street(street: dict[str, dict[str, Figures]], landmarks: Figures) -> list[str]:
-    return [
-        "The people of `landmarks.json`, in their true boxes. PCK: share of the 12 limb joints "
-        "within a tenth of the body height, first hypothesis. Facing: front or back as in the "
-        "reference (of somebody seen from the side, either may be); within 90 degrees: of the "
-        "reference's azimuth. 3D: mean distance of the limb joints, hips on hips.",
-        table(
-            ["poses from", "people of", "people", "PCK", "facing", "within 90 degrees",
-             "facing of any of 7", "first (mm)", "best of 7 (mm)"],
-            [[name, part, str(one["people"]),
-              *(f"{one[key]:.1f} %" for key in ("pck", "facing", "within_90", "facing_any")),
-              f"{one['first_mm']:.0f}", f"{one['best_mm']:.0f}"]
-             for name, parts in street.items() for part, one in parts.items()],
-        ),
-        f"The landmarks themselves: PCK {landmarks['pck']:.1f} % "
-        f"(odd {landmarks['odd_pck']:.1f} %), left and right as in the reference for "
-        f"{landmarks['sides']:.1f} % of the people.",
-    ]  # fmt: skip
-
-
-def _vtest(found: dict[str, Figures]) -> list[str]:
-    first = next(iter(found.values()))
-    return [
-        f"{first['walkers']} walkers marked by hand in {first['frames']} frames chosen "
-        "evenly (`tests/data/vtest-people.json`); people hidden or cut off by more than half, or "
-        f"under 50 px tall, count neither way. Found: a box overlaps by {FOUND_FROM:g} or more. "
-        f"{first['milliseconds']:.0f} ms a frame of 768x576.",
-        table(
-            ["boxes from a score of", "walkers found", "false boxes a frame"],
-            [
-                [score, f"{100 * one['found']:.1f} %", f"{one['false_per_frame']:.2f}"]
-                for score, one in found.items()
-            ],
-        ),
-    ]
-
-
-def _confidence(found: dict[str, Any]) -> list[str]:
-    errors = ", ".join(f"{name} {one['ece']:.3f}" for name, one in found.items())
-    return [
-        "All seven hypotheses; confidences of street people as the other half of the photographs "
-        f"gives them. Right: the limb joints lie within {LIMBS_RIGHT_BELOW_PX:g} px of the "
-        "reference on average, where as many simulated hypotheses lie as within 5 px over all 19 "
-        "joints, as a confidence means it ([measured](simulation.md#limb-joints-alone)), in the "
-        "normalised frame. The reference's joints are defined a little differently (knees and "
-        "elbows 2 to 4 px lower), which counts as error.",
-        table(
-            ["people", "confidence", "hypotheses", "stated", "right"],
-            [[name, f"{row['from']:.1f} to {row['to']:.1f}", str(row["hypotheses"]),
-              f"{100 * row['stated']:.0f} %", f"{100 * row['right']:.0f} %"]
-             for name, one in found.items() for row in one["bins"]],
-        ),
-        f"Expected calibration error: {errors}.",
-        "![reliability](real-reliability.png)",
-    ]  # fmt: skip
+def compare(boxes: Sequence[Box], marks: Marks) -> tuple[int, int]:
+    """Count walkers found and false boxes; boxes come best first."""
+    places = as_array(boxes)
+    right = rightness((places, -np.arange(float(len(places)))), as_array(marks.people))
+    ignored = iou_matrix(places, as_array(marks.ignored)).max(axis=1, initial=0) >= IGNORED_FROM
+    return int(right.sum()), int((~right & ~ignored).sum())

@@ -1,4 +1,9 @@
-"""People found in street photographs, by detectors whose weights never saw the photograph."""
+"""People found in street photographs, upright and turned by a quarter.
+
+Detectors are cross-validated by photograph. In the turned photographs light and shadow come from a
+side, and the ground stands upright; what is measured is whether lying bodies are found, and the
+right way up.
+"""
 
 from __future__ import annotations
 
@@ -11,27 +16,41 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.vision.boxes import Boxes
+from app.estimation.estimator import Estimator
+from app.estimation.results import ObservedPerson
 from app.vision.detector import HogDetector, NetworkDetector, detection_features
+from app.vision.geometry import Boxes
 from app.vision.odds import sigmoid
-from scripts.experiments.real_data import Photograph, as_array
-from scripts.experiments.real_detection_scores import (
+from index.skeleton import wrap_degrees
+from scripts.datasets import Photograph, as_array, rotate_box
+from scripts.experiments.real_poses import overlap
+from scripts.helpers import estimate, find_people
+from scripts.metrics import (
     average_precision,
-    figures,
+    detection_figures,
     matches,
     recall_at,
     rightness,
 )
 
 SPLITS = 3
-"""Cross-validations, each with folds of its own; figures are their mean."""
+"""Cross-validations, each with its own folds; figures are their mean."""
 
 FOLDS = 5
+UPRIGHT = ("standing", "walking")
+DETECTORS = {
+    "both_networks_and_hog": [0, 1, 2],
+    "both_networks": [0, 2],
+    "movenet_alone": [0],
+}
+"""Columns of the features that each detector uses."""
+
+Figures = dict[str, float]
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """What a detector takes for people in one photograph, with what speaks for each ``(N, 3)``."""
+    """What a detector takes for people in one photograph, with features ``(N, 3)`` of each."""
 
     boxes: Boxes
     features: NDArray[np.float64]
@@ -41,7 +60,7 @@ class Candidates:
 def all_candidates(
     photographs: Sequence[Photograph], detector: NetworkDetector
 ) -> list[Candidates]:
-    """Candidates of every photograph."""
+    """Return the candidates of every photograph."""
     result = []
     for photograph in tqdm(photographs, desc="candidates", unit="photograph"):
         started = time.perf_counter()
@@ -52,34 +71,16 @@ def all_candidates(
     return result
 
 
-def fit_hog(photographs: Sequence[Photograph]) -> dict[str, float]:
-    """The constants by which HOG's margins alone become probabilities."""
-    right, margins = [], []
-    alone = HogDetector(min_score=0.0)
-    for photograph in photographs:
-        boxes, found = alone.people(photograph.frame)
-        right.append(rightness((boxes, found), as_array(photograph.boxes)))
-        margins.append(found)
-    model = LogisticRegression().fit(np.concatenate(margins)[:, None], np.concatenate(right))
-    return {
-        "hog_alone": round(float(model.coef_[0, 0]), 4),
-        "hog_alone_offset": round(float(model.intercept_[0]), 4),
-    }
-
-
 def measure_detection(
     photographs: Sequence[Photograph], candidates: Sequence[Candidates]
-) -> dict[str, dict[str, float]]:
-    """Figures of the detectors; what is fitted is cross-validated by photograph."""
+) -> dict[str, Figures]:
+    """Return the figures of the detectors; what is fitted is cross-validated by photograph."""
     truths = [as_array(photograph.boxes) for photograph in photographs]
-    found = {
-        "both networks and HOG": _cross_validated(candidates, truths, [0, 1, 2]),
-        "both networks": _cross_validated(candidates, truths, [0, 2]),
-        "MoveNet alone": _cross_validated(candidates, truths, [0]),
-    }
     spent = float(np.median([one.milliseconds for one in candidates]))
-    for one in found.values():
-        one["milliseconds"] = spent
+    found = {
+        name: {**_cross_validated(candidates, truths, columns), "milliseconds": spent}
+        for name, columns in DETECTORS.items()
+    }
     alone = HogDetector(min_score=0.0)
     by_hog, spent_by_hog = [], []
     for photograph in tqdm(photographs, desc="HOG alone", unit="photograph"):
@@ -88,13 +89,14 @@ def measure_detection(
         spent_by_hog.append(1000 * (time.perf_counter() - started))
         scores = np.array([one.score for one in people])
         by_hog.append((as_array([one.box for one in people]), scores))
-    found["HOG alone"] = {**figures(by_hog, truths), "milliseconds": float(np.median(spent_by_hog))}
+    median = float(np.median(spent_by_hog))
+    found["hog_alone"] = {**detection_figures(by_hog, truths), "milliseconds": median}
     return found
 
 
 def _cross_validated(
     candidates: Sequence[Candidates], truths: Sequence[Boxes], columns: list[int]
-) -> dict[str, float]:
+) -> Figures:
     splits = []
     for seed in range(SPLITS):
         fold = np.random.default_rng(seed).permutation(len(candidates)) % FOLDS
@@ -107,15 +109,12 @@ def _cross_validated(
             for i in np.flatnonzero(fold == held).tolist():
                 odds = candidates[i].features[:, columns] @ model.coef_[0] + model.intercept_[0]
                 scored[i] = (candidates[i].boxes, sigmoid(odds))
-        table = matches(scored, truths)
-        people = sum(map(len, truths))
-        splits.append(
-            {
-                **figures(scored, truths),
-                "average_precision": average_precision(table, people),
-                "recall_at_90": recall_at(table, people, precision=0.9),
-            }
-        )
+        table, people = matches(scored, truths), sum(map(len, truths))
+        splits.append({
+            **detection_figures(scored, truths),
+            "average_precision": average_precision(table, people),
+            "recall_at_90": recall_at(table, people, precision=0.9),
+        })  # fmt: skip
     return {key: float(np.mean([split[key] for split in splits])) for key in splits[0]}
 
 
@@ -128,3 +127,85 @@ def _fit(
     ]
     features = np.concatenate([one.features[:, columns] for one in candidates])
     return LogisticRegression().fit(features, np.concatenate(right))
+
+
+@dataclass
+class LyingCounts:
+    """Counts over the turned photographs, and over the same photographs as they are."""
+
+    people: int = 0
+    detections: int = 0
+    found: int = 0
+    found_right_way_up: int = 0
+    boxes_right_way_up: int = 0
+    upright_detections: int = 0
+    upright_taken_for_lying: int = 0
+
+
+def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> Figures:
+    """Return the percentage of lying people who are found, and of these the right way up.
+
+    The odd photographs are turned to the left, the others to the right.
+    """
+    counts = LyingCounts()
+    overlaps: list[float] = []
+    lies: list[bool] = []
+    stands: list[bool] = []
+    for photograph in tqdm(photographs, desc="lying", unit="photograph"):
+        turns = 1 if photograph.odd else 3
+        roll_deg = -90.0 * turns
+        frame = np.ascontiguousarray(np.rot90(photograph.frame, turns))
+        labels = np.rot90(photograph.labels, turns)
+        boxes = [rotate_box(box, photograph.frame.shape, turns) for box in photograph.boxes]
+        _count_found(counts, find_people(estimator, frame), as_array(boxes), roll_deg)
+        answers = estimate(estimator, frame, *boxes)
+        lies += [person.posture.label == "lying" for person in answers if person.posture]
+        as_taken = estimate(estimator, photograph.frame, *photograph.boxes)
+        stands += [person.posture.label in UPRIGHT for person in as_taken if person.posture]
+        by_box = {person.observed.box: person.observed for person in answers}
+        for label, box in enumerate(boxes, start=1):
+            person = by_box.get(box)
+            if person is None or person.silhouette is None:
+                overlaps.append(0.0)
+                continue
+            counts.boxes_right_way_up += is_turned(person, roll_deg)
+            truth = labels == label
+            overlaps.append(overlap(person.silhouette.mask(truth.shape), truth))
+        for detection in find_people(estimator, photograph.frame):
+            counts.upright_detections += 1
+            counts.upright_taken_for_lying += not is_turned(detection, 0.0)
+    upright = max(1, counts.upright_detections)
+    return {
+        "photographs": len(photographs),
+        "people": counts.people,
+        "found": 100 * counts.found / counts.people,
+        "precision": 100 * counts.found / max(1, counts.detections),
+        "right_way_up": 100 * counts.found_right_way_up / max(1, counts.found),
+        "by_box": 100 * counts.boxes_right_way_up / counts.people,
+        "posture_lying": 100 * float(np.mean(lies)),
+        "posture_upright": 100 * float(np.mean(stands)),
+        "overlap_mean": float(np.mean(overlaps)),
+        "overlap_median": float(np.median(overlaps)),
+        "upright_taken_for_lying": 100 * counts.upright_taken_for_lying / upright,
+    }
+
+
+def _count_found(
+    counts: LyingCounts, detections: Sequence[ObservedPerson], truth: Boxes, roll_deg: float
+) -> None:
+    boxes = as_array([detection.box for detection in detections])
+    right = rightness((boxes, -np.arange(float(len(boxes)))), truth).tolist()
+    counts.people += len(truth)
+    counts.detections += len(detections)
+    counts.found += sum(right)
+    counts.found_right_way_up += sum(
+        is_turned(detection, roll_deg)
+        for detection, one in zip(detections, right, strict=True)
+        if one
+    )
+
+
+def is_turned(person: ObservedPerson, roll_deg: float) -> bool:
+    """Return whether the head is found in a direction, to 45 degrees."""
+    window = person.next_window
+    return window is not None and bool(abs(wrap_degrees(window.roll_deg - roll_deg)) < 45)

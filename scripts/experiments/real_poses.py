@@ -1,10 +1,9 @@
-"""How far the poses of real people are from their references."""
+"""Silhouettes and poses of real people, compared with their references."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,41 +11,30 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.estimator import Estimator, fit_poses
-from app.estimation.finder import observed
+from app.estimation.finder import make_observation
 from app.estimation.normalise import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.scheduling.job import Job
-from app.vision.geometry import LANDMARK_NAMES, Box, Silhouette
-from app.vision.models import fitted as constants_of
+from app.vision.geometry import Box
+from app.vision.models import fitted_constants as constants_of
+from app.vision.odds import sigmoid
+from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
+from app.vision.silhouettes import silhouettes_of
 from descriptor.silhouette import normalise
-from index.skeleton import LIMBS, POINT_NAMES, wrap_degrees
-from scripts.experiments.real_data import (
-    HIPS,
-    Reference,
-    StreetPerson,
-    VideoFrame,
-    azimuth_of_limbs,
-)
-from scripts.experiments.real_silhouettes import cut_out
+from index.parameters import DEFAULT_HYPOTHESES
+from index.skeleton import LIMB_ROWS, LIMBS, wrap_degrees
+from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
 
-HYPOTHESES = 7
-
-Way = Literal["silhouette alone", "landmarks alone", "silhouette and landmarks"]
-"""What hypotheses rest on."""
-
-SILHOUETTE: Way = "silhouette alone"
-LANDMARKS: Way = "landmarks alone"
-BOTH: Way = "silhouette and landmarks"
-WAYS: tuple[Way, ...] = (SILHOUETTE, LANDMARKS, BOTH)
+SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
+WAYS = (SILHOUETTE, LANDMARKS, BOTH)
+"""The evidence that hypotheses rest on."""
 
 NEAR = 0.1
 """A joint is right (PCK) within this share of the body's height."""
 
 LIMBS_RIGHT_BELOW_PX = 5.9
-"""What a mean error of 5 px over all 19 joints, as a confidence means it, comes to over the 12
-limb joints: ``docs/results/simulation.md`` measures it."""
-
-_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
+"""Mean error over the 12 limb joints that corresponds to 5 px over all 19 joints, which a
+confidence is about; ``docs/results/simulation.md`` measures it."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +43,9 @@ class Trial:
 
     ``odd``: the photograph is of the half that nothing was tuned on. ``near`` is the share of the
     joints within a tenth of the body height, ``distance_m`` the 3D distance, hips on hips,
-    ``facing_right`` whether the camera sees each from the same side, front or back, as the
-    reference, ``turned_deg`` the angle between their azimuths, ``error_px`` the 2D distance in the
-    normalised frame.
+    ``facing_right`` whether each is seen from the same side, front or back, as the reference,
+    ``turned_deg`` the angle between their azimuths, ``error_px`` the 2D distance in the normalised
+    frame.
     """
 
     odd: bool
@@ -75,8 +63,8 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """Somebody in a true box, cut out by the service, and where their joints are."""
+class Shown:
+    """A person in a true box, the silhouette that the service cuts out, and the reference."""
 
     odd: bool
     frame: NDArray[np.uint8]
@@ -85,80 +73,93 @@ class Asked:
     reference: Reference
 
 
-def in_photographs(people: Sequence[StreetPerson], estimator: Estimator) -> list[Asked]:
-    """The street people, but those who are not made out."""
+def overlap(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    """Return the intersection over union of two masks."""
+    return float((mask & truth).sum() / max(1, int((mask | truth).sum())))
+
+
+def cut_out(
+    estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box]
+) -> list[Silhouette | None]:
+    """Return the service's own silhouettes of people in given boxes."""
+    found = [Detection(box, 1.0) for box in boxes]
+    readings = estimator.finder.read(frame, found, Job())
+    return silhouettes_of(readings, boxes, frame.shape, exact=True)
+
+
+def in_photographs(people: Sequence[StreetPerson], estimator: Estimator) -> list[Shown]:
+    """Return the street people that are made out."""
     known: dict[str, list[Silhouette | None]] = {}
-    asked = []
+    shown = []
     for person in people:
-        photograph, row = person.photograph, person.label - 1
+        photograph = person.photograph
         if photograph.name not in known:
             known[photograph.name] = cut_out(estimator, photograph.frame, photograph.boxes)
-        silhouette = known[photograph.name][row]
+        silhouette = known[photograph.name][person.label - 1]
         if silhouette is not None:
-            frame, box = photograph.frame, photograph.boxes[row]
-            asked.append(Asked(photograph.odd, frame, box, silhouette, person.reference))
-    return asked
+            place = photograph.odd, photograph.frame, person.box
+            shown.append(Shown(*place, silhouette, person.reference))
+    return shown
 
 
-def in_video(frames: Sequence[VideoFrame], estimator: Estimator) -> list[Asked]:
-    """The person of a video, where they are made out."""
-    asked = []
+def in_video(frames: Sequence[VideoFrame], estimator: Estimator) -> list[Shown]:
+    """Return the person of a video in the frames where they are made out."""
+    shown = []
     for one in frames:
         (silhouette,) = cut_out(estimator, one.frame, [one.box])
         if silhouette is not None:
-            asked.append(Asked(False, one.frame, one.box, silhouette, one.reference))
-    return asked
+            shown.append(Shown(False, one.frame, one.box, silhouette, one.reference))
+    return shown
 
 
 class _NotWhole(NormalisedPerson):
-    """Somebody whose silhouette is not searched for: it is said not to show all of the body."""
+    """A person whose silhouette is not searched for, since it counts as incomplete."""
 
     whole = False
 
 
-def estimate(estimator: Estimator, asked: Asked, way: Way) -> Person | None:
-    """Seven hypotheses; None where they rest on landmarks alone and too few are seen.
+def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
+    """Return seven hypotheses; None where landmarks alone are too few.
 
-    By landmarks alone as the service does for people who are not seen whole: the entries nearest
-    to the landmarks are the only ones, and the silhouette is the frame of reference.
+    Landmarks alone are used as for people who are not seen whole: candidates are the entries
+    nearest to the landmarks, and the silhouette is the frame of reference.
     """
-    person = ObservedPerson(asked.box, "boxes", None, asked.silhouette)
+    person = ObservedPerson(shown.box, "boxes", None, shown.silhouette)
     if way != SILHOUETTE:
-        reading = estimator.finder.reader.read(asked.frame, asked.box)
-        person = observed(asked.frame, asked.box, "boxes", None, asked.silhouette, reading)
+        reading = estimator.finder.reader.read(shown.frame, shown.box)
+        person = make_observation(shown.frame, shown.box, "boxes", None, shown.silhouette, reading)
     if way == LANDMARKS:
-        normalised = _NotWhole.of(asked.silhouette, person.landmarks)
+        normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.keypoints() is None:
             return None
-        return fit_poses(estimator.index, person, normalised, HYPOTHESES)
-    scene = Scene(asked.frame, (person,))
-    return estimator.with_hypotheses(scene, HYPOTHESES, Job())[0]
+        return fit_poses(estimator.index, person, normalised, DEFAULT_HYPOTHESES)
+    scene = Scene(shown.frame, (person,))
+    return estimator.with_hypotheses(scene, DEFAULT_HYPOTHESES, Job())[0]
 
 
-def trials_of(people: Sequence[Asked], estimator: Estimator, way: Way) -> list[Trial]:
-    """Judge what is answered about people."""
+def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:
+    """Compare the answers about people with their references."""
     trials = []
-    for asked in tqdm(people, desc=f"by {way}", unit="person"):
-        person = estimate(estimator, asked, way)
+    for shown in tqdm(people, desc=f"by {way}", unit="person"):
+        person = answer(estimator, shown, way)
         if person is not None:
-            trials.append(judge(asked, person))
+            trials.append(judge(shown, person))
     return trials
 
 
-def judge(asked: Asked, person: Person) -> Trial:
+def judge(shown: Shown, person: Person) -> Trial:
     """Compare a person's hypotheses with the reference."""
-    reference = asked.reference
-    scale = normalise(asked.silhouette.crop)[1].scale
-    points_2d = np.array([one.points_2d[_ROWS] for one in person.hypotheses])
-    points_3d = np.array([one.hypothesis.points_3d[_ROWS] for one in person.hypotheses])
-    points_3d = points_3d - points_3d[:, list(HIPS)].mean(axis=1, keepdims=True)
+    reference = shown.reference
+    scale = normalise(shown.silhouette.crop)[1].scale
+    points_2d = np.array([one.points_2d[LIMB_ROWS] for one in person.hypotheses])
+    points_3d = about_hips(np.array([one.points_3d[LIMB_ROWS] for one in person.hypotheses]))
     apart = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
     azimuth = np.array([azimuth_of_limbs(one) for one in points_3d])
     front = np.cos(np.deg2rad(azimuth)) > 0
     turned = np.abs(wrap_degrees(azimuth - reference.azimuth_deg))
     return Trial(
-        odd=asked.odd,
-        near=(apart < NEAR * asked.box.height).mean(axis=1),
+        odd=shown.odd,
+        near=(apart < NEAR * shown.box.height).mean(axis=1),
         distance_m=np.linalg.norm(points_3d - reference.joints_3d, axis=-1).mean(axis=-1),
         facing_right=front == (np.cos(np.deg2rad(reference.azimuth_deg)) > 0),
         turned_deg=turned,
@@ -167,8 +168,8 @@ def judge(asked: Asked, person: Person) -> Trial:
     )
 
 
-def figures(trials: Sequence[Trial]) -> dict[str, float]:
-    """Means over people, of the first hypothesis and of the best of seven."""
+def pose_figures(trials: Sequence[Trial]) -> dict[str, float]:
+    """Return means over people, of the first hypothesis and of the best of seven."""
     if not trials:
         return {"people": 0}
     return {
@@ -187,18 +188,17 @@ def _mean(values: Sequence[float | np.floating | np.bool_]) -> float:
 
 
 def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[str, float]:
-    """How near the landmarks themselves are to the reference, in true boxes."""
+    """Return how near the landmarks themselves are to the reference, in true boxes."""
     rows = [LANDMARK_NAMES.index(name) for name in LIMBS]
     other_side = [rows[i ^ 1] for i in range(len(rows))]
     near, sides = [], []
     for person in people:
-        box = person.photograph.boxes[person.label - 1]
-        seen = estimator.finder.reader.read(person.photograph.frame, box).landmarks
+        seen = estimator.finder.reader.read(person.photograph.frame, person.box).landmarks
         own, exchanged = (
             np.linalg.norm(seen.positions[some] - person.reference.joints_2d, axis=-1)
             for some in (rows, other_side)
         )
-        near.append(float((own < NEAR * box.height).mean()))
+        near.append(float((own < NEAR * person.box.height).mean()))
         sides.append(float(own.sum() <= exchanged.sum()))
     odd = np.array([person.photograph.odd for person in people])
     return {
@@ -209,7 +209,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
 
 
 def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias that :mod:`app.estimation.ordering` makes a confidence with."""
+    """Fit slope and bias of the confidence of :mod:`app.estimation.ordering`."""
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
         agreement[:, None], np.concatenate([t.right for t in trials])
@@ -218,7 +218,7 @@ def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
 
 
 def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
-    """The same trials with the confidences that people in the other half of the photographs give.
+    """Replace confidences by those fitted to people in the other half of the photographs.
 
     Slope and bias of the service are fitted to both halves.
     """
@@ -226,14 +226,14 @@ def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
 
     def refitted(trial: Trial) -> Trial:
         slope, bias = fitted[trial.odd]
-        confidence = 1 / (1 + np.exp(-slope * _agreement(trial) - bias))
+        confidence = sigmoid(slope * _agreement(trial) + bias)
         return replace(trial, confidence=confidence)
 
     return [refitted(trial) for trial in trials]
 
 
 def _agreement(trial: Trial) -> NDArray[np.float64]:
-    """What the confidences of the service, ``(N,)``, were made of."""
+    """Return the agreement ``(N,)`` that the confidences of the service were made from."""
     confidence = np.clip(trial.confidence, 1e-9, 1 - 1e-9)
     constants = constants_of("confidence")
     odds = np.log(confidence / (1 - confidence))

@@ -15,7 +15,7 @@ _TEXT_FIELDS = ("api_key", "boxes", "min_confidence", "timestamp")
 
 @dataclass(frozen=True)
 class Call:
-    """One request; of the form fields ``parts`` those that hold images are sent as files."""
+    """One request; the form fields in ``parts`` that hold images are sent as files."""
 
     method: str
     path: str

@@ -1,6 +1,4 @@
-"""See whether any of eight clients starves that wait for answers and come back when told to.
-
-    python -m scripts.load.clients [--index index/data] [--seconds 60] [--write]
+"""See whether any of eight clients starves that wait for answers and come back after a refusal.
 
 First two clients, for the rate that the service carries; then eight; then eight beside one caller
 with ten times as many connections, from an address of its own. Masks, then photographs. Another
@@ -9,202 +7,113 @@ process asks ``/healthz`` meanwhile.
 
 from __future__ import annotations
 
-import re
-import sys
-import threading
+import itertools
 import time
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, field
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from typing import Any
 
 from app.settings import Settings
-from index.artefact import load_index
-from scripts.experiments.report import table
+from index.store import PoseIndex
 from scripts.load.client import Call, Client
-from scripts.load.overload import PROBE_P99_MS, calls, probe
+from scripts.load.loops import PROBE_P99_MS, Request, Tally, closed_loop, metric, probe
+from scripts.load.measurement import Criteria, Figures, run
+from scripts.load.scenes import small_calls
 from scripts.load.server import ServerProcess
-from scripts.results import conclude, machine, measurement_parser, percentile, revision
+from scripts.results import percentile
 
 CLIENTS, HEAVY = 8, 10
-LEAST_SHARE = 0.95
+MIN_SHARE = 0.95
 OTHER_ADDRESS = "127.0.0.2"
 BOXES = Call("POST", "/pose", {"frame": b"unread", "boxes": b"[" + b"[1, 2, 3, 4],\n" * 60_000})
-HEAD = (
-    "frames/s",
-    "threads at work",
-    "answers of a client, least / most",
-    "refused",
-    "the other's answers / refused",
-    "answer, ms, median / most",
-    "`/healthz`, ms, median / p99",
-    "answered otherwise",
-)
-
-
-@dataclass
-class Polite:
-    """A client that sends the next frame when the last one is answered.
-
-    Parameters
-    ----------
-    client : Client
-    calls : list of Call
-        Sent in turn.
-    """
-
-    client: Client
-    calls: list[Call]
-    answered_ms: list[float] = field(default_factory=list)
-    refused: int = 0
-    otherwise: int = 0
-
-    def run(self, until: float) -> None:
-        """Send frames until a time on the monotonic clock."""
-        number = 0
-        while time.monotonic() < until:
-            started = time.monotonic()
-            status, headers, _ = self.client.exchange(self.calls[number % len(self.calls)])
-            if status == 200:
-                number += 1
-                self.answered_ms.append((time.monotonic() - started) * 1000)
-            elif status == 503:
-                self.refused += 1
-                time.sleep(max(0.0, min(float(headers["Retry-After"]), until - time.monotonic())))
-            else:
-                self.otherwise += 1
-
-
-@dataclass(frozen=True)
-class Round:
-    """What became of the clients' frames.
-
-    Parameters
-    ----------
-    name : str
-    polite, heavy : list of Polite
-    seconds : float
-    busy : float
-        Share of the time in which the service's threads worked on frames. Where other programs
-        take the cores, it says more than the rate.
-    probes_ms : list of float
-    """
-
-    name: str
-    polite: list[Polite]
-    heavy: list[Polite]
-    seconds: float
-    busy: float
-    probes_ms: list[float]
-
-    @property
-    def per_s(self) -> float:
-        """Frames answered a second."""
-        answered = [len(client.answered_ms) for client in (*self.polite, *self.heavy)]
-        return sum(answered) / self.seconds
-
-    def row(self) -> list[str]:
-        """Return the round as a row of the table."""
-        counts = [len(client.answered_ms) for client in self.polite]
-        times = [ms for client in self.polite for ms in client.answered_ms]
-        heavy = sum(len(client.answered_ms) for client in self.heavy)
-        return [
-            self.name,
-            f"{self.per_s:.2f}",
-            f"{self.busy:.0%}",
-            f"{min(counts)} / {max(counts)}",
-            str(sum(client.refused for client in self.polite)),
-            f"{heavy} / {sum(client.refused for client in self.heavy)}" if self.heavy else "",
-            f"{percentile(times, 50):.0f} / {max(times, default=0):.0f}",
-            f"{percentile(self.probes_ms, 50):.1f} / {percentile(self.probes_ms, 99):.1f}",
-            str(sum(client.otherwise for client in (*self.polite, *self.heavy))),
-        ]
-
-
-def seconds_worked(url: str) -> float:
-    """Seconds that the service's threads have worked on frames so far."""
-    _, metrics = Client(url).send(Call("GET", "/metrics"))
-    found = re.search(rb'^pose_stage_seconds_sum{stage="total"} (\S+)', metrics, re.MULTILINE)
-    return float(found.group(1)) if found else 0.0
+WORKED_S = 'pose_stage_seconds_sum{stage="total"}'
 
 
 def play(
-    url: str,
-    requests: list[Call],
-    name: str,
-    seconds: float,
-    *,
-    clients: int,
-    heavy: int = 0,
-    boxes: int = 0,
-) -> Round:
-    """Let clients send frames for some seconds, and probe meanwhile."""
-    polite = [Polite(Client(url), requests) for _ in range(clients)]
-    others = [Polite(Client(url, source=OTHER_ADDRESS), requests) for _ in range(heavy)]
-    others += [Polite(Client(url, source=OTHER_ADDRESS), [BOXES]) for _ in range(boxes)]
-    worked_s = seconds_worked(url)
-    started = time.monotonic()
-    until = started + seconds
-    threads = [threading.Thread(target=one.run, args=(until,)) for one in (*polite, *others)]
+    url: str, calls: list[Call], seconds: float, clients: int, *, heavy: int = 0, boxes: int = 0
+) -> Figures:
+    """Let clients send frames for some seconds beside the other caller, and probe meanwhile."""
+
+    def client(calls: list[Call], source: str | None = None) -> tuple[Client, Any]:
+        return Client(url, source=source), itertools.cycle(map(Request, calls))
+
+    senders = [client(calls) for _ in range(clients)]
+    senders += [client(calls, OTHER_ADDRESS) for _ in range(heavy)]
+    senders += [client([BOXES], OTHER_ADDRESS) for _ in range(boxes)]
+    worked_s = metric(url, WORKED_S)
     with ProcessPoolExecutor(1) as prober:
-        probes: Future[list[float]] = prober.submit(probe, url, seconds)
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        took_s = (time.monotonic() - started) * Settings().concurrency
-        busy = (seconds_worked(url) - worked_s) / took_s
-        return Round(name, polite, others, seconds, busy, probes.result())
+        probes = prober.submit(probe, url, seconds)
+        started = time.monotonic()
+        tallies = closed_loop(senders, seconds, patient=True)
+        available_s = (time.monotonic() - started) * Settings().concurrency
+        busy = (metric(url, WORKED_S) - worked_s) / available_s
+        return figures(tallies[:clients], tallies[clients:], seconds, busy, probes.result())
 
 
-def failures(kind: str, two: Round, others: list[Round]) -> list[str]:
-    """Say which criteria are missed."""
-    out = []
-    for played in others:
-        name = f"{kind}, {played.name}"
-        counts = [len(client.answered_ms) for client in played.polite]
-        if min(counts) < max(counts) / 2:
-            out.append(f"{name}: {min(counts)} answers to one, {max(counts)} to another")
-        if max(played.per_s / two.per_s, played.busy / two.busy) < LEAST_SHARE:
-            out.append(f"{name}: {played.per_s / two.per_s:.0%} of what two clients get")
-        if percentile(played.probes_ms, 99) >= PROBE_P99_MS:
-            out.append(f"{name}: p99 of /healthz {percentile(played.probes_ms, 99):.0f} ms")
-        if any(client.otherwise for client in (*played.polite, *played.heavy)):
-            out.append(f"{name}: answers besides 200 and 503")
+def figures(
+    polite: list[Tally], others: list[Tally], seconds: float, busy: float, probes_ms: list[float]
+) -> Figures:
+    """Return what became of the frames.
+
+    ``busy`` is the share of the time in which the service's threads worked on frames. Where other
+    programs take the cores, it says more than the rate.
+    """
+    counts = [len(tally.with_status(200)) for tally in polite]
+    own, other = Tally.of(polite), Tally.of(others) if others else Tally()
+    answered_ms = [answer.ms for answer in own.with_status(200)]
+    every = [*own.answers, *other.answers]
+    return {
+        "per_s": sum(answer.status == 200 for answer in every) / seconds,
+        "busy": busy,
+        "min_answers": min(counts),
+        "max_answers": max(counts),
+        "refused": len(own.with_status(503)),
+        "other_answers": len(other.with_status(200)) if others else None,
+        "other_refused": len(other.with_status(503)) if others else None,
+        "median_ms": percentile(answered_ms, 50),
+        "max_ms": max(answered_ms, default=0.0),
+        "healthz_p50_ms": percentile(probes_ms, 50),
+        "healthz_p99_ms": percentile(probes_ms, 99),
+        "otherwise": sum(answer.status not in (200, 503) for answer in every)
+        + len(own.broken)
+        + len(other.broken),
+    }
+
+
+def criteria(kind: str, rounds: dict[str, Figures]) -> Criteria:
+    """Return the criteria of the rounds after the first, and whether each is met."""
+    two, *others = rounds.items()
+    out: Criteria = {}
+    for name, found in others:
+        fewest, most = found["min_answers"], found["max_answers"]
+        shares = [found[key] / two[1][key] for key in ("per_s", "busy")]
+        p99 = found["healthz_p99_ms"]
+        out |= {
+            f"{kind}, {name}: {fewest} answers to one, {most} to another": fewest >= most / 2,
+            f"{kind}, {name}: {shares[0]:.0%} of the rate of two": max(shares) >= MIN_SHARE,
+            f"{kind}, {name}: p99 of /healthz {p99:.0f} ms": p99 < PROBE_P99_MS,
+            f"{kind}, {name}: answers besides 200 and 503": not found["otherwise"],
+        }
     return out
 
 
-def main() -> int:
-    """Command line; 1 where a criterion fails."""
-    parser = measurement_parser("Measure clients that wait and come back.")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    options = parser.parse_args()
-    sections, failed = [], []
-    with ServerProcess(options.index) as server:
-        server.wait_until_ready()
-        for kind, requests in calls(load_index(options.index)).items():
-            run = partial(play, server.url, requests)
-            two = run("two", options.seconds / 3, clients=2)
-            others = [
-                run("eight", options.seconds, clients=CLIENTS),
-                run(
-                    "eight, and the other", options.seconds, clients=CLIENTS, heavy=HEAVY * CLIENTS
-                ),
-            ]
-            failed += failures(kind, two, others)
-            sections.append(table([kind, *HEAD], [played.row() for played in (two, *others)]))
-        flood = run("two, and boxes without number", options.seconds / 3, clients=2, boxes=2)
-        if percentile(flood.probes_ms, 99) >= PROBE_P99_MS:
-            failed.append(f"{flood.name}: p99 of /healthz {percentile(flood.probes_ms, 99):.0f} ms")
-        sections.append(table(["photographs", *HEAD], [flood.row()]))
-    command = f"python -m scripts.load.clients --seconds {options.seconds:g}"
-    body = f"""`{command}`, revision {revision()}. {machine()}.
-
-{chr(10).join(f"{section}{chr(10)}" for section in sections)}
-Each client sends the next frame of 320x240 when the last one is answered; who is refused comes back
-after `Retry-After`. Clients, probe and server share the cores. The other caller, of another
-address, has {HEAVY * CLIENTS} connections. Boxes without number: bodies of 0.9 MB with 60,000."""
-    return conclude("Clients that wait their turn", body, failed, write=options.write)
+def measure(server: ServerProcess, index: PoseIndex, seconds: float) -> tuple[Figures, Criteria]:
+    """Let clients compete for each kind of request."""
+    heavy = HEAVY * CLIENTS
+    rounds: dict[str, dict[str, Figures]] = {}
+    met: Criteria = {}
+    for kind, calls in small_calls(index).items():
+        rounds[kind] = {
+            "two": play(server.url, calls, seconds / 3, 2),
+            "eight": play(server.url, calls, seconds, CLIENTS),
+            "eight_and_the_other": play(server.url, calls, seconds, CLIENTS, heavy=heavy),
+        }
+        met |= criteria(kind, rounds[kind])
+    flood = play(server.url, calls, seconds / 3, 2, boxes=2)
+    rounds[kind]["two_and_boxes_without_number"] = flood
+    p99 = flood["healthz_p99_ms"]
+    met[f"boxes without number: p99 of /healthz {p99:.0f} ms"] = p99 < PROBE_P99_MS
+    return {"heavy_connections": heavy, "rounds": rounds}, met
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+main = partial(run, measure, "clients", "seconds", 60.0)

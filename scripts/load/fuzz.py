@@ -1,26 +1,19 @@
-"""Upload mutated images to a server, which must neither crash, hang nor leak memory.
-
-python -m scripts.load.fuzz [--index index/data] [--uploads 100000] [--write]
-"""
+"""Upload mutated images to a server, which must neither crash, hang nor leak memory."""
 
 from __future__ import annotations
 
-import sys
-import threading
-import time
-from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
+from collections.abc import Iterator
+from functools import partial
 
 import cv2
 import numpy as np
 
-from index.artefact import load_index
 from index.store import PoseIndex
 from scripts.load.client import Call, Client
+from scripts.load.loops import Request, Tally, closed_loop
+from scripts.load.measurement import Criteria, Figures, run, spread
 from scripts.load.scenes import encode, street
 from scripts.load.server import ServerProcess
-from scripts.results import conclude, machine, measurement_parser, percentile, revision
 
 CLIENTS = 2
 SHAPES = (
@@ -30,10 +23,10 @@ SHAPES = (
 """Rows and columns of images that are thin, huge or odd; the service takes 12.5 megapixels."""
 
 SHAPED = 0.002
-"""Share of the uploads that are of these shapes."""
+"""Share of the uploads with these shapes."""
 
-SLOWEST_MS = 2000.0
-MOST_MB = 600.0
+MAX_MS = 2000.0
+MAX_MEMORY_MB = 600.0
 
 
 def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
@@ -104,30 +97,29 @@ def mutate(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(out)
 
 
-class Fuzz:
-    """Clients in threads that share a count of uploads."""
+class Uploads:
+    """Makes the uploads of all clients, until a number of them is sent or the server is gone."""
 
-    def __init__(self, server: ServerProcess, index: PoseIndex, uploads: int) -> None:
+    def __init__(self, server: ServerProcess, index: PoseIndex, count: int) -> None:
         self._server = server
         self._frames, self._masks = seeds(index)
         self._shaped = shaped(np.random.default_rng(0))
-        self._numbers = iter(range(uploads))
-        self._lock = threading.Lock()
-        self.statuses: Counter[int] = Counter()
-        self.broken: Counter[str] = Counter()
-        self.latencies: list[float] = []
+        self._numbers = iter(range(count))
 
-    def run(self) -> None:
-        """Send everything, or stop when the server is gone."""
-        with ThreadPoolExecutor(CLIENTS) as threads:
-            list(threads.map(self._client, range(CLIENTS)))
+    def requests(self, client: int) -> Iterator[Request]:
+        """Yield the uploads of one client."""
+        rng = np.random.default_rng(1000 + client)
+        for number in self._numbers:
+            if not self._server.alive():
+                return
+            yield Request(self._call(rng), number=number)
 
     def _call(self, rng: np.random.Generator) -> Call:
         if rng.random() < SHAPED:
             return self._shaped_call(rng)
         frame = self._frames[rng.integers(len(self._frames))]
         if rng.random() < 0.7:
-            # Boxes that name nobody: what is tried is the decoder, not the search for people.
+            # Without a box the decoder is tried, not the search for people.
             return Call("POST", "/pose", {"frame": mutate(frame, rng), "boxes": b"[]"})
         mask = mutate(self._masks[rng.integers(len(self._masks))], rng)
         return Call("POST", "/pose?n=1", {"frame": self._frames[2], "mask": mask})
@@ -146,72 +138,35 @@ class Fuzz:
         )
         return Call("POST", "/pose", forms[rng.integers(len(forms))])
 
-    def _client(self, number: int) -> None:
-        rng = np.random.default_rng(1000 + number)
-        client = Client(self._server.url, timeout_s=30)
-        for _ in self._numbers:
-            if not self._server.alive():
-                return
-            call = self._call(rng)
-            started = time.perf_counter()
-            try:
-                status, _ = client.send(call)
-            except Exception as error:  # Whatever it is, it is counted and shown.
-                with self._lock:
-                    self.broken[type(error).__name__] += 1
-                continue
-            with self._lock:
-                self.latencies.append((time.perf_counter() - started) * 1000)
-                self.statuses[status] += 1
 
-
-def report(fuzz: Fuzz, server: ServerProcess, seconds: float) -> tuple[str, list[str]]:
-    """Return the section in Markdown and what has failed."""
-    peak = server.memory_mb("VmHWM")
-    slowest = max(fuzz.latencies)
-    faults = {status: n for status, n in fuzz.statuses.items() if status >= 500}
-    criteria = {
-        f"5xx: {faults}": not faults,
-        f"broken connections: {dict(fuzz.broken)}": not fuzz.broken,
-        f"the slowest answer took {slowest:.0f} ms": slowest <= SLOWEST_MS,
-        f"memory reached {peak:.0f} MB": peak <= MOST_MB,
+def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figures, Criteria]:
+    """Fuzz a server."""
+    uploads = Uploads(server, index, count)
+    clients = [(Client(server.url), uploads.requests(number)) for number in range(CLIENTS)]
+    tally = Tally.of(closed_loop(clients))
+    if not server.alive():
+        raise ValueError("the server has died")
+    slowest = max((answer.ms for answer in tally.answers), default=0.0)
+    faults = {status: n for status, n in tally.statuses().items() if int(status) >= 500}
+    memory_mb = server.memory_mb("VmHWM")
+    found = {
+        "clients": CLIENTS,
+        "seconds": tally.seconds,
+        "uploads": count,
+        "shaped_percent": 100 * SHAPED,
+        "answers": tally.statuses(),
+        "broken": len(tally.broken),
+        "latency_ms": spread([answer.ms for answer in tally.answers]),
+        "max_memory_mb": memory_mb,
+        "max_memory_wanted_mb": MAX_MEMORY_MB,
+        "exit_status": server.stop(),
     }
-    failed = [what for what, met in criteria.items() if not met]
-    answers = ", ".join(f"{n} x {status}" for status, n in sorted(fuzz.statuses.items()))
-    uploads = sum(fuzz.statuses.values())
-    body = f"""`python -m scripts.load.fuzz --uploads {uploads}`, revision {revision()}.
-{machine()}; {CLIENTS} clients on the same machine, {seconds:.0f} s.
-Mutated JPEG, PNG and WebP: as `frame` (70 %) and as `mask` (30 %). {100 * SHAPED:g} % are images of
-1x1 to 1,000,000x12 and 3535x3535 pixels, most of them sound, in every kind of upload.
-
-| answers | {answers} |
-|---|---|
-| broken connections | {sum(fuzz.broken.values())} |
-| latency, median / p99 / slowest | {percentile(fuzz.latencies, 50):.1f} / \
-{percentile(fuzz.latencies, 99):.1f} / {slowest:.0f} ms |
-| resident memory at the most | {peak:.0f} MB |
-
-The server ended with status {server.stop()}."""
-    return body, failed
+    return found, {
+        f"5xx: {faults}": not faults,
+        f"broken connections: {tally.broken}": not tally.broken,
+        f"the slowest answer took {slowest:.0f} ms": slowest <= MAX_MS,
+        f"memory reached {memory_mb:.0f} MB": memory_mb <= MAX_MEMORY_MB,
+    }
 
 
-def main() -> int:
-    """Command line; 1 where a criterion fails."""
-    parser = measurement_parser("Fuzz the uploads of a real server.")
-    parser.add_argument("--uploads", type=int, default=100_000)
-    options = parser.parse_args()
-    with ServerProcess(options.index, log=Path("/tmp/fuzz-server.log")) as server:
-        server.wait_until_ready()
-        fuzz = Fuzz(server, load_index(options.index), options.uploads)
-        started = time.perf_counter()
-        fuzz.run()
-        seconds = time.perf_counter() - started
-        if not server.alive():
-            print("fuzz: the server has died", file=sys.stderr)
-            return 1
-        body, failed = report(fuzz, server, seconds)
-    return conclude("Fuzzed uploads", body, failed, write=options.write)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+main = partial(run, measure, "fuzz", "uploads", 100_000)

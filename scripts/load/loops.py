@@ -11,114 +11,170 @@ References
 
 from __future__ import annotations
 
-import asyncio
-import itertools
+import re
+import threading
 import time
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from http.client import HTTPException
+
+import numpy as np
 
 from scripts.load.client import Call, Client
 
 MAX_CONNECTIONS = 400
 """While this many requests are unanswered, further ones are not sent, but counted."""
 
+PROBE_EVERY_S = 0.02
+PROBE_P99_MS = 50.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """A call, its kind and number, and whether the client hangs up before the answer."""
+
+    call: Call
+    kind: str = ""
+    number: int = 0
+    hang_up: bool = False
+
 
 @dataclass(frozen=True)
 class Answer:
-    """Status of an answer, milliseconds to its last byte, and whether it says when to come back."""
+    """Status of an answer, milliseconds to its last byte, and its ``Retry-After`` in seconds."""
 
+    request: Request
     status: int
     ms: float
-    retry_after: bool
+    retry_after_s: float | None
 
 
 @dataclass
 class Tally:
-    """Outcome of the requests of one run.
+    """Outcome of the requests of one client, or of all clients of a run.
 
-    ``unsent`` for want of connections, ``broken`` ones, ``seconds`` from the first request to the
-    last answer. ``late_ms`` is the delay of each request after its time: large values mean that the
-    client was the bottleneck.
+    ``broken`` names the errors of connections. Requests are ``unsent`` for want of connections, and
+    ``late_ms`` after their time: large values mean that the client was the bottleneck. ``seconds``
+    pass from the first request to the last answer.
     """
 
     answers: list[Answer] = field(default_factory=list)
-    unsent: int = 0
-    broken: int = 0
-    seconds: float = 0.0
+    broken: list[str] = field(default_factory=list)
     late_ms: list[float] = field(default_factory=list)
+    unsent: int = 0
+    seconds: float = 0.0
 
-    def of(self, status: int) -> list[Answer]:
+    @classmethod
+    def of(cls, tallies: Sequence[Tally]) -> Tally:
+        """Return the tally of several clients."""
+        return cls(
+            [answer for one in tallies for answer in one.answers],
+            [error for one in tallies for error in one.broken],
+            seconds=max(one.seconds for one in tallies),
+        )
+
+    def with_status(self, status: int) -> list[Answer]:
         """Return the answers with a status."""
         return [answer for answer in self.answers if answer.status == status]
 
+    def statuses(self) -> dict[str, int]:
+        """Count the answers by status."""
+        counts = Counter(answer.status for answer in self.answers)
+        return {str(status): counts[status] for status in sorted(counts)}
 
-class _Loop:
-    """Sends calls in turn over idle or new connections."""
-
-    def __init__(self, url: str, calls: list[Call]) -> None:
-        self._url = url
-        self._calls = itertools.cycle(calls)
-        self._idle: list[Client] = []
-        self._threads = ThreadPoolExecutor(MAX_CONNECTIONS)
-        self._tally = Tally()
-
-    async def _send(self) -> None:
-        client = self._idle.pop() if self._idle else Client(self._url)
-        loop = asyncio.get_running_loop()
+    def send(self, client: Client, request: Request) -> Answer | None:
+        """Send a request and count its answer; None if there is none."""
+        started = time.perf_counter()
         try:
-            answer = await loop.run_in_executor(self._threads, _timed, client, next(self._calls))
-        except (OSError, HTTPException):
-            self._tally.broken += 1
-            return
-        self._tally.answers.append(answer)
-        self._idle.append(client)
+            if request.hang_up:
+                client.hang_up(request.call)
+                return None
+            status, headers, _ = client.exchange(request.call)
+        except Exception as error:  # Whatever it is, it is counted and shown.
+            self.broken.append(f"{request.kind} {type(error).__name__}".strip())
+            return None
+        after = headers["Retry-After"]
+        ms = (time.perf_counter() - started) * 1000
+        answer = Answer(request, status, ms, None if after is None else float(after))
+        self.answers.append(answer)
+        return answer
 
-    def _end(self, started: float) -> Tally:
-        self._tally.seconds = time.perf_counter() - started
-        for client in self._idle:
-            client.close()
-        self._threads.shutdown()
-        return self._tally
 
+def closed_loop(
+    clients: Sequence[tuple[Client, Iterator[Request]]],
+    seconds: float = float("inf"),
+    *,
+    patient: bool = False,
+) -> list[Tally]:
+    """Let each client send its requests, the next when the last is answered; return their tallies.
 
-def _timed(client: Client, call: Call) -> Answer:
+    Patient clients send a refused request again after its ``Retry-After``.
+    """
     started = time.perf_counter()
-    status, headers, _ = client.exchange(call)
-    return Answer(status, (time.perf_counter() - started) * 1000, "Retry-After" in headers)
+    until = started + seconds
+
+    def run(client: Client, requests: Iterator[Request]) -> Tally:
+        tally = Tally()
+        while time.perf_counter() < until and (request := next(requests, None)) is not None:
+            answer = tally.send(client, request)
+            while patient and answer is not None and answer.status == 503:
+                left = until - time.perf_counter()
+                time.sleep(max(0.0, min(answer.retry_after_s or 0.0, left)))
+                answer = tally.send(client, request) if time.perf_counter() < until else None
+        client.close()
+        tally.seconds = time.perf_counter() - started
+        return tally
+
+    with ThreadPoolExecutor(len(clients)) as threads:
+        return list(threads.map(run, *zip(*clients, strict=True)))
 
 
-class OpenLoop(_Loop):
-    """Sends calls at given times."""
+def open_loop(url: str, requests: Iterator[Request], times_s: Iterable[float]) -> Tally:
+    """Send a request at each of the times (seconds from now, ascending), answered or not."""
+    tally, idle = Tally(), list[Client]()
+    free = threading.Semaphore(MAX_CONNECTIONS)
 
-    async def run(self, times_s: Iterable[float]) -> Tally:
-        """Send a request at each of the times (seconds from now, ascending)."""
-        started = time.perf_counter()
-        unanswered: set[asyncio.Task[None]] = set()
+    def send(request: Request) -> None:
+        try:
+            client = idle.pop()
+        except IndexError:
+            client = Client(url)
+        tally.send(client, request)
+        idle.append(client)
+        free.release()
+
+    started = time.perf_counter()
+    with ThreadPoolExecutor(MAX_CONNECTIONS) as threads:
         for at in times_s:
-            await asyncio.sleep(max(0.0, started + at - time.perf_counter()))
-            self._tally.late_ms.append((time.perf_counter() - started - at) * 1000)
-            if len(unanswered) >= MAX_CONNECTIONS:
-                self._tally.unsent += 1
-                continue
-            task = asyncio.create_task(self._send())
-            unanswered.add(task)
-            task.add_done_callback(unanswered.discard)
-        await asyncio.gather(*unanswered)
-        return self._end(started)
+            time.sleep(max(0.0, started + at - time.perf_counter()))
+            tally.late_ms.append((time.perf_counter() - started - at) * 1000)
+            if free.acquire(blocking=False):
+                threads.submit(send, next(requests))
+            else:
+                tally.unsent += 1
+    tally.seconds = time.perf_counter() - started
+    for client in idle:
+        client.close()
+    return tally
 
 
-class ClosedLoop(_Loop):
-    """Keeps a number of requests in flight: as much as the server carries, and no more."""
+def probe(url: str, seconds: float) -> list[float]:
+    """Ask ``/healthz`` at fixed times, each over a new connection; return milliseconds."""
+    times = []
+    started = time.perf_counter()
+    for at in np.arange(0.0, seconds, PROBE_EVERY_S):
+        time.sleep(max(0.0, started + at - time.perf_counter()))
+        asked = time.perf_counter()
+        status, _ = Client(url).send(Call("GET", "/healthz"))
+        if status != 200:
+            raise RuntimeError(f"/healthz answered {status}")
+        times.append((time.perf_counter() - asked) * 1000)
+    return times
 
-    async def run(self, in_flight: int, seconds: float) -> Tally:
-        """Send the next request as soon as one is answered."""
-        started = time.perf_counter()
 
-        async def send_until_end() -> None:
-            while time.perf_counter() < started + seconds:
-                await self._send()
-
-        await asyncio.gather(*(send_until_end() for _ in range(in_flight)))
-        return self._end(started)
+def metric(url: str, sample: str) -> float:
+    """Return the value of a sample of ``/metrics``; 0 where there is none yet."""
+    _, metrics = Client(url).send(Call("GET", "/metrics"))
+    found = re.search(rf"^{re.escape(sample)} (\S+)", metrics.decode(), re.MULTILINE)
+    return float(found.group(1)) if found else 0.0

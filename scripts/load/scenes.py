@@ -1,4 +1,4 @@
-"""Drawn photographs to measure with: no real person's picture is needed, or shipped."""
+"""Drawn photographs to measure with: no picture of a real person is needed, or shipped."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.store import PoseIndex
+from scripts.load.client import Call
 
 
 def street(
@@ -16,7 +17,7 @@ def street(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Draw a blurred scene ``(height, width, 3)`` with one dark person in it, and their mask.
 
-    Entry number ``seed`` of the index lends the silhouette.
+    The silhouette is that of entry ``seed`` of the index.
     """
     rng = np.random.default_rng(seed)
     coarse = rng.integers(90, 200, (height // 16, width // 16, 3), np.uint8)
@@ -33,3 +34,20 @@ def street(
 def encode(extension: str, picture: NDArray[Any], *parameters: int) -> bytes:
     """Encode a picture; ``extension`` as in ``.png``."""
     return cv2.imencode(extension, picture, list(parameters))[1].tobytes()
+
+
+def encoded_streets(index: PoseIndex, width: int, height: int) -> tuple[list[bytes], list[bytes]]:
+    """Return eight scenes as JPEG, and their masks as PNG."""
+    scenes = [street(index, width=width, height=height, seed=seed) for seed in range(8)]
+    frames = [encode(".jpg", frame) for frame, _ in scenes]
+    return frames, [encode(".png", mask) for _, mask in scenes]
+
+
+def small_calls(index: PoseIndex) -> dict[str, list[Call]]:
+    """Return frames of 320x240 with a mask and without: the quickest and the slowest to serve."""
+    frames, masks = encoded_streets(index, 320, 240)
+    pairs = zip(frames, masks, strict=True)
+    return {
+        "mask": [Call("POST", "/pose", {"frame": frame, "mask": mask}) for frame, mask in pairs],
+        "photograph": [Call("POST", "/pose", {"frame": frame}) for frame in frames],
+    }

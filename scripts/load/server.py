@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
@@ -16,41 +15,28 @@ import httpx
 from scripts.results import ROOT
 
 
-def free_ports(count: int) -> list[int]:
-    """Find ports of the loopback address that nobody listens on, all different."""
-    with ExitStack() as probes:
-        sockets = [probes.enter_context(socket.socket()) for _ in range(count)]
-        for probe in sockets:
-            probe.bind(("127.0.0.1", 0))
-        return [probe.getsockname()[1] for probe in sockets]
-
-
 class ServerProcess:
-    """``python -m app`` as a context manager, with further environment variables."""
+    """``python -m app`` as a context manager."""
 
-    def __init__(self, index: Path, log: Path | None = None, **environment: str) -> None:
-        (port,) = free_ports(1)
+    def __init__(self, index: Path) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
         self.url = f"http://127.0.0.1:{port}"
         self._environment = {
             **os.environ,
             "HOST": "127.0.0.1",
             "PORT": str(port),
-            "POSE_INDEX": str(Path(index).resolve()),
-            **environment,
+            "POSE_INDEX": str(index.resolve()),
         }
-        self._log = log or Path(os.devnull)
 
     def __enter__(self) -> ServerProcess:
         """Start it."""
         self._started = time.perf_counter()
-        with self._log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "app"],
-                cwd=ROOT,
-                env=self._environment,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "app"], cwd=ROOT, env=self._environment,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
         return self
 
     def wait_until_ready(self, timeout_s: float = 60) -> float:
@@ -66,25 +52,20 @@ class ServerProcess:
             time.sleep(0.01)
 
     def alive(self) -> bool:
-        """Whether the process still runs."""
+        """Return whether the process still runs."""
         return self._process.poll() is None
 
     def memory_mb(self, what: str = "VmRSS") -> float:
-        """Resident memory in megabytes, ``VmHWM`` for the most it ever was."""
+        """Return resident memory in megabytes; ``VmHWM`` for its maximum so far."""
         for line in Path(f"/proc/{self._process.pid}/status").read_text().splitlines():
             if line.startswith(f"{what}:"):
                 return int(line.split()[1]) / 1024
-        raise ValueError(f"/proc tells no {what}")
+        raise ValueError(f"expected {what} in /proc/{self._process.pid}/status")
 
     def stop(self) -> int:
         """Ask it to end and return its exit status."""
         self._process.send_signal(signal.SIGTERM)
         return self._process.wait(timeout=30)
-
-    def kill(self) -> None:
-        """End it as a crash would, with nothing finished; entering it again restarts it."""
-        self._process.kill()
-        self._process.wait()
 
     def __exit__(self, *error: object) -> None:
         """End it."""

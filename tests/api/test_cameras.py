@@ -14,13 +14,12 @@ from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraList, CameraState, TrackResponse
 from app.estimation.finder import PeopleFinder
-from app.http.identity import camera_stream
 from tests.conftest import Photo, Server, Serving
 from tests.support.service import check_problem, eventually, sample, send
 
 
 def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any) -> list[str]:
-    """How a session is found by the frames of cameras, one after the other."""
+    """States of the sessions that the frames of cameras find, one after the other."""
     return [send(client, photo, camera, **options).headers["x-session"] for camera in cameras]
 
 
@@ -53,7 +52,7 @@ class TestTrackFrame:
         assert response.json()["timestamp"] == 3.25
 
     @pytest.mark.parametrize("late", ["7", "6.9"])
-    def test_a_late_frame_is_told_so(self, client: TestClient, photo: Photo, late: str) -> None:
+    def test_a_late_frame_is_refused(self, client: TestClient, photo: Photo, late: str) -> None:
         send(client, photo, timestamp="7")
         response = send(client, photo, timestamp=late)
         assert "7" in check_problem(response, 409, "timestamp")
@@ -61,7 +60,7 @@ class TestTrackFrame:
         assert sample(client, "pose_rejected_total", reason="late_frame") == 1
         assert send(client, photo, timestamp="7.1").json()["frame_index"] == 1
 
-    def test_every_answer_tells_the_state(self, client: TestClient, photo: Photo) -> None:
+    def test_every_answer_names_the_session_state(self, client: TestClient, photo: Photo) -> None:
         path = "/cameras/yard/frames"
         broken = client.post(path, files={"frame": b"?"})
         assert (broken.status_code, broken.headers["x-session"]) == (400, "new")
@@ -75,7 +74,7 @@ class TestTrackFrame:
             assert 400 <= response.status_code < 500
             assert response.headers["x-session"] == "warm"
 
-    def test_a_session_that_made_room_starts_afresh(self, serving: Serving, photo: Photo) -> None:
+    def test_a_dropped_session_starts_afresh(self, serving: Serving, photo: Photo) -> None:
         with serving(max_cameras=1) as client:
             assert sessions_of(client, photo, "yard", "gate", "yard") == ["new"] * 3
             assert sample(client, "pose_camera_sessions_ended_total", reason="number") == 2
@@ -88,7 +87,7 @@ class TestTrackFrame:
 
 
 class Gate:
-    """Where frames wait until they are let go."""
+    """Holds frames back until they are released."""
 
     def __init__(self) -> None:
         self.begun = 0
@@ -97,7 +96,7 @@ class Gate:
 
 @pytest.fixture
 def gate(monkeypatch: pytest.MonkeyPatch) -> Gate:
-    """Before people are looked for."""
+    """Holds frames back before people are detected."""
     gate = Gate()
     find = PeopleFinder.find
 
@@ -127,15 +126,15 @@ class TestOrder:
             ),
         ],
     )
-    def test_the_newest_of_those_that_wait_wins(
+    def test_the_newest_waiting_frame_replaces_older_ones(
         self, serving: Serving, photo: Photo, gate: Gate, ask: Ask
     ) -> None:
         with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(3) as threads:
-            line = client.app.state.runtime.executor.line  # type: ignore[attr-defined]
+            queue = client.app.state.runtime.executor.queue  # type: ignore[attr-defined]
             running = threads.submit(ask, client, photo)
             eventually(lambda: gate.begun == 1)
             older = threads.submit(ask, client, photo)
-            eventually(lambda: line.inside == 2)
+            eventually(lambda: queue.in_flight == 2)
             newer = threads.submit(ask, client, photo)
             refused = older.result(10)
             assert not newer.done()
@@ -160,21 +159,6 @@ class TestOrder:
             assert [answer.result(10).status_code for answer in answers] == [200, 200]
 
 
-def test_frames_of_a_camera_are_those_of_one_caller_who_asks_the_same() -> None:
-    def stream(path: str = "/pose", **headers: str) -> object:
-        pairs = [(k.replace("_", "-").encode(), v.encode()) for k, v in headers.items()]
-        return camera_stream({"type": "http", "path": path, "headers": pairs})
-
-    yard = stream(x_camera_id="yard")
-    assert yard == stream(x_camera_id="yard", accept="*/*")
-    assert yard != stream(x_camera_id="gate")
-    assert yard != stream("/silhouette", x_camera_id="yard")
-    assert yard != stream(x_camera_id="yard", x_api_key="other")
-    assert yard != stream(x_camera_id="yard", authorization="Bearer other")
-    assert stream() is None
-    assert stream(x_camera_id="") is None
-
-
 def test_cameras_are_listed_and_forgotten(client: TestClient, photo: Photo) -> None:
     assert client.get("/cameras").json() == {"cameras": []}
     sessions_of(client, photo, "yard", "gate", "yard")
@@ -195,7 +179,7 @@ class TestKeys:
         with serving(api_keys=(SecretStr("first"), SecretStr("second"))) as client:
             yield client
 
-    def test_callers_have_cameras_of_their_own(self, locked: TestClient, photo: Photo) -> None:
+    def test_callers_have_separate_cameras(self, locked: TestClient, photo: Photo) -> None:
         first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
         bearer = {"Authorization": "Bearer first"}
         states = [
@@ -209,7 +193,7 @@ class TestKeys:
         assert locked.get("/cameras", headers=second).json() == {"cameras": []}
         assert locked.get("/cameras/yard", headers=first).status_code == 200
 
-    def test_without_a_key_nothing_is_told(self, locked: TestClient, photo: Photo) -> None:
+    def test_without_a_key_nothing_is_revealed(self, locked: TestClient, photo: Photo) -> None:
         response = send(locked, photo)
         assert response.status_code == 401
         assert "x-session" not in response.headers

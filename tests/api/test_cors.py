@@ -22,7 +22,7 @@ def preflight(client: TestClient, origin: str = ORIGIN, **asked: str) -> Any:
     return client.options("/pose", headers={"origin": origin, **headers})
 
 
-def test_answers_are_for_origins_that_are_allowed(
+def test_only_allowed_origins_may_read_answers(
     open_to_yard: TestClient, client: TestClient
 ) -> None:
     for asked, origin, allowed in (
@@ -34,7 +34,7 @@ def test_answers_are_for_origins_that_are_allowed(
         assert headers.get("access-control-allow-origin") == allowed
 
 
-def test_an_allowed_preflight_says_what_there_is(open_to_yard: TestClient) -> None:
+def test_an_allowed_preflight_lists_the_methods(open_to_yard: TestClient) -> None:
     response = preflight(open_to_yard, method="POST", headers="x-api-key")
     assert response.status_code == 200
     assert response.headers["access-control-allow-origin"] == ORIGIN

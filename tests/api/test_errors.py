@@ -1,4 +1,4 @@
-"""Every error is a problem, says which field it is about, and shows no inner workings."""
+"""Every error is a problem, names the field at fault, and reveals no internals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.tracking_schemas import MOST_CORNERS, MOST_ZONES
+from app.api.tracking_schemas import MAX_CORNERS, MAX_ZONES
 from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
 from app.main import create_app
@@ -38,7 +38,7 @@ def form(*more: tuple[str, bytes], **parts: bytes | str) -> Request:
 
 
 def zones(*zones: Any, **changed: Any) -> Request:
-    """Zones of a camera: those given, else one that is changed."""
+    """A configuration of these zones, or of one zone with changed fields."""
     return {"json": {"zones": zones or [ZONE | changed]}}
 
 
@@ -183,12 +183,12 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             (zones(name=""), "zones[0].name", "some text"),
             (zones(name="x" * 65), "zones[0].name", "64"),
             (zones(polygon=corners()), "zones[0].polygon", "expected 3 values"),
-            (zones(polygon=[[0, 0]] * (MOST_CORNERS + 1)), "zones[0].polygon", "64"),
+            (zones(polygon=[[0, 0]] * (MAX_CORNERS + 1)), "zones[0].polygon", "64"),
             (zones(polygon=corners([1])), "zones[0].polygon[2]", "2 values"),
             (zones(polygon=corners(["1", 2])), "zones[0].polygon[2][0]", "number"),
             (zones(colour="red"), "zones[0].colour", "not permitted"),
             (zones(ZONE, ZONE), "zones", "'door' twice"),
-            (zones(*[ZONE] * (MOST_ZONES + 1)), "zones", "32"),
+            (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "32"),
             ({"json": {"zones": "door"}}, "zones", "a list"),
             ({"json": {}}, "zones", "a value"),
             ({"content": json.dumps({"zones": [ZONE]}).replace("240", "1e999")},
@@ -203,15 +203,15 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         ("/sequence?fps=3", form(video=FRAME), "fps", ""),
     ],
 }  # fmt: skip
-"""Requests that are refused, by status and reason: each with the field and a part of the sentence.
+"""Refused requests by status and reason, each with the field and a part of the sentence.
 
-Without a method, a path is posted to.
+The method is POST unless the path names another one.
 """
 
 
 @pytest.fixture(scope="module")
 def client(serving: Serving) -> Iterator[TestClient]:
-    """One for all: what is refused changes nothing."""
+    """One client for all tests: refused requests change nothing."""
     with serving() as client:
         yield client
         assert client.get("/cameras").json() == {"cameras": []}
@@ -230,7 +230,7 @@ ROWS = [(*kind, *row) for kind, rows in REFUSED.items() for row in rows]
     ROWS,
     ids=[f"{status} {path[:40]} {said[:40]}" for status, _, path, *_, said in ROWS],
 )
-def test_what_is_refused_says_why(
+def test_a_refusal_says_why(
     client: TestClient,
     status: int,
     reason: str,
@@ -256,7 +256,7 @@ def test_what_is_refused_says_why(
         ),
     ],
 )  # fmt: skip
-def test_limits_are_those_of_the_settings(
+def test_settings_set_the_limits(
     serving: Serving,
     changed: dict[str, Any],
     request_: tuple[str, Request],
@@ -278,11 +278,11 @@ def test_a_chunk_that_claims_gigabytes_costs_nothing(
         bomb = sound[:at] + length.to_bytes(4, "big") + sound[at + 4 :]
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         check_problem(client.post("/pose", files={"frame": sound, field: bomb}), 400, field)
-        # Kilobytes, of which a chunk believed would take a million and more.
+        # In kilobytes; a decoder that believed the chunk would take a million or more.
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
 
 
-def test_fields_left_empty_in_a_browser(client: TestClient, photo: Photo) -> None:
+def test_empty_fields_of_a_browser_count_as_missing(client: TestClient, photo: Photo) -> None:
     # requests and httpx leave the empty file name out, so the form is written out here.
     head = "--b\r\nContent-Disposition: form-data; name="
     empty = [f'{head}"{field}"; filename=""\r\n\r\n\r\n' for field in ("mask", "background")]
@@ -297,12 +297,12 @@ def test_fields_left_empty_in_a_browser(client: TestClient, photo: Photo) -> Non
     check_problem(client.post("/pose", **request), 422, "frame")
 
 
-def test_a_method_that_is_not_allowed_is_answered_with_those_that_are(client: TestClient) -> None:
+def test_a_405_lists_the_allowed_methods(client: TestClient) -> None:
     for method, path, allow in (("PUT", "/pose", "POST"), ("POST", "/index", "GET, HEAD")):
         assert client.request(method, path).headers["allow"] == allow
 
 
-def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> None:
+def test_too_many_people_are_refused(settings: Settings, estimator: Estimator) -> None:
     few = Estimator(
         estimator.index, estimator.detector, estimator.finder.reader,
         min_person_px=50, max_pixels=10**6, max_persons=2,
@@ -317,11 +317,11 @@ def test_more_people_than_allowed(settings: Settings, estimator: Estimator) -> N
     "mask",
     [figures(60), figures(60, 85), figures(10, 150, height=30), figures(10, 40, 70, width=30)],
 )
-def test_parts_of_one_person_are_one(client: TestClient, mask: bytes) -> None:
+def test_parts_of_one_person_are_one_person(client: TestClient, mask: bytes) -> None:
     assert len(client.post("/pose", files={"mask": mask}).json()["persons"]) == 1
 
 
-def test_without_frame_and_mask_there_is_nothing_to_answer() -> None:
+def test_a_request_without_frame_and_mask_is_refused() -> None:
     for rest in ({}, {"background": b"?"}, {"boxes": (Box(1, 2, 30, 40),)}):
         with pytest.raises(UploadError, match="frame: expected an image file, got none"):
             Upload(**rest)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What HTTP itself asks of the service, whichever route is meant."""
+"""HTTP behaviour that all routes share."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from tests.support.service import check_problem
         "/static/page.js",
     ],
 )
-def test_head_is_wherever_get_is(client: TestClient, path: str) -> None:
+def test_head_works_wherever_get_does(client: TestClient, path: str) -> None:
     head, get = client.head(path), client.get(path)
     assert head.status_code == get.status_code == 200
     assert head.content == b""
     assert head.headers["content-type"] == get.headers["content-type"]
-    if path != "/metrics":  # It has counted the request before.
+    if path != "/metrics":  # It counts the request before.
         assert head.headers["content-length"] == get.headers["content-length"]
 
 
@@ -72,7 +72,7 @@ def test_nothing_else_is_redirected(client: TestClient, path: str) -> None:
     assert "location" not in response.headers
 
 
-def test_answers_are_compressed_for_those_who_take_it(client: TestClient, photo: Photo) -> None:
+def test_answers_are_compressed_on_request(client: TestClient, photo: Photo) -> None:
     def ask(encoding: str) -> httpx.Response:
         headers = {"accept-encoding": encoding}
         with client.stream("POST", "/pose", files=photo.files, headers=headers) as response:
@@ -89,6 +89,6 @@ def test_answers_are_compressed_for_those_who_take_it(client: TestClient, photo:
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/index/entries/3/silhouette.png"])
-def test_what_is_small_or_a_picture_is_not(client: TestClient, path: str) -> None:
+def test_small_answers_and_pictures_are_not_compressed(client: TestClient, path: str) -> None:
     response = client.get(path, headers={"accept-encoding": "gzip"})
     assert "content-encoding" not in response.headers

@@ -37,7 +37,9 @@ def test_each_key_opens(locked: TestClient, key: str) -> None:
         {"X-API-Key": "\u00e9".encode()},
     ],
 )
-def test_anything_else_does_not(locked: TestClient, headers: dict[str, str], photo: Photo) -> None:
+def test_anything_else_is_refused(
+    locked: TestClient, headers: dict[str, str], photo: Photo
+) -> None:
     for response in (
         locked.get("/index", headers=headers),
         locked.post("/pose", files={"frame": photo.frame_png}, headers=headers),
@@ -48,7 +50,7 @@ def test_anything_else_does_not(locked: TestClient, headers: dict[str, str], pho
         assert "first" not in response.text
 
 
-def test_without_a_key_nothing_of_an_upload_is_read(locked: TestClient) -> None:
+def test_without_a_key_the_upload_is_not_read(locked: TestClient) -> None:
     received = []
     app = locked.app
 
@@ -69,7 +71,7 @@ def test_probes_and_pages_need_no_key(locked: TestClient) -> None:
         assert locked.get(path).status_code == 200, path
 
 
-def test_deepstack_takes_its_form_field(locked: TestClient, photo: Photo) -> None:
+def test_deepstack_accepts_a_key_in_the_form(locked: TestClient, photo: Photo) -> None:
     response = locked.post(
         "/v1/vision/detection", files={"image": photo.frame_png}, data={"api_key": "second"}
     )
@@ -86,12 +88,10 @@ def test_deepstack_takes_its_form_field(locked: TestClient, photo: Photo) -> Non
         {"files": {"image": b"no image", "unknown": b""}},
     ],
 )
-def test_deepstack_looks_at_the_key_before_all_else(
-    locked: TestClient, request_: dict[str, Any]
-) -> None:
+def test_deepstack_checks_the_key_first(locked: TestClient, request_: dict[str, Any]) -> None:
     assert locked.post("/v1/vision/detection", **request_).status_code == 401
 
 
-def test_keys_do_not_show_in_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_do_not_reveal_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("POSE_API_KEYS", "first")
     assert "first" not in repr(Settings())

@@ -6,13 +6,13 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.scheduling.queue import Line, OverloadedError
-from app.serving.version import VERSION
+from app.scheduling.queue import FairQueue, OverloadedError
+from app.serving.runtime import VERSION
 from tests.conftest import Photo, Serving
 from tests.support.service import sample
 
 
-def test_metrics_tell_what_happened(client: TestClient, photo: Photo) -> None:
+def test_metrics_count_requests_and_their_results(client: TestClient, photo: Photo) -> None:
     assert client.post("/pose", files=photo.files).status_code == 200
     assert client.post("/pose", files={"frame": b"?"}).status_code == 400
     assert client.get("/nothing/of/this/name").status_code == 404
@@ -44,14 +44,14 @@ def test_metrics_tell_what_happened(client: TestClient, photo: Photo) -> None:
         ("GET", "/poses", "other"),
     ],
 )
-def test_every_request_counts_under_a_name_of_its_own(
+def test_every_request_counts_for_its_route(
     client: TestClient, method: str, path: str, route: str
 ) -> None:
     status = str(client.request(method, path).status_code)
     assert sample(client, "pose_requests_total", route=route, status=status) == 1
 
 
-def test_what_is_refused_early_counts_for_the_route_it_was_meant_for(
+def test_an_early_refusal_counts_for_its_route(
     serving: Serving, photo: Photo, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client = serving()
@@ -59,14 +59,14 @@ def test_what_is_refused_early_counts_for_the_route_it_was_meant_for(
     def refuse(*_: object) -> None:
         raise OverloadedError("the service is working to capacity")
 
-    monkeypatch.setattr(Line, "check", refuse)
+    monkeypatch.setattr(FairQueue, "check", refuse)
     assert client.post("/pose", files={"frame": photo.frame_png}).status_code == 503
     assert sample(client, "pose_requests_total", route="/pose", status="503") == 1
     assert sample(client, "pose_requests_total", route="other") is None
     assert sample(client, "pose_capacity_used_ratio") == 0
 
 
-def test_histograms_of_times_reach_to_the_deadline(serving: Serving) -> None:
+def test_histograms_of_durations_end_at_the_deadline(serving: Serving) -> None:
     client = serving(request_timeout_s=4.0)
     client.get("/healthz")
     bounds = [
@@ -79,7 +79,7 @@ def test_histograms_of_times_reach_to_the_deadline(serving: Serving) -> None:
     assert bounds == sorted(set(bounds))
 
 
-def test_metrics_tell_which_build_serves(serving: Serving) -> None:
+def test_metrics_name_the_build(serving: Serving) -> None:
     client = serving(revision="abc123", max_wait_s=5.0)
     found = sample(client, "pose_build_info", version=VERSION, revision="abc123", max_wait_s="5")
     assert found == 1

@@ -12,16 +12,15 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.overlay import LEGEND
-from app.api.replies import _flat, _points_3d
 from app.api.schemas import PoseResponse
-from app.vision.geometry import LANDMARK_NAMES
+from app.vision.people import LANDMARK_NAMES
 from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex
 from tests.conftest import WALKERS, Photo, photograph, png
 
 
 def ask(client: TestClient, photo: Photo, **params: Any) -> dict[str, Any]:
-    """Of silhouettes alone, unless told otherwise: what is read in stick figures is no pose."""
+    """Ask by the silhouette alone by default: keypoints read from stick figures are wrong."""
     return post(client, photo.files, **{"evidence": "silhouette", **params})
 
 
@@ -141,13 +140,6 @@ def test_hypotheses_come_without_joints(client: TestClient, photo: Photo) -> Non
         assert {**other, "joints_3d": one["joints_3d"], "joints_2d": one["joints_2d"]} == one
 
 
-def test_a_joint_that_an_entry_lacks_is_null_in_every_form() -> None:
-    pose = np.arange(72.0).reshape(24, 3)
-    pose[1, 2] = np.nan
-    assert _points_3d(pose, NATIVE)[1] is None
-    assert _flat(pose, NATIVE, 4)[:9] == [0, 1, 2, None, None, None, 6, 7, 8]
-
-
 def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) -> None:
     mask = np.zeros((240, 320), np.uint8)
     for label, left in ((1, 200), (2, 20), (3, 110)):
@@ -168,7 +160,7 @@ STREET = WALKERS.read_bytes()
 BOXES = json.dumps([[135, 162, 40, 105]])
 
 
-def test_people_are_found_and_their_keypoints_are_told(client: TestClient) -> None:
+def test_people_are_detected_with_keypoints(client: TestClient) -> None:
     persons = post(client, {"frame": STREET})["persons"]
     assert len(persons) >= 3
     assert {person["source"] for person in persons} == {"detector"}
@@ -188,7 +180,7 @@ def test_people_are_found_and_their_keypoints_are_told(client: TestClient) -> No
         assert sum(keypoint is not None for keypoint in seen) >= 12
 
 
-def test_all_landmarks_are_told_where_they_are_wanted(client: TestClient) -> None:
+def test_all_landmarks_are_returned_on_request(client: TestClient) -> None:
     coco, blaze = (
         post(client, {"frame": STREET}, observed=observed)["persons"]
         for observed in ("coco17", "blazepose33")
@@ -205,10 +197,10 @@ def test_all_landmarks_are_told_where_they_are_wanted(client: TestClient) -> Non
             0, abs=0.05
         )
         assert all(abs(landmark["z"]) < 1.2 for landmark in seen if landmark)
-        assert all_of_them == few, "what is told of the photograph changes no pose"
+        assert all_of_them == few, "the keypoint set of the photograph changes no pose"
 
 
-def test_how_far_a_skeleton_was_moved_is_told(client: TestClient, photo: Photo) -> None:
+def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: Photo) -> None:
     """By the silhouette alone, the photographed entry comes as it is."""
     assert ask(client, photo)["persons"][0]["hypotheses"][0]["adjusted_mm"] == 0
     names, compared = list(NATIVE.names), 0
@@ -230,7 +222,7 @@ def test_how_far_a_skeleton_was_moved_is_told(client: TestClient, photo: Photo) 
 def test_a_mask_may_come_without_its_photograph(
     client: TestClient, photo: Photo, evidence: str
 ) -> None:
-    """The answer is that of the silhouette alone: nobody's photograph leaves the camera."""
+    """The answer is that of the silhouette alone, so no photograph has to leave the camera."""
     alone = post(client, {"mask": photo.mask_png}, evidence=evidence)
     assert alone["image"] == {"width": 320, "height": 240}
     assert alone["persons"] == post(client, photo.files, evidence="silhouette")["persons"]
@@ -249,7 +241,7 @@ def test_pictures_of_a_mask_alone(client: TestClient, photo: Photo) -> None:
     assert not drawn[:, :100].any()
 
 
-def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient) -> None:
+def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     frame = {"frame": STREET}
     (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]
     labels = client.post("/silhouette", files=frame, data={"boxes": BOXES}).content
@@ -257,14 +249,14 @@ def test_a_silhouette_sent_back_as_mask_is_the_same(client: TestClient) -> None:
     assert found["source"] == "boxes"
     assert again["source"] == "mask"
     assert again["silhouette"]["area_px"] == found["silhouette"]["area_px"]
-    # What is read is nearly the same, and so are the poses.
+    # The keypoints are nearly the same, and so are the poses.
     best, same = found["hypotheses"][0], again["hypotheses"][0]
     assert again["facing"]["evidence"] == found["facing"]["evidence"] == "image"
     apart = points(best["joints_2d"]) - points(same["joints_2d"])
     assert np.linalg.norm(apart, axis=1).mean() < 8
 
 
-def test_what_differs_from_the_background_is_a_person(client: TestClient, photo: Photo) -> None:
+def test_a_difference_from_the_background_is_a_person(client: TestClient, photo: Photo) -> None:
     rng = np.random.default_rng(photo.entry)
     empty = rng.integers(170, 230, photo.frame.shape, np.uint8)
     frame = np.where(photo.mask[..., None] == 1, photo.frame, empty)
@@ -296,12 +288,12 @@ WALLS = {
     "ramp": np.tile(np.uint8(COLUMNS * 0.8)[None, :, None], (240, 1, 3)),
     "stripes": np.tile(np.uint8(COLUMNS // 8 % 2 * 200)[None, :, None], (240, 1, 3)),
 }
-"""Pictures of nobody."""
+"""Pictures without people."""
 
 
 @pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60], [200, 100, 40, 40]])
 @pytest.mark.parametrize("wall", WALLS)
-def test_a_box_about_nobody_is_answered_and_told_unsure(
+def test_a_box_without_a_person_gets_low_confidence(
     client: TestClient, wall: str, box: list[float]
 ) -> None:
     response = client.post(
@@ -320,13 +312,11 @@ def test_a_box_about_nobody_is_answered_and_told_unsure(
     assert all(hypothesis.confidence < 0.1 for hypothesis in person.hypotheses)
 
 
-def test_a_mask_on_a_frame_that_shows_nobody_is_told_unsure(
-    client: TestClient, photo: Photo
-) -> None:
+def test_a_mask_without_a_person_gets_low_confidence(client: TestClient, photo: Photo) -> None:
     person = post(client, {"frame": png(WALLS["blank"]), "mask": photo.mask_png})["persons"][0]
     assert person["posture"]["label"] == "unclear"
     assert all(hypothesis["confidence"] < 0.1 for hypothesis in person["hypotheses"])
-    # On a photograph of somebody the same mask is sure of the same entry.
+    # On a photograph of a person, the same mask has a high confidence in the same entry.
     seen = post(client, photo.files)["persons"][0]
     assert seen["posture"]["label"] == "standing"
     assert seen["hypotheses"][0]["entry"] == photo.entry
@@ -340,9 +330,7 @@ def overlay(client: TestClient, frame: np.ndarray, mask: np.ndarray) -> np.ndarr
     return decoded(response.content)
 
 
-def test_the_overlay_draws_on_the_frame_and_tells_its_colours_below(
-    client: TestClient, photo: Photo
-) -> None:
+def test_the_overlay_explains_its_colours_below_the_frame(client: TestClient, photo: Photo) -> None:
     picture = overlay(client, photo.frame, photo.mask)
     changed = (picture[:240] != photo.frame).any(axis=2)
     assert changed[photo.mask == 1].mean() > 0.2
@@ -368,7 +356,7 @@ def test_the_overlay_draws_thin_lines_on_small_people(
     client: TestClient, tiny_index: PoseIndex
 ) -> None:
     def drawn(height: int, width: int) -> int:
-        """Pixels drawn around somebody 128 pixels tall in a frame of this size."""
+        """Pixels drawn around a person of 128 pixels in a frame of this size."""
         frame = np.full((height, width, 3), 128, np.uint8)
         mask = np.zeros((height, width), np.uint8)
         mask[60:188, 50:98] = tiny_index.silhouette(3)

@@ -1,4 +1,4 @@
-"""Whatever is sent: an answer that keeps the contract, or a problem; never a 5xx."""
+"""Any input gets an answer that keeps the contract, or a problem; never a 5xx."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def check_answer(response: Any) -> PoseResponse | None:
 
 @relaxed
 @given(data=st.binary(max_size=2000))
-def test_any_file(client: TestClient, photo: Photo, data: bytes) -> None:
+def test_any_file_gets_a_valid_answer(client: TestClient, photo: Photo, data: bytes) -> None:
     assert check_answer(client.post("/pose", files={"frame": data})) is None
     check_answer(client.post("/pose", files={"frame": photo.frame_png, "mask": data}))
 
@@ -48,7 +48,7 @@ def test_any_file(client: TestClient, photo: Photo, data: bytes) -> None:
         elements=st.integers(0, 5),
     )
 )
-def test_any_mask(client: TestClient, mask: np.ndarray) -> None:
+def test_any_mask_gets_a_valid_answer(client: TestClient, mask: np.ndarray) -> None:
     frame = png(np.zeros((*mask.shape, 3), np.uint8))
     answer = check_answer(client.post("/pose", files={"frame": frame, "mask": png(mask)}))
     assert answer is not None
@@ -71,7 +71,7 @@ numbers = st.one_of(
 
 @relaxed
 @given(boxes=st.lists(st.lists(numbers, max_size=6), max_size=5))
-def test_any_boxes(client: TestClient, photo: Photo, boxes: list[Any]) -> None:
+def test_any_boxes_get_a_valid_answer(client: TestClient, photo: Photo, boxes: list[Any]) -> None:
     response = client.post(
         "/pose", files={"frame": photo.frame_png}, data={"boxes": json.dumps(boxes)}
     )

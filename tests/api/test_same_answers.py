@@ -1,4 +1,4 @@
-"""The same request has the same answer; what is mirrored or turned has that mirrored or turned."""
+"""Equal requests have equal answers; mirrored or rotated frames have such answers."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ import pytest
 from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from scripts.experiments.rotation import rotate_points
 from tests.conftest import ROOT, WALKERS, Photo, photograph, png, running_server
+from tests.support.rotation import rotate_points
 from tests.support.service import Client
 
 STREET = WALKERS.read_bytes()
@@ -32,7 +32,7 @@ MASKS = (ROOT / "tests" / "data" / "walkers-mask.png").read_bytes()
 BOTH = {"frame": STREET, "mask": MASKS}
 SENT = {"mask": {"mask": MASKS}, "both": BOTH, "frame": {"frame": STREET}}
 WALKER_PX = 70
-"""As tall are the three walkers of the street, not the two people far away."""
+"""The three walkers of the street are taller, the two distant people smaller."""
 
 OTHER_SIDE = [
     NATIVE.names.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
@@ -89,7 +89,7 @@ def persons(
 @pytest.mark.parametrize("media_type", ["image/jpeg", "IMAGE/JPEG", "image/png"])
 @pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
 def test_a_photograph_may_be_the_body(client: TestClient, path: str, media_type: str) -> None:
-    """As cameras and ``curl --data-binary`` send it."""
+    """Cameras and ``curl --data-binary`` send it so."""
     raw = client.post(path, content=STREET, headers={"content-type": media_type})
     form = client.post(path, files={"frame": STREET})
     assert raw.status_code == form.status_code == 200
@@ -107,7 +107,7 @@ def test_every_processor_gives_the_same_answer(processors: list[Client], sent: s
     assert one == other
 
 
-def test_one_thread_gives_what_two_give(
+def test_one_thread_and_two_give_the_same_answer(
     settings: Settings, tiny_index: PoseIndex, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One for each pass of a network and one for the people of a frame, or two."""
@@ -115,9 +115,9 @@ def test_one_thread_gives_what_two_give(
     executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
     for threads, job in ((1, Job()), (2, Job(parallel_map=executor.map))):
         monkeypatch.setattr("app.estimation.estimator.available_cores", lambda t=threads: t)
-        estimator = Estimator.load(settings, tiny_index)
+        estimator = load_estimator(settings, tiny_index)
         people = estimator.estimate(Upload(STREET), 7, job).persons
-        answers.append([(h.hypothesis.entry, h.distance, *h.points_2d.ravel())
+        answers.append([(h.entry_id, h.distance, *h.points_2d.ravel())
                         for person in people for h in person.hypotheses])  # fmt: skip
     executor.shut_down()
     assert len(answers[0]) >= 3 * 7
@@ -127,7 +127,7 @@ def test_one_thread_gives_what_two_give(
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
 @pytest.mark.parametrize("sent", SENT)
 @pytest.mark.parametrize("n", [1, 3, 7, 14])
-def test_the_first_frame_of_a_session_has_the_hypotheses_of_the_photograph(
+def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
     shipped: Client, sent: str, evidence: str, n: int
 ) -> None:
     path = f"/cameras/{sent}-{evidence}-{n}"
@@ -139,20 +139,20 @@ def test_the_first_frame_of_a_session_has_the_hypotheses_of_the_photograph(
         for name in ("source", "silhouette", "observed_keypoints", "hypotheses"):
             assert one[name] == other[name], name
         if sent == "frame" and evidence == "photograph":
-            # Whom a session follows has the box of the body, not the detector's.
+            # A tracked person has the box of the body, not the detector's.
             assert Box(**one["box"]).iou(Box(**other["box"])) > 0.6
         else:
             assert one["box"] == other["box"]
 
 
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
-def test_the_first_of_many_hypotheses_are_those_of_few(client: TestClient, evidence: str) -> None:
+def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, evidence: str) -> None:
     many = persons(client, {"frame": STREET}, n=14, evidence=evidence)
     for n in (1, 2, 3, 7, 10):
         for few, person in zip(
             persons(client, {"frame": STREET}, n=n, evidence=evidence), many, strict=True
         ):
-            # Nor does anything else depend on how many are asked for.
+            # Nothing else depends on the count either.
             assert few == {**person, "hypotheses": person["hypotheses"][:n]}
 
 
@@ -203,14 +203,14 @@ def test_a_mirrored_photograph_has_the_mirrored_answer(
             assert same["source"]["mirrored"] != best["source"]["mirrored"]
 
 
-# Which end of a silhouette is the head, it does not say: upside down it has other poses.
+# A silhouette does not show which end is the head: upside down it has other poses.
 @pytest.mark.parametrize(
     ("sent", "quarter_turns"), [("mask", 1), ("mask", 3), ("frame", 1), ("frame", 2), ("frame", 3)]
 )
-def test_a_turned_photograph_has_the_turned_answer(
+def test_a_rotated_photograph_has_the_rotated_answer(
     shipped: Client, sent: str, quarter_turns: int
 ) -> None:
-    """Whoever is found has, among seven hypotheses, the first of the same person upright."""
+    """The seven hypotheses of a detected person include the best one of the upright person."""
     here = persons(shipped, SENT[sent])
     turned = {
         name: changed(image, lambda p: np.rot90(p, quarter_turns))
@@ -229,7 +229,7 @@ def test_a_turned_photograph_has_the_turned_answer(
 
 
 @pytest.mark.parametrize("entry", PHOTOS)
-def test_who_else_is_in_the_frame_does_not_matter(
+def test_other_people_in_the_frame_do_not_matter(
     client: TestClient, tiny_index: PoseIndex, photo: Photo, entry: int
 ) -> None:
     other = photograph(tiny_index, entry, left=20)
@@ -241,7 +241,7 @@ def test_who_else_is_in_the_frame_does_not_matter(
 
 
 @pytest.mark.parametrize("entry", PHOTOS)
-def test_where_in_the_frame_somebody_stands_does_not_matter(
+def test_the_place_in_the_frame_does_not_matter(
     client: TestClient, tiny_index: PoseIndex, entry: int
 ) -> None:
     (here,), (there,) = (

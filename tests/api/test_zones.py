@@ -1,4 +1,4 @@
-"""Zones of a camera over HTTP, and the identities of a caller who tracks people themselves."""
+"""Zones of a camera over HTTP, and track ids of callers that track people themselves."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraState
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.loading import load_estimator
 from app.serving.runtime import Runtime
 from app.settings import Settings
-from index.store import DEFAULT_PATH, PoseIndex
+from index import DEFAULT_PATH
+from index.store import PoseIndex
 from tests.conftest import Photo, Serving, photograph, png
 from tests.support.service import check_problem, eventually, send
 
@@ -58,7 +59,7 @@ class TestConfigure:
             (listed,) = client.get("/cameras").json()["cameras"]
             assert listed["camera_id"] == "yard"
 
-    def test_they_are_replaced_and_removed(self, client: TestClient) -> None:
+    def test_zones_are_replaced_and_removed(self, client: TestClient) -> None:
         configure(client, LEFT, RIGHT)
         assert configure(client, RIGHT).json()["zones"] == [RIGHT]
         assert configure(client).json()["zones"] == []
@@ -73,14 +74,14 @@ class TestConfigure:
         assert client.delete("/cameras/yard").status_code == 204
         check_problem(client.delete("/cameras/yard"), 404)
 
-    def test_callers_have_zones_of_their_own(self, serving: Serving) -> None:
+    def test_callers_have_separate_zones(self, serving: Serving) -> None:
         keys = (SecretStr("first"), SecretStr("second"))
         with serving(api_keys=keys, max_cameras=2) as client:
             first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
             assert configure(client, LEFT, headers=first).status_code == 200
             check_problem(client.get("/cameras/yard", headers=second), 404)
             check_problem(configure(client, {"name": 1}), 401)
-            # As many cameras as sessions each.
+            # Each caller may have as many cameras as sessions.
             assert configure(client, LEFT, camera="gate", headers=first).status_code == 200
             refused = configure(client, LEFT, camera="roof", headers=first)
             assert "at most 2 cameras" in check_problem(refused, 422, "zones")
@@ -101,9 +102,9 @@ class TestPeople:
         )
         answer = response.json()
         assert [person["zones"] for person in answer["persons"]] == [["door"], ["bed"]]
-        told = {event["track_id"]: event for event in answer["events"]}
+        events = {event["track_id"]: event for event in answer["events"]}
         for person in answer["persons"]:
-            event = told[person["track_id"]]
+            event = events[person["track_id"]]
             assert (event["event"], event["state"]) == ("entered", "instant")
             assert event["zones"] == person["zones"]
 
@@ -117,9 +118,9 @@ class TestPeople:
 
 @pytest.fixture(scope="module")
 def shipped() -> Iterator[TestClient]:
-    """An application over the index that ships, which knows people who lie."""
+    """An application over the shipped index, which contains lying people."""
     settings = Settings(index=DEFAULT_PATH)
-    with TestClient(create_app(settings, Estimator.load(settings))) as client:
+    with TestClient(create_app(settings, load_estimator(settings))) as client:
         yield client
 
 
@@ -133,7 +134,7 @@ def lying_masks(index: PoseIndex) -> list[bytes]:
 
 
 def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
-    """What is told of somebody who lies before a camera for four seconds, and where."""
+    """Events, with their zones, while a person lies in view for four seconds."""
     events = []
     for frame in range(20):
         response = client.post(
@@ -144,26 +145,26 @@ def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
     return events
 
 
-def test_lying_is_an_event_but_in_bed(shipped: TestClient) -> None:
+def test_lying_is_an_event_except_in_bed(shipped: TestClient) -> None:
     runtime: Runtime = shipped.app.state.runtime  # type: ignore[attr-defined]
-    told = set()
+    found = set()
     for mask in lying_masks(runtime.ready_estimator().index):
         configure(shipped, RIGHT | {"kind": "watch"})
-        told.update(watch(shipped, mask))
+        found.update(watch(shipped, mask))
         configure(shipped, RIGHT)
         assert watch(shipped, mask) == [("entered", "bed")]
-    assert told == {("entered", "bed"), ("lying", "bed")}
+    assert found == {("entered", "bed"), ("lying", "bed")}
 
 
 class TestTrackIds:
     BOXES = ([20, 30, 60, 150], [145, 35, 58, 140], [230, 30, 60, 150])
 
-    def test_they_come_back_in_whatever_order(self, client: TestClient, photo: Photo) -> None:
+    def test_track_ids_are_returned_in_any_order(self, client: TestClient, photo: Photo) -> None:
         one, two, three = self.BOXES
         first = track(client, photo, [one, two], track_ids='["17", 4]')
         assert [person["caller_track_id"] for person in first["persons"]] == ["17", "4"]
         own = {person["caller_track_id"]: person["track_id"] for person in first["persons"]}
-        # They change places, as no tracker of ours would believe.
+        # They swap places, which the tracker alone would not follow.
         second = track(client, photo, [three, one], track_ids='["17", "4"]')
         assert [person["caller_track_id"] for person in second["persons"]] == ["4", "17"]
         for person in second["persons"]:
@@ -171,7 +172,7 @@ class TestTrackIds:
             assert person["age_frames"] == 2
         assert second["events"] == []
 
-    def test_events_name_them(self, client: TestClient, photo: Photo) -> None:
+    def test_events_name_track_ids(self, client: TestClient, photo: Photo) -> None:
         box = self.BOXES[1]
         (entered,) = track(client, photo, [box], track_ids='["a"]', timestamp="0")["events"]
         assert (entered["event"], entered["caller_track_id"]) == ("entered", "a")
@@ -181,6 +182,6 @@ class TestTrackIds:
             ("left", "a"),
         ]
 
-    def test_none_were_given(self, client: TestClient, photo: Photo) -> None:
+    def test_persons_without_track_ids_have_null(self, client: TestClient, photo: Photo) -> None:
         (person,) = track(client, photo, [self.BOXES[1]])["persons"]
         assert person["caller_track_id"] is None

@@ -48,7 +48,7 @@ from tests.conftest import ROOT
         ("POSE_TYPO", "3", "expected one of the settings in docs/operations.md"),
     ],
 )
-def test_a_wrong_value_is_told_in_a_sentence(
+def test_an_invalid_value_is_reported_in_one_sentence(
     monkeypatch: pytest.MonkeyPatch, name: str, value: str, said: str
 ) -> None:
     monkeypatch.setenv(name, value)
@@ -67,7 +67,7 @@ def test_a_wrong_value_is_told_in_a_sentence(
         ("POSE_HOST", "HOST"),
     ],
 )
-def test_a_name_like_a_setting_is_refused_with_the_one_it_is_like(
+def test_a_misspelt_setting_is_refused_with_a_suggestion(
     monkeypatch: pytest.MonkeyPatch, written: str, meant: str
 ) -> None:
     monkeypatch.setenv(written, "8001")
@@ -75,7 +75,7 @@ def test_a_name_like_a_setting_is_refused_with_the_one_it_is_like(
         read_settings()
 
 
-def test_what_kubernetes_says_of_a_service_called_pose_is_no_setting(
+def test_kubernetes_service_variables_are_no_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("POSE_SERVICE_HOST", "10.0.0.7")
@@ -85,7 +85,7 @@ def test_what_kubernetes_says_of_a_service_called_pose_is_no_setting(
     assert read_settings() == Settings()
 
 
-def test_what_makes_sense_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_valid_values_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {
         "HOST": "0.0.0.0",
         "PORT": "8080",
@@ -113,12 +113,20 @@ def test_several_workers_keep_no_camera_sessions(monkeypatch: pytest.MonkeyPatch
         read_settings()
 
 
-def test_a_wrong_list_of_keys_shows_none_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_list_of_keys_reveals_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("POSE_API_KEYS", "secret,,")
     with pytest.raises(SettingsError) as caught:
         read_settings()
     assert "secret" not in str(caught.value)
     assert caught.value.__context__ is None
+
+
+def test_reading_settings_loads_no_native_library() -> None:
+    code = "import sys, app.settings; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert {"ai_edge_litert", "cv2", "faiss", "numpy"}.isdisjoint(loaded)
 
 
 def start(**environment: str) -> subprocess.CompletedProcess[str]:
@@ -137,7 +145,7 @@ def start(**environment: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("name", "value"), [("POSE_MAX_PIXELS", "abc"), ("PORT", "99999"), ("HOST", "nowhere.invalid")]
 )
-def test_the_start_ends_with_that_sentence_alone(name: str, value: str) -> None:
+def test_an_invalid_setting_ends_the_start_with_one_sentence(name: str, value: str) -> None:
     ended = start(**{name: value})
     assert ended.returncode == 1
     assert ended.stdout == ""
@@ -146,7 +154,7 @@ def test_the_start_ends_with_that_sentence_alone(name: str, value: str) -> None:
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_port_in_use_is_told_in_a_sentence(workers: str) -> None:
+def test_a_port_in_use_ends_the_start_with_one_sentence(workers: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         ended = start(HOST="127.0.0.1", PORT=str(port), WORKERS=workers, POSE_MAX_CAMERAS="0")

@@ -18,9 +18,8 @@ from typing import Any
 import httpx
 import pytest
 
-from scripts.load.server import ServerProcess
 from tests.conftest import Photo
-from tests.support.balancer import CONFIGURATION, Balancer
+from tests.support.balancer import CONFIGURATION, Balancer, Replica
 from tests.support.service import check_problem, eventually, sample, send
 from tests.support.videos import numbered_frames, write_video
 
@@ -33,9 +32,9 @@ CAMERAS = [f"yard-{number}" for number in range(20)]
 
 @dataclass(frozen=True)
 class Deployment:
-    """Two replicas and what is before them."""
+    """Two replicas behind a balancer."""
 
-    replicas: tuple[ServerProcess, ServerProcess]
+    replicas: tuple[Replica, Replica]
     balancer: Balancer
     folder: Path
 
@@ -49,11 +48,8 @@ def deployment(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> It
     folder = tmp_path_factory.mktemp("deployment")
     with ExitStack() as stack:
         first, second = (
-            stack.enter_context(ServerProcess(index_path, folder / f"{number}.log"))
-            for number in (1, 2)
+            stack.enter_context(Replica(index_path, folder / f"{number}.log")) for number in (1, 2)
         )
-        first.wait_until_ready()
-        second.wait_until_ready()
         balancer = Balancer(first.url, second.url, log=folder / "balancer.log")
         stack.enter_context(balancer)
         yield Deployment((first, second), balancer, folder)
@@ -65,8 +61,8 @@ def client(deployment: Deployment) -> Iterator[httpx.Client]:
         yield client
 
 
-def cameras_of(replica: ServerProcess) -> set[str]:
-    """The sessions that a replica itself tells of."""
+def cameras_of(replica: Replica) -> set[str]:
+    """The sessions that a replica itself lists."""
     cameras = httpx.get(f"{replica.url}/cameras").json()["cameras"]
     return {camera["camera_id"] for camera in cameras}
 
@@ -105,7 +101,7 @@ class TestRouting:
         assert held[0] | held[1] == set(CAMERAS)
         assert not held[0] & held[1]
         assert all(held)
-        # Whatever connection they come over.
+        # Over any connection.
         with deployment.client() as other:
             states += [[send(c, photo, name).headers["x-session"] for name in CAMERAS]
                        for c in (client, other)]  # fmt: skip
@@ -121,16 +117,14 @@ class TestRouting:
         send(client, photo, "gate-2")
         assert client.get(path).json()["camera_id"] == "gate-2"
 
-    def test_a_session_is_forgotten_where_it_is(
+    def test_a_session_is_deleted_on_its_replica(
         self, deployment: Deployment, client: httpx.Client, photo: Photo
     ) -> None:
         send(client, photo, "door")
         assert client.delete("/cameras/door").status_code == 204
         assert all("door" not in cameras_of(replica) for replica in deployment.replicas)
 
-    def test_a_camera_that_names_itself_is_a_camera(
-        self, client: httpx.Client, photo: Photo
-    ) -> None:
+    def test_a_camera_header_selects_a_replica(self, client: httpx.Client, photo: Photo) -> None:
         for name in CAMERAS:
             headers = {"X-Camera-ID": name}
             answers = [
@@ -145,7 +139,7 @@ class TestRouting:
         answers = [client.post("/pose", files=photo.files) for _ in range(8)]
         assert {answer.headers["x-replica"] for answer in answers} == {"pose-1", "pose-2"}
 
-    def test_a_list_of_sessions_says_whose_it_is(
+    def test_a_list_of_sessions_names_its_replica(
         self, deployment: Deployment, client: httpx.Client, photo: Photo
     ) -> None:
         send(client, photo, "door")
@@ -158,7 +152,7 @@ class TestRouting:
 
 @pytest.mark.slow
 class TestPassing:
-    def test_the_request_is_known_by_one_name_in_both_logs(
+    def test_both_logs_share_the_request_id(
         self, deployment: Deployment, client: httpx.Client
     ) -> None:
         answer = client.get("/index", headers={"X-Forwarded-For": "1.2.3.4"})
@@ -169,14 +163,14 @@ class TestPassing:
         assert services["request_id"] == balancers["request_id"] == identifier
         assert (balancers["path"], balancers["status"]) == ("/index", 200)
         assert balancers["replica"] == answer.headers["x-replica"]
-        # What the client says of itself is not believed.
+        # The client's own claim is ignored.
         assert services["client"] == balancers["client"] == "127.0.0.1"
 
-    def test_what_the_service_refuses_early_is_told(self, client: httpx.Client) -> None:
+    def test_early_refusals_reach_the_client(self, client: httpx.Client) -> None:
         large = {"frame": b"x" * (17 * 1024**2)}
         check_problem(client.post("/pose", files=large), 413)
 
-    def test_a_large_upload_arrives_whole(self, client: httpx.Client, photo: Photo) -> None:
+    def test_a_large_upload_arrives_complete(self, client: httpx.Client, photo: Photo) -> None:
         # Bytes after the image's end are no part of it.
         padded = {"frame": photo.frame_png + bytes(8 * 1024**2), "mask": photo.mask_png}
         assert client.post("/pose", files=padded).status_code == 200
@@ -193,7 +187,9 @@ class TestPassing:
             *_, end = lines
             assert json.loads(end)["frames"] == 400
 
-    def test_who_hangs_up_is_not_worked_for(self, deployment: Deployment, photo: Photo) -> None:
+    def test_a_disconnected_client_frees_its_place(
+        self, deployment: Deployment, photo: Photo
+    ) -> None:
         boxes = json.dumps([[40, 30, 200, 200]] * 40)
 
         def hung_up() -> float:
@@ -213,7 +209,7 @@ class TestPassing:
             )
         eventually(lambda: hung_up() > before)
 
-    def test_metrics_are_asked_of_each_replica(
+    def test_metrics_come_from_each_replica(
         self, deployment: Deployment, client: httpx.Client
     ) -> None:
         for path in ("/metrics", "/%6Detrics"):
@@ -228,7 +224,7 @@ class TestPassing:
 
 
 class Senders:
-    """Clients that send a frame after the other to ``/pose`` until told to stop."""
+    """Clients that send frames to ``/pose``, one after the other, until stopped."""
 
     def __init__(self, deployment: Deployment, photo: Photo, count: int) -> None:
         self._deployment, self._photo = deployment, photo
@@ -269,12 +265,12 @@ def test_one_replica_is_killed_and_comes_back(
     assert states == dict.fromkeys(kept, "warm") | dict.fromkeys(lost, "new")
     assert cameras_of(survivor) >= set(CAMERAS)
     assert {send(client, photo, name).headers["x-session"] for name in lost} == {"warm"}
-    time.sleep(1.5)  # By now it is found out, with nobody's frame.
+    time.sleep(1.5)  # By now the health check has noticed.
     answers = senders.stop()
 
     answered = [answer for answer in answers if answer and answer.status_code == 200]
-    # Only what was being worked on by the one that was killed. HAProxy tells it with a 502, or,
-    # where the client's connection has carried requests before, by closing it.
+    # Only requests at the killed replica fail: HAProxy answers them with a 502 or, if the client's
+    # connection has carried requests before, closes it.
     assert len(answers) - len(answered) <= clients
     for answer in answers:
         if answer and answer not in answered:
@@ -285,7 +281,6 @@ def test_one_replica_is_killed_and_comes_back(
     assert set(entries) == {photo.entry}
 
     with killed:
-        killed.wait_until_ready()
         eventually(lambda: client.get(f"/cameras/{lost[0]}").headers["x-replica"] == "pose-2")
         states = {name: send(client, photo, name).headers["x-session"] for name in CAMERAS}
         assert states == dict.fromkeys(kept, "warm") | dict.fromkeys(lost, "new")
@@ -293,14 +288,15 @@ def test_one_replica_is_killed_and_comes_back(
 
 
 @pytest.mark.slow
-def test_without_any_replica_a_503_says_when_to_come_back(index_path: Path, photo: Photo) -> None:
-    with ServerProcess(index_path) as replica:
-        replica.wait_until_ready()
-        with Balancer(replica.url, "http://127.0.0.1:1") as balancer:
-            with httpx.Client(base_url=balancer.url, timeout=30) as client:
-                send(client, photo)
-                replica.kill()
-                for answer in (send(client, photo), client.post("/pose", files=photo.files)):
-                    check_problem(answer, 503)
-                    assert answer.headers["retry-after"] == "1"
-            eventually(lambda: httpx.get(f"{balancer.operations_url}/readyz").status_code == 503)
+def test_without_replicas_a_503_has_retry_after(index_path: Path, photo: Photo) -> None:
+    with (
+        Replica(index_path) as replica,
+        Balancer(replica.url, "http://127.0.0.1:1") as balancer,
+        httpx.Client(base_url=balancer.url, timeout=30) as client,
+    ):
+        send(client, photo)
+        replica.kill()
+        for answer in (send(client, photo), client.post("/pose", files=photo.files)):
+            check_problem(answer, 503)
+            assert answer.headers["retry-after"] == "1"
+        eventually(lambda: httpx.get(f"{balancer.operations_url}/readyz").status_code == 503)

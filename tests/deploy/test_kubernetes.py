@@ -119,9 +119,7 @@ class TestKustomize:
         (volume,) = pod(deployment)["volumes"]
         assert volume["configMap"]["name"] == configuration["metadata"]["name"]
 
-    def test_an_index_on_a_volume_takes_the_place_of_the_one_in_the_image(
-        self, tmp_path: Path
-    ) -> None:
+    def test_an_index_on_a_volume_replaces_the_one_in_the_image(self, tmp_path: Path) -> None:
         folder = tmp_path / "deploy"
         shutil.copytree(DEPLOY, folder)
         file = folder / "kustomization.yaml"
@@ -161,7 +159,7 @@ class TestReferences:
         assert chosen(spec["selector"]) is deployment
         assert all(port["targetPort"] in port_names(deployment) for port in spec["ports"])
 
-    def test_the_autoscaler_scales_what_there_is(self) -> None:
+    def test_the_autoscaler_has_an_existing_target(self) -> None:
         spec = the("HorizontalPodAutoscaler", "pose")["spec"]
         target = spec["scaleTargetRef"]
         assert f"{target['kind']}-{target['name']}" == title(REPLICAS)
@@ -173,7 +171,7 @@ class TestReferences:
 
 
 class TestService:
-    def test_probes_ask_routes_that_there_are(self) -> None:
+    def test_probes_use_existing_routes(self) -> None:
         served = create_app(Settings()).openapi()["paths"]
         probes = [
             container(REPLICAS)[f"{kind}Probe"] for kind in ("startup", "liveness", "readiness")
@@ -193,11 +191,11 @@ class TestService:
         named = set(re.findall(r"\bPOSE_[A-Z_]+\b", BALANCER + (DEPLOY / "README.md").read_text()))
         assert named <= set(VARIABLES)
 
-    def test_a_frame_is_worked_on_for_each_core(self) -> None:
+    def test_concurrency_equals_the_cores(self) -> None:
         assert VALUES["POSE_CONCURRENCY"] == container(REPLICAS)["resources"]["limits"]["cpu"]
 
-    def test_what_the_service_may_hold_fits_the_memory(self) -> None:
-        peak = measured("reliability.fuzz.peak_memory_mb")
+    def test_the_memory_limit_fits_the_settings(self) -> None:
+        peak = measured("reliability.fuzz.max_memory_mb")
         defaults = {name: field.default for name, field in Settings.model_fields.items()}
         uploads = defaults["max_requests"] * defaults["max_upload_bytes"] // 1024**2
         cameras = int(VALUES["POSE_CAMERA_MEMORY_MB"] or 0)
@@ -205,7 +203,7 @@ class TestService:
         assert peak + uploads + cameras <= limit
 
     @pytest.mark.parametrize("deployment", PODS, ids=title)
-    def test_nobody_is_killed_while_finishing(self, deployment: Document) -> None:
+    def test_the_grace_period_covers_the_shutdown(self, deployment: Document) -> None:
         (before,) = (
             int(command[1])
             for command in walk(container(deployment)["lifecycle"], "command")
@@ -213,13 +211,13 @@ class TestService:
         )
         assert pod(deployment)["terminationGracePeriodSeconds"] > before + GRACE_S
 
-    def test_the_user_is_that_of_the_image(self) -> None:
+    def test_the_user_matches_the_image(self) -> None:
         user = re.search(r"^USER (\d+):(\d+)$", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
         assert user is not None
         security = pod(REPLICAS)["securityContext"]
         assert (security["runAsUser"], security["runAsGroup"]) == tuple(map(int, user.groups()))
 
-    def test_timeouts_of_the_balancer_outlast_those_of_the_service(self) -> None:
+    def test_balancer_timeouts_outlast_service_timeouts(self) -> None:
         defaults = {name: field.default for name, field in Settings.model_fields.items()}
 
         def seconds(pattern: str) -> int:

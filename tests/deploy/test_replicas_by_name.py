@@ -83,7 +83,7 @@ def names() -> Iterator[NameServer]:
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    """Of a server on each of the addresses."""
+    """The port of a server on each of the addresses."""
     with ExitStack() as stack:
         port = 0
         for address in ADDRESSES:
@@ -106,13 +106,13 @@ def balancer(names: NameServer, port: int, tmp_path: Path) -> Balancer:
 
 
 def places(balancer: Balancer) -> dict[str, str]:
-    """Which replica answers each camera."""
+    """The replica that answers each camera."""
     with httpx.Client(base_url=balancer.url) as client:
         return {name: client.get(f"/cameras/{name}").text for name in CAMERAS}
 
 
 def wait_for(balancer: Balancer, addresses: set[str]) -> dict[str, str]:
-    """Where the cameras are, twice in a row, once they are spread over these replicas."""
+    """Replicas of the cameras, stable for two rounds, once these replicas share them."""
     deadline = time.monotonic() + 20
     before, found = None, places(balancer)
     while found != before or set(found.values()) != addresses:
@@ -122,9 +122,7 @@ def wait_for(balancer: Balancer, addresses: set[str]) -> dict[str, str]:
     return found
 
 
-def test_cameras_move_only_from_and_to_a_replica_that_goes_and_comes(
-    names: NameServer, balancer: Balancer
-) -> None:
+def test_cameras_move_only_when_replicas_change(names: NameServer, balancer: Balancer) -> None:
     with balancer:
         before = wait_for(balancer, set(ADDRESSES))
         assert places(balancer) == before

@@ -20,7 +20,8 @@ import httpx
 import pytest
 
 from app.settings import Settings
-from tests.conftest import ROOT, Photo, Server, free_ports, running_server
+from tests.conftest import ROOT, Photo, Server, running_server
+from tests.support.ports import free_ports
 from tests.support.videos import numbered_frames, write_video
 
 NGINX = (ROOT / "deploy" / "nginx.conf").read_text()

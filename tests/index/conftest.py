@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,10 @@ from index.build.body import INFLUENCES, Avatar
 from index.build.motion import Segment
 from index.build.poses import Poses, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
-from index.confidence import FEATURES, Calibration
+from index.confidence import Calibration
+from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
+from tests.index.helpers import random_network
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -265,7 +268,7 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
         subjects=simulation.subjects,
         actions=simulation.actions,
         silhouette_store=simulation.silhouette_store,
-        parameters={"confidence": Calibration((0.0,) * len(FEATURES), 0.0).parameters()},
+        parameters={"confidence": Calibration.none().parameters()},
     )
 
 
@@ -293,6 +296,19 @@ def ground_simulation(poses: Poses, laid: Poses, avatars: list[Avatar]) -> Simul
 def ground_index(ground_simulation: Simulation) -> PoseIndex:
     """An index of box bodies of which most lie: wide ones were rolled."""
     return index_of(ground_simulation, "ground")
+
+
+@pytest.fixture(scope="session")
+def reranker() -> RankingModel:
+    """A network that has learned nothing."""
+    calibration = Calibration((0.1,) * len(RERANKING_FEATURES), -0.2, RERANKING_FEATURES)
+    return RankingModel(random_network(1), calibration, {"passes": 0})
+
+
+@pytest.fixture(scope="session")
+def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
+    """The index of box bodies with such a network."""
+    return replace(toy_index, reranker=reranker)
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import lzma
-import os
 import re
 import signal
 import subprocess
@@ -21,10 +20,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
-from index import artefact, folders
+from index import artefact, files
 from index.artefact import find_artefact, load_index, save_index
+from index.files import ArtefactError, npy_bytes
 from index.store import PoseIndex
-from index.verified_files import ArtefactError, npy_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -98,11 +97,105 @@ class TestRoundTrip:
         assert save_index(other, tmp_path / "b") != save_index(toy_index, tmp_path / "a")
 
     def test_replaces_an_older_artefact_whole(self, toy_index: PoseIndex, saved: Path) -> None:
-        (saved / "left-over").write_text("from another format")
+        for name in ("reranking.json", "reranking.npz", "of-another-format.npy.xz"):
+            (saved / name).write_text("of the older index")
+        seal(saved, lambda m: m.update(format_version=3, files={"of-another-format.npy": ""}))
+        for file in saved.glob("*.npy*"):
+            if not file.name.startswith("of-another-format"):
+                file.unlink()
+        (saved / "descriptors.faiss.xz").unlink()
         save_index(dataclasses.replace(toy_index, name="newer"), saved)
         assert load_index(saved).name == "newer"
-        assert not (saved / "left-over").exists()
+        assert not (saved / "of-another-format.npy.xz").exists()
+        assert not (saved / "reranking.json").exists()
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_a_link_stays_a_link(self, toy_index: PoseIndex, saved: Path, tmp_path: Path) -> None:
+        (tmp_path / "current").symlink_to(saved)
+        save_index(dataclasses.replace(toy_index, name="newer"), tmp_path / "current")
+        assert (tmp_path / "current").is_symlink()
+        assert load_index(saved).name == "newer"
+
+    def test_an_empty_folder_is_filled(self, toy_index: PoseIndex, tmp_path: Path) -> None:
+        (tmp_path / "empty").mkdir()
+        save_index(toy_index, tmp_path / "empty")
+        assert load_index(tmp_path / "empty").name == toy_index.name
+
+
+class TestWhatIsNoIndex:
+    """A folder with anything else in it is refused, and stays as it is."""
+
+    @pytest.fixture
+    def photographs(self, tmp_path: Path) -> Path:
+        folder = tmp_path / "photographs"
+        folder.mkdir()
+        for number in range(3):
+            (folder / f"{number}.jpg").write_bytes(bytes([number]))
+        return folder
+
+    def refused(self, index: PoseIndex, folder: Path, *said: str) -> None:
+        before = contents(folder)
+        with pytest.raises(ArtefactError) as caught:
+            save_index(index, folder)
+        assert all(part in str(caught.value) for part in (str(folder), *said))
+        assert contents(folder) == before
+        assert [p.name for p in folder.parent.glob(".*")] == []
+
+    @pytest.mark.parametrize(
+        "manifest", [None, "{", "[]", '{"files": {}}', '{"name": "a web application"}']
+    )
+    def test_photographs(
+        self, toy_index: PoseIndex, photographs: Path, manifest: str | None
+    ) -> None:
+        if manifest is not None:
+            (photographs / "manifest.json").write_text(manifest)
+        self.refused(toy_index, photographs, "3 other" if manifest is None else "4 other", "0.jpg")
+
+    def test_photographs_in_an_index(self, toy_index: PoseIndex, saved: Path) -> None:
+        (saved / "holiday.jpg").write_bytes(b"sun")
+        self.refused(toy_index, saved, "holds 1 other file, such as holiday.jpg")
+
+    def test_a_file(self, toy_index: PoseIndex, tmp_path: Path) -> None:
+        file = tmp_path / "notes.txt"
+        file.write_text("mine")
+        with pytest.raises(ArtefactError, match=r"got the file .*notes\.txt"):
+            save_index(toy_index, file)
+        assert file.read_text() == "mine"
+
+    def test_what_is_put_there_while_it_is_written(
+        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        write_text = Path.write_text
+
+        def write_and_copy(self: Path, *args: Any) -> int:
+            (saved / "holiday.jpg").write_bytes(b"sun")
+            return write_text(self, *args)
+
+        monkeypatch.setattr(Path, "write_text", write_and_copy)
+        with pytest.raises(ArtefactError, match=r"holiday\.jpg"):
+            save_index(toy_index, saved)
+        assert (saved / "holiday.jpg").read_bytes() == b"sun"
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    @pytest.mark.parametrize("name", [".artefact-photographs", ".artefact-2"])
+    def test_hidden_neighbours_stay(self, toy_index: PoseIndex, saved: Path, name: str) -> None:
+        neighbour = saved.parent / name
+        neighbour.mkdir()
+        (neighbour / "holiday.jpg").write_bytes(b"sun")
+        # The staging folder of another index, whose name begins alike.
+        (saved.parent / ".artefact-2-x").mkdir()
+        (saved.parent / ".artefact-2-x" / files.STAGING_MARK).write_text("artefact-2")
+        save_index(toy_index, saved)
+        assert (neighbour / "holiday.jpg").read_bytes() == b"sun"
+        assert (saved.parent / ".artefact-2-x").exists()
+
+    def test_a_name_is_no_pattern(self, toy_index: PoseIndex, tmp_path: Path) -> None:
+        save_index(toy_index, tmp_path / "index[1]")
+        leftover = tmp_path / ".index[1]-x"
+        leftover.mkdir()
+        (leftover / files.STAGING_MARK).write_text("index[1]")
+        save_index(toy_index, tmp_path / "index[1]")
+        assert [p.name for p in tmp_path.iterdir()] == ["index[1]"]
 
 
 class TestFailedSave:
@@ -123,10 +216,9 @@ class TestFailedSave:
     ) -> None:
         before = contents(saved)
         rename = Path.rename
-        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
 
         def fail_for_the_new(self: Path, target: Path) -> Path:
-            if target == saved and self.parent == saved.parent:
+            if target == saved and self.name == "new":
                 raise OSError(5, "Input/output error")
             return rename(self, target)
 
@@ -134,6 +226,7 @@ class TestFailedSave:
         with pytest.raises(OSError, match="Input/output error"):
             save_index(dataclasses.replace(toy_index, name="newer"), saved)
         assert contents(saved) == before
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
     def test_killed_while_writing_keeps_the_old_artefact(
         self, toy_index: PoseIndex, saved: Path
@@ -155,26 +248,35 @@ save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
         # What the killed one left is gone too.
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
-    def test_folders_that_cannot_be_exchanged_are_replaced_in_two_steps(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(folders, "_exchange", lambda *_: False)
-        save_index(dataclasses.replace(toy_index, name="newer"), saved)
-        assert load_index(saved).name == "newer"
+    def test_killed_between_the_two_renames(self, toy_index: PoseIndex, saved: Path) -> None:
+        """The next build puts the old artefact back before anything else."""
+        script = f"""
+import dataclasses, os, pathlib, signal
+from index.artefact import load_index, save_index
+index, rename = load_index({str(saved)!r}), pathlib.Path.rename
+def rename_or_die(self, target):
+    if self.name == "new":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return rename(self, target)
+pathlib.Path.rename = rename_or_die
+save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
+"""
+        before = contents(saved)
+        ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False)
+        assert ended.returncode == -signal.SIGKILL
+        assert not saved.exists()
+        with files.staging(saved):
+            assert contents(saved) == before
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
     def test_another_save_that_is_under_way_keeps_its_files(
         self, toy_index: PoseIndex, saved: Path
     ) -> None:
-        staging = saved.parent / f".{saved.name}-other"
-        staging.mkdir()
-        held = folders.lock(staging)
-        save_index(toy_index, saved)
-        assert staging.exists()
-        assert held is not None
-        os.close(held)
-        save_index(toy_index, saved)
-        assert not staging.exists()
+        with files.staging(saved) as other:
+            (other / "shard").write_text("drawn")
+            save_index(toy_index, saved)
+            assert (other / "shard").exists()
+        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
 
 def _full_disk(*_: object) -> None:

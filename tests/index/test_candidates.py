@@ -19,17 +19,17 @@ ATOL = 1e-4
 
 @pytest.mark.parametrize("number", QUERIES)
 class TestCandidates:
-    def test_a_mirrored_entry_is_found_as_its_mirror_image(
+    def test_mirrored_entry_is_found_as_its_mirror_image(
         self, toy_index: PoseIndex, number: int
     ) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number)[:, ::-1], 5)
-        assert (found.numbers[0], found.mirrored[0]) == (number, True)
+        assert (found.entry_ids[0], found.mirrored[0]) == (number, True)
         assert found.distances[0] == pytest.approx(0, abs=ATOL)
         entry = toy_index.entry(number)
         assert_allclose(found.points_3d[0], mirror_3d(entry.points_3d))
         assert_allclose(found.points_normalised[0], mirror_normalised(entry.points_normalised))
 
-    def test_mirrored_silhouettes_have_the_mirror_images_as_candidates(
+    def test_mirrored_silhouette_has_mirrored_candidates(
         self, toy_index: PoseIndex, number: int
     ) -> None:
         silhouette = toy_index.silhouette(number)
@@ -39,14 +39,14 @@ class TestCandidates:
         )
         assert_allclose(there.distances, here.distances, atol=ATOL)
         distance = dict(
-            zip(zip(here.numbers, here.mirrored, strict=True), here.distances, strict=True)
+            zip(zip(here.entry_ids, here.mirrored, strict=True), here.distances, strict=True)
         )
         for entry, mirrored, apart in zip(
-            there.numbers, there.mirrored, there.distances, strict=True
+            there.entry_ids, there.mirrored, there.distances, strict=True
         ):
             assert distance[entry, not mirrored] == pytest.approx(apart, abs=ATOL)
 
-    def test_equal_brute_force(self, toy_index: PoseIndex, number: int) -> None:
+    def test_equals_brute_force(self, toy_index: PoseIndex, number: int) -> None:
         found = find_candidates(toy_index, toy_index.silhouette(number), 30)
         assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
         both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
@@ -55,39 +55,37 @@ class TestCandidates:
         assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)
 
 
-def test_no_more_than_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
+def test_finds_at_most_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
     found = find_candidates(toy_index, toy_index.silhouette(0), 10**6)
     assert len(found) == 2 * len(toy_index)
-    assert_array_equal(np.bincount(found.numbers), 2)
+    assert_array_equal(np.bincount(found.entry_ids), 2)
     assert found.points_3d.shape == (len(found), POINTS, 3)
 
 
-def test_entries_found_in_another_way_are_compared_alike(toy_index: PoseIndex) -> None:
+def test_given_entries_have_the_same_distances(toy_index: PoseIndex) -> None:
     silhouette = toy_index.silhouette(77)
     found = find_candidates(toy_index, silhouette, 25)
     shuffled = np.random.default_rng(0).permutation(25)
     again = compare_entries(
-        toy_index, silhouette, found.numbers[shuffled], found.mirrored[shuffled]
+        toy_index, silhouette, found.entry_ids[shuffled], found.mirrored[shuffled]
     )
     assert (np.diff(again.distances) >= 0).all()
     assert_allclose(again.distances, found.distances, atol=ATOL)
     # Where distances tie up to rounding, the order may differ.
-    key = np.lexsort((again.mirrored, again.numbers)), np.lexsort((found.mirrored, found.numbers))
-    assert_array_equal(again.numbers[key[0]], found.numbers[key[1]])
+    key = [np.lexsort((one.mirrored, one.entry_ids)) for one in (again, found)]
+    assert_array_equal(again.entry_ids[key[0]], found.entry_ids[key[1]])
     assert_allclose(again.offsets[key[0]], found.offsets[key[1]], atol=1e-4)
     assert_allclose(again.points_3d[key[0]], found.points_3d[key[1]])
 
 
-def test_what_came_in_two_ways_comes_once(toy_index: PoseIndex) -> None:
+def test_repetitions_are_dropped(toy_index: PoseIndex) -> None:
     found = find_candidates(toy_index, toy_index.silhouette(77), 30)
     rotated = replace(found.take(slice(0, 5)), rotation_deg=np.full(5, 15.0))
     every = Candidates.merged([found, found.take(slice(10, 20)), rotated])
     once = every.unique()
     assert len(every) == 45 and len(once) == 35
-    keys = list(
-        zip(once.numbers.tolist(), once.mirrored.tolist(), once.rotation_deg.tolist(), strict=True)
-    )
-    assert len(set(keys)) == 35
+    columns = (once.entry_ids, once.mirrored, once.rotation_deg)
+    assert len(set(zip(*(column.tolist() for column in columns), strict=True))) == 35
     assert (np.diff(once.distances) >= 0).all()
-    assert_array_equal(once.unique().numbers, once.numbers)
+    assert_array_equal(once.unique().entry_ids, once.entry_ids)
     assert_array_equal(found.unique().distances, found.distances)

@@ -26,7 +26,7 @@ def test_round_trip_through_json() -> None:
     )
 
 
-def test_probabilities_are_probabilities_even_far_out() -> None:
+def test_probabilities_of_extreme_features() -> None:
     calibration = Calibration((1e6,) * COUNT, -3.0)
     probability = calibration.probability(some_features(50))
     assert np.isfinite(probability).all()
@@ -34,7 +34,7 @@ def test_probabilities_are_probabilities_even_far_out() -> None:
 
 
 @pytest.mark.parametrize("feature", range(COUNT))
-def test_grows_with_a_feature_of_positive_weight(feature: int) -> None:
+def test_probability_grows_with_a_feature_of_positive_weight(feature: int) -> None:
     weights = np.zeros(COUNT)
     weights[feature] = 0.7
     features = np.zeros((10, COUNT))
@@ -42,7 +42,7 @@ def test_grows_with_a_feature_of_positive_weight(feature: int) -> None:
     assert (np.diff(Calibration(tuple(weights.tolist()), 0.0).probability(features)) > 0).all()
 
 
-def test_refuses_a_calibration_over_other_features() -> None:
+def test_calibration_over_other_features_is_refused() -> None:
     parameters = {"features": ["shoe_size"], "weights": [1.0], "bias": 0.0}
     with pytest.raises(ValueError, match="got one over shoe_size"):
         Calibration.restore(parameters)
@@ -51,6 +51,6 @@ def test_refuses_a_calibration_over_other_features() -> None:
 
 
 @pytest.mark.parametrize("weights", [(1.0,), (float("nan"),) * COUNT, (1.0,) * (COUNT + 1)])
-def test_refuses_weights_that_are_none(weights: tuple[float, ...]) -> None:
+def test_invalid_weights_are_refused(weights: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="finite weights and a finite bias"):
         Calibration(weights, 0.0)

@@ -1,4 +1,4 @@
-"""Keypoints compared with skeletons: nearer is likelier, and sides are told apart."""
+"""Keypoints compared with skeletons, and skeletons fitted to them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,25 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.keypoints import OUTLIER_WEIGHT, Keypoints
-from index.search import rotate_clockwise
-from index.skeleton import LIMBS, POINT_NAMES, POINTS, exchange_sides
+from index.keypoints import Keypoints, fit_to_keypoints
+from index.parameters import KEYPOINTS
+from index.skeleton import (
+    JOINTS,
+    LIMB_HIPS,
+    LIMB_ROWS,
+    LIMBS,
+    POINTS,
+    bone_lengths,
+    exchange_sides,
+    rows,
+)
+from index.store import PoseIndex
+from tests.index.helpers import keypoints_of
 
-ROWS = (*(POINT_NAMES.index(name) for name in LIMBS), POINT_NAMES.index("nose"))
+ROWS = (*LIMB_ROWS, *rows("nose"))
 NO_DEPTH = np.zeros((1, POINTS, 3))
-"""Where keypoints have none, skeletons are not compared in it."""
+"""For keypoints without depth."""
 
-_LIMB_ROWS = [POINT_NAMES.index(name) for name in LIMBS]
-_HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
 seeds = st.integers(0, 9999)
 
 
@@ -36,17 +45,17 @@ def shown(points: NDArray[np.float64], seed: int = 0) -> Keypoints:
 
 
 @given(seed=seeds, away=st.floats(0, 80))
-def test_nothing_is_likelier_than_the_keypoints_themselves(seed: int, away: float) -> None:
+def test_skeleton_on_its_keypoints_is_likeliest(seed: int, away: float) -> None:
     points = skeleton(seed)
     moved = points + away * np.random.default_rng(seed + 1).normal(size=points.shape)
     agreement = shown(points, seed).compare(np.stack([points, moved]), NO_DEPTH)
     assert agreement.log_likelihood[0] >= agreement.log_likelihood[1]
     assert (agreement.log_likelihood <= 0).all()
-    assert agreement.weights().max() == 1
+    assert agreement.weights(0.5).max() == 1
 
 
 @given(seed=seeds, near=st.floats(0, 30), farther=st.floats(0.1, 30))
-def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
+def test_farther_points_are_less_likely(seed: int, near: float, farther: float) -> None:
     """One point leaves its keypoint; all others stay."""
     points, keypoints = skeleton(seed), shown(skeleton(seed))
     both = np.stack([points, points])
@@ -56,13 +65,13 @@ def test_farther_is_less_likely(seed: int, near: float, farther: float) -> None:
 
 
 @given(seed=seeds)
-def test_the_skeleton_shown_is_likelier_than_its_twin(seed: int) -> None:
+def test_skeleton_is_likelier_than_its_twin_with_sides_exchanged(seed: int) -> None:
     points = skeleton(seed)
     assert shown(points).compare(points[None], NO_DEPTH).side_log_odds[0] > 0
 
 
 @given(seed=seeds, x=st.floats(-6, 6), y=st.floats(-6, 6))
-def test_residuals_lead_towards_the_keypoints_and_never_past_them(
+def test_residuals_point_to_the_keypoints_without_overshooting(
     seed: int, x: float, y: float
 ) -> None:
     points = skeleton(seed)
@@ -75,7 +84,7 @@ def test_residuals_lead_towards_the_keypoints_and_never_past_them(
     assert_allclose(residuals, wanted, atol=0.4 * np.hypot(x, y) + 1e-9)
 
 
-def test_residuals_vanish_where_a_point_is_too_far_to_be_meant() -> None:
+def test_residuals_of_outliers_vanish() -> None:
     points = skeleton(3)
     far = points.copy()
     far[ROWS[0]] += 90
@@ -84,7 +93,7 @@ def test_residuals_vanish_where_a_point_is_too_far_to_be_meant() -> None:
 
 
 @given(seed=seeds, row=st.integers(0, len(ROWS) - 1))
-def test_one_keypoint_that_misleads_rules_nothing_out(seed: int, row: int) -> None:
+def test_single_wrong_keypoint_rules_no_skeleton_out(seed: int, row: int) -> None:
     points = skeleton(seed)
     keypoints = shown(points)
     keypoints.positions[row] += 500
@@ -92,11 +101,12 @@ def test_one_keypoint_that_misleads_rules_nothing_out(seed: int, row: int) -> No
         shown(points).compare(points[None], NO_DEPTH).log_likelihood
         - keypoints.compare(points[None], NO_DEPTH).log_likelihood
     )
-    assert 0 < lost[0] <= np.log((1 + OUTLIER_WEIGHT) / OUTLIER_WEIGHT) + 1e-9
+    outlier_weight = KEYPOINTS.outlier_weight
+    assert 0 < lost[0] <= np.log((1 + outlier_weight) / outlier_weight) + 1e-9
 
 
 @given(seed=seeds)
-def test_what_is_less_sure_tells_less(seed: int) -> None:
+def test_keypoints_of_lower_scores_weigh_less(seed: int) -> None:
     points = skeleton(seed)
     both = np.stack([points, points + 9])
     sure = shown(points)
@@ -108,20 +118,20 @@ def test_what_is_less_sure_tells_less(seed: int) -> None:
 def pose(seed: int) -> NDArray[np.float64]:
     """24 points in metres about the middle of the hips."""
     points = np.random.default_rng(seed).normal(0, 0.4, (POINTS, 3))
-    limbs = points[_LIMB_ROWS]
-    return points - limbs[_HIPS].mean(axis=0)
+    limbs = points[LIMB_ROWS]
+    return points - limbs[LIMB_HIPS].mean(axis=0)
 
 
 def seen_in_depth(seed: int, points_3d: NDArray[np.float64]) -> Keypoints:
     """Keypoints of `shown`, with the limbs of a pose."""
     scores = np.random.default_rng(seed + 7).uniform(0.2, 1, len(LIMBS))
     return replace(
-        shown(skeleton(seed), seed), limbs_3d=points_3d[_LIMB_ROWS].copy(), limb_scores=scores
+        shown(skeleton(seed), seed), limbs_3d=points_3d[LIMB_ROWS].copy(), limb_scores=scores
     )
 
 
 @given(seed=seeds, away=st.floats(0.05, 0.6))
-def test_in_depth_the_pose_shown_is_the_likeliest(seed: int, away: float) -> None:
+def test_pose_on_its_landmarks_is_likeliest_in_depth(seed: int, away: float) -> None:
     points, here = np.stack([skeleton(seed)] * 2), pose(seed)
     moved = here + away * np.random.default_rng(seed + 1).normal(size=here.shape)
     keypoints = seen_in_depth(seed, here)
@@ -134,7 +144,7 @@ def test_in_depth_the_pose_shown_is_the_likeliest(seed: int, away: float) -> Non
 
 
 @given(seed=seeds, size=st.floats(0.82, 1.22), x=st.floats(-3, 3))
-def test_landmarks_of_a_larger_body_somewhere_else_agree(seed: int, size: float, x: float) -> None:
+def test_size_and_place_of_landmarks_do_not_matter(seed: int, size: float, x: float) -> None:
     here = pose(seed)
     keypoints = seen_in_depth(seed, here)
     offsets = keypoints.limb_offsets((size * here + x)[None])
@@ -142,7 +152,7 @@ def test_landmarks_of_a_larger_body_somewhere_else_agree(seed: int, size: float,
 
 
 @given(seed=seeds, other=seeds)
-def test_exchanging_the_sides_in_depth_as_well_turns_the_odds_over(seed: int, other: int) -> None:
+def test_exchanging_sides_negates_the_side_odds(seed: int, other: int) -> None:
     keypoints = seen_in_depth(seed, pose(seed))
     points, points_3d = skeleton(other), pose(other)
     agreement = keypoints.compare(
@@ -150,21 +160,6 @@ def test_exchanging_the_sides_in_depth_as_well_turns_the_odds_over(seed: int, ot
     )
     assert agreement.side_log_odds[0] == pytest.approx(-agreement.side_log_odds[1])
     assert agreement.log_likelihood[0] == pytest.approx(agreement.log_likelihood[1])
-
-
-@given(seed=seeds, angle=st.floats(-180, 180))
-def test_rotated_keypoints_agree_with_rotated_skeletons(seed: int, angle: float) -> None:
-    points, points_3d = skeleton(seed + 1), pose(seed + 1)
-    keypoints = seen_in_depth(seed, pose(seed))
-    turn = np.deg2rad(angle)
-    matrix = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    here = keypoints.compare(points[None], points_3d[None])
-    there = keypoints.rotated(angle).compare(
-        (points @ matrix)[None], rotate_clockwise(points_3d, angle)[None]
-    )
-    assert_allclose(there.log_likelihood, here.log_likelihood, atol=1e-6)
-    assert_allclose(there.side_log_odds, here.side_log_odds, atol=1e-6)
-    assert_allclose(keypoints.rotated(angle).rotated(-angle).positions, keypoints.positions)
 
 
 @pytest.mark.parametrize(
@@ -181,6 +176,104 @@ def test_rotated_keypoints_agree_with_rotated_skeletons(seed: int, angle: float)
         ({"limbs_3d": np.zeros((11, 3)), "limb_scores": np.ones(11)}, "expected limbs of shape"),
     ],
 )
-def test_what_makes_no_sense_is_refused(change: dict[str, object], said: str) -> None:
+def test_inconsistent_keypoints_are_refused(change: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         replace(shown(skeleton(0)), **change)
+
+
+ENTRY_IDS = np.arange(3, 576, 37)
+
+
+def apart(points: NDArray[np.float64], keypoints: Keypoints) -> float:
+    away = points[list(keypoints.rows)] - keypoints.positions
+    return float(np.linalg.norm(away, axis=-1).mean())
+
+
+@pytest.mark.parametrize("target", range(0, 576, 52))
+def test_fit_keeps_bone_lengths_and_approaches_keypoints(toy_index: PoseIndex, target: int) -> None:
+    """Poses that are found near landmarks, among them those that hardly fit."""
+    entry = toy_index.entry(target)
+    keypoints = keypoints_of(entry.points_normalised)
+    nearest = toy_index.landmark_search.nearest(entry.points_3d[LIMB_ROWS], (0.0,), 60)
+    near = (nearest.entry_ids != target) & ~nearest.mirrored
+    points_3d, placed = toy_index.points(nearest.entry_ids[near])
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert fitted.shape == points_3d.shape and fitted_placed.shape == placed.shape
+    assert_allclose(bone_lengths(fitted), bone_lengths(points_3d), rtol=1e-6)
+    assert_allclose(fitted[:, 0], 0, atol=1e-12)
+    agreement = keypoints.compare(placed, points_3d)
+    better = keypoints.compare(fitted_placed, fitted)
+    # Left and right may be exchanged.
+    before, after = (
+        [min(apart(one, keypoints), apart(exchange_sides(one), keypoints)) for one in some]
+        for some in (placed, fitted_placed)
+    )
+    assert np.mean(after) < 0.75 * np.mean(before)
+    assert (np.array(after) <= np.array(before) + 0.5).all()
+    assert (better.log_likelihood >= agreement.log_likelihood - 0.1).all()
+
+
+def test_fit_follows_a_wrist_and_leaves_the_rest(toy_index: PoseIndex) -> None:
+    points_3d, placed = toy_index.points(np.array([100]))
+    wrist, elbow = rows("left_wrist", "left_elbow")
+    seen = placed[0].copy()
+    # Square to the forearm as it is seen, so that its length allows for it.
+    forearm = seen[wrist] - seen[elbow]
+    seen[wrist] += 6 * np.array([-forearm[1], forearm[0]]) / np.linalg.norm(forearm)
+    keypoints = keypoints_of(seen)
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    left = np.linalg.norm(fitted_placed[0, wrist] - seen[wrist])
+    assert left < 2.5, f"expected the wrist to come from 6 px to under 2.5, got {left}"
+    others = [row for row in range(JOINTS) if row not in (wrist, elbow)]
+    assert np.linalg.norm(fitted_placed[0, others] - placed[0, others], axis=-1).max() < 2
+    right_leg = rows("right_hip", "right_knee", "right_ankle", "right_toe")
+    assert_allclose(fitted[0, right_leg], points_3d[0, right_leg], atol=1e-3)
+
+
+def test_fit_follows_shifted_keypoints_without_changing_the_pose(toy_index: PoseIndex) -> None:
+    """A pose laid a little aside is put in its place, and is the same pose."""
+    points_3d, placed = toy_index.points(np.array([200]))
+    keypoints = keypoints_of(placed[0] + (3, -2))
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert apart(fitted_placed[0], keypoints) < 0.6
+    centred = fitted[0, :JOINTS] - points_3d[0, :JOINTS]
+    assert np.linalg.norm(centred, axis=-1).mean() < 0.03
+
+
+def test_fit_recognises_exchanged_sides(toy_index: PoseIndex) -> None:
+    """Keypoints that take left for right pull the other side's points, not across the body."""
+    points_3d, placed = toy_index.points(np.array([100]))
+    mistaken = keypoints_of(exchange_sides(placed[0]))
+    assert mistaken.compare(placed, points_3d).side_log_odds[0] < 0
+    fitted, _ = fit_to_keypoints(mistaken, points_3d, placed)
+    assert_allclose(fitted, points_3d, atol=1e-9)
+
+
+@pytest.mark.parametrize("target", range(0, 576, 52))
+def test_fit_in_depth_moves_the_first_skeleton_farthest(toy_index: PoseIndex, target: int) -> None:
+    entry = toy_index.entry(target)
+    keypoints = keypoints_of(entry.points_normalised, entry.points_3d)
+    points_3d, placed = toy_index.points(ENTRY_IDS)
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert_allclose(bone_lengths(fitted), bone_lengths(points_3d), rtol=1e-6)
+    assert_allclose(fitted[:, 0], 0, atol=1e-12)
+    assert np.isfinite(fitted_placed).all()
+
+    def away(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.linalg.norm(keypoints.limb_offsets(points), axis=-1).mean(axis=-1)
+
+    # In the picture the fit follows the keypoints; what is left is the depth.
+    assert away(fitted)[0] <= away(points_3d)[0] + 1e-9
+    swapped = np.roll(np.arange(len(ENTRY_IDS)), 1)
+    later, _ = fit_to_keypoints(keypoints, points_3d[swapped], placed[swapped])
+    # The same skeleton goes farther towards the landmarks as the first than as another.
+    assert away(fitted)[0] <= away(later)[1] + 0.01
+
+
+@pytest.mark.parametrize("number", [3, 300])
+def test_pose_that_fits_in_depth_stays(toy_index: PoseIndex, number: int) -> None:
+    points_3d, placed = toy_index.points(np.array([number]))
+    keypoints = keypoints_of(placed[0], points_3d[0])
+    fitted, fitted_placed = fit_to_keypoints(keypoints, points_3d, placed)
+    assert_allclose(fitted, points_3d, atol=1e-6)
+    assert_allclose(fitted_placed, placed, atol=1e-4)

@@ -1,4 +1,4 @@
-"""What a caller of ``match`` may rely on, whatever ranks the hypotheses."""
+"""Matching silhouettes, without and with landmarks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,24 @@ from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import RIGHT_BELOW_PX
-from index.matching import DISTINCT_M, FIRST_HYPOTHESES, Hypothesis, match
+from index.keypoints import Keypoints
+from index.matching import Hypothesis, Match, match
+from index.parameters import DEFAULT_HYPOTHESES, MATCHING
 from index.posture import Posture
-from index.search import rotate_clockwise
-from index.skeleton import JOINTS, POINTS, mean_joint_distance, mirror_3d, mirror_normalised
+from index.rotations import rotate_silhouette
+from index.skeleton import (
+    JOINTS,
+    POINTS,
+    exchange_sides,
+    mean_joint_distance,
+    mirror_3d,
+    mirror_normalised,
+    rotate_clockwise,
+    side_rows,
+    wrap_degrees,
+)
 from index.store import PoseIndex
+from tests.index.helpers import joint_error, keypoints_of
 
 QUERIES = range(0, 576, 61)
 
@@ -26,41 +39,40 @@ def best_hypotheses(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> 
 
 
 @pytest.fixture(scope="module")
-def strangers(poses: Poses, avatars: list[Avatar]) -> Simulation:
-    """The poses of the index seen by cameras it does not know."""
+def new_views(poses: Poses, avatars: list[Avatar]) -> Simulation:
+    """The poses of the index in views that it does not have."""
     return simulate(poses, avatars, bodies=1, views=1, seed=99)
 
 
-def test_strangers_are_recognised(toy_index: PoseIndex, strangers: Simulation) -> None:
-    """Poses it knows, views it does not: mostly within 5 px, as the paper counts."""
-    _, truth = view_joints(strangers)
-    errors = [
-        min(
-            np.linalg.norm(h.points_normalised[:JOINTS] - joints, axis=-1).mean()
-            for h in best_hypotheses(toy_index, silhouette, 7)
-        )
-        for silhouette, joints in zip(strangers.silhouettes(slice(None)), truth, strict=True)
-    ]
-    assert np.mean(np.array(errors) < RIGHT_BELOW_PX) > 0.6
+def test_known_poses_in_new_views_are_recognised(
+    toy_index: PoseIndex, new_views: Simulation
+) -> None:
+    """Mostly within 5 px, as the paper counts."""
+    _, truth = view_joints(new_views)
+    right = []
+    for silhouette, joints in zip(new_views.silhouettes(slice(None)), truth, strict=True):
+        found = best_hypotheses(toy_index, silhouette, 7)
+        error_px = min(joint_error(one.points_normalised, joints) for one in found)
+        right.append(error_px < RIGHT_BELOW_PX)
+    assert np.mean(right) > 0.6
 
 
 @pytest.mark.parametrize("number", QUERIES)
 def test_own_silhouette_comes_first(toy_index: PoseIndex, number: int) -> None:
     best = best_hypotheses(toy_index, toy_index.silhouette(number), 3)[0]
-    assert best.entry == number
-    assert best.distance == pytest.approx(0, abs=1e-3)
+    assert best.entry_id == number
+    assert best.silhouette_distance == pytest.approx(0, abs=1e-3)
     assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
-    # Its pose, but for averaging with near neighbours of the same mode.
-    apart = np.linalg.norm(best.points_3d - toy_index.entry(number).points_3d, axis=-1)
-    assert apart.mean() < 0.11
+    # The pose of the entry, averaged with near neighbours of the same mode.
+    assert joint_error(best.points_3d, toy_index.entry(number).points_3d) < 0.11
 
 
 @pytest.mark.parametrize("number", QUERIES)
-def test_mirrored_silhouette_gives_mirrored_answers(toy_index: PoseIndex, number: int) -> None:
+def test_mirrored_silhouette_gives_mirrored_hypotheses(toy_index: PoseIndex, number: int) -> None:
     silhouette = toy_index.silhouette(number)
     there, here = (best_hypotheses(toy_index, s, 3) for s in (silhouette[:, ::-1], silhouette))
-    # Where two candidates tie, rounding may choose another centre: the best one must agree.
-    assert there[0].entry == here[0].entry
+    # If two candidates tie, rounding may choose another centre; the best one must agree.
+    assert there[0].entry_id == here[0].entry_id
     assert there[0].mirrored != here[0].mirrored
     assert there[0].confidence == pytest.approx(here[0].confidence, abs=1e-3)
     assert_allclose(there[0].points_3d, mirror_3d(here[0].points_3d), atol=1e-3)
@@ -69,61 +81,61 @@ def test_mirrored_silhouette_gives_mirrored_answers(toy_index: PoseIndex, number
     )
 
 
-def assert_later_poses_are_others(found: list[Hypothesis]) -> None:
-    """Those of a batch than those of the batches before, where batches certainly end."""
-    poses = np.array([h.points_3d for h in found])
-    for row in range(2 * FIRST_HYPOTHESES, len(found)):
-        assert mean_joint_distance(poses[row][None], poses[:FIRST_HYPOTHESES]).min() >= DISTINCT_M
+def assert_later_poses_are_new(found: list[Hypothesis]) -> None:
+    """Hypotheses certainly of a later batch differ from all of the first batch."""
+    poses = np.array([one.points_3d for one in found])
+    for later in poses[2 * DEFAULT_HYPOTHESES :]:
+        apart = mean_joint_distance(later[None], poses[:DEFAULT_HYPOTHESES])
+        assert apart.min() >= MATCHING.min_new_pose_m
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 20])
 @pytest.mark.parametrize("number", [5, 300])
-def test_hypotheses_are_as_many_as_asked_ascending_distinct_and_finite(
+def test_hypotheses_are_ascending_distinct_and_finite(
     toy_index: PoseIndex, number: int, n: int
 ) -> None:
     silhouette = toy_index.silhouette(number)
     found = best_hypotheses(toy_index, silhouette, n)
     assert len(found) == n
-    distances = [h.fused_distance for h in found]
+    distances = [h.distance for h in found]
     assert distances == sorted(distances)
-    # Those of a later batch are told to be no nearer than those before.
-    assert all(h.fused_distance >= h.distance for h in found)
-    first = found[:FIRST_HYPOTHESES]
-    assert all(h.fused_distance == h.distance for h in first)
-    assert len({(h.entry, h.mirrored) for h in first}) == len(first)
-    assert_later_poses_are_others(found)
+    # A later batch is never reported to be nearer than an earlier one.
+    assert all(h.distance >= h.silhouette_distance for h in found)
+    first = found[:DEFAULT_HYPOTHESES]
+    assert all(h.distance == h.silhouette_distance for h in first)
+    assert len({(h.entry_id, h.mirrored) for h in first}) == len(first)
+    assert_later_poses_are_new(found)
     joints = np.stack([h.points_3d[:JOINTS] for h in first])
     apart = np.sqrt(((joints[:, None] - joints[None]) ** 2).sum(axis=-1).mean(axis=-1))
     # Interpolation may bring distinct poses a little nearer.
     assert (apart[~np.eye(len(first), dtype=bool)] > 0.05).all()
     for hypothesis in found:
-        assert hypothesis.points_3d.shape == (POINTS, 3)
-        assert np.isfinite(hypothesis.points_3d).all()
-        assert np.isfinite(hypothesis.points_normalised).all()
+        for points in (hypothesis.points_3d, hypothesis.points_normalised):
+            assert np.isfinite(points).all()
         assert 0 <= hypothesis.confidence <= 1
-        assert hypothesis.distance >= 0
+        assert hypothesis.silhouette_distance >= 0
         assert hypothesis.reprojection_error_px >= 0
     again = best_hypotheses(toy_index, silhouette, n)
-    assert [h.entry for h in again] == [h.entry for h in found]
+    assert [h.entry_id for h in again] == [h.entry_id for h in found]
 
 
-def test_asks_for_more_than_there_is(toy_index: PoseIndex) -> None:
+def test_more_hypotheses_requested_than_exist(toy_index: PoseIndex) -> None:
     found = best_hypotheses(toy_index, toy_index.silhouette(0), 10_000)
     assert 20 < len(found) <= len(toy_index)
-    assert_later_poses_are_others(found)
+    assert_later_poses_are_new(found)
 
 
 @pytest.mark.parametrize("drawn", ["full", "dot"])
-def test_answers_degenerate_silhouettes(toy_index: PoseIndex, drawn: str) -> None:
+def test_degenerate_silhouettes(toy_index: PoseIndex, drawn: str) -> None:
     silhouette = np.zeros((128, 48), np.uint8)
     silhouette[(slice(None), slice(None)) if drawn == "full" else (60, 20)] = 1
     for hypothesis in best_hypotheses(toy_index, silhouette, 2):
-        assert np.isfinite([hypothesis.distance, hypothesis.confidence]).all()
+        assert np.isfinite([hypothesis.silhouette_distance, hypothesis.confidence]).all()
         assert np.isfinite(hypothesis.reprojection_error_px)
 
 
 def rolled_entries(index: PoseIndex) -> list[int]:
-    """Some of the entries that were rolled to stand."""
+    """Some of the entries that were rolled upright."""
     return np.flatnonzero(np.abs(index.entries["roll_deg"]) > 30)[::17].tolist()
 
 
@@ -131,66 +143,246 @@ def roll_of(index: PoseIndex, number: int) -> float:
     return float(index.entries["roll_deg"][number])
 
 
-def best(index: PoseIndex, silhouette: NDArray[np.uint8], roll_deg: float) -> Hypothesis:
+def best_of(index: PoseIndex, silhouette: NDArray[np.uint8], roll_deg: float) -> Hypothesis:
     return match(index, np.ascontiguousarray(silhouette), 3, roll_deg=roll_deg).hypotheses[0]
 
 
-def apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(one - other, axis=-1).mean())
-
-
 class TestRolledQueries:
-    """Silhouettes that were rotated to stand."""
+    """Silhouettes that were rotated upright."""
 
     def test_own_silhouette_comes_first(self, ground_index: PoseIndex) -> None:
         for number in rolled_entries(ground_index):
             roll_deg = roll_of(ground_index, number)
-            found = best(ground_index, ground_index.silhouette(number), roll_deg)
+            found = best_of(ground_index, ground_index.silhouette(number), roll_deg)
             entry = ground_index.entry(number)
-            assert (found.entry, found.mirrored) == (number, False)
+            assert (found.entry_id, found.mirrored) == (number, False)
             assert found.reprojection_error_px == pytest.approx(0, abs=1e-6)
             assert found.rotation_deg == pytest.approx(-roll_deg)
             assert found.tilt_deg == pytest.approx(0, abs=1e-4)
-            # In the picture as it was asked, in space as the camera stood.
-            assert apart(found.points_normalised, entry.points_normalised) < 3
-            assert apart(found.points_3d, rotate_clockwise(entry.points_3d, -roll_deg)) < 0.1
+            # In the picture as given, in space as seen without the roll.
+            assert joint_error(found.points_normalised, entry.points_normalised) < 3
+            assert joint_error(found.points_3d, rotate_clockwise(entry.points_3d, -roll_deg)) < 0.1
 
-    def test_either_way_up_it_is_the_same_body(self, ground_index: PoseIndex) -> None:
+    def test_upside_down_query_gives_the_same_pose(self, ground_index: PoseIndex) -> None:
         for number in rolled_entries(ground_index):
             roll_deg, silhouette = roll_of(ground_index, number), ground_index.silhouette(number)
-            here = best(ground_index, silhouette, roll_deg)
-            there = best(ground_index, silhouette[::-1, ::-1], roll_deg + 180)
-            assert there.entry == here.entry
+            here = best_of(ground_index, silhouette, roll_deg)
+            there = best_of(ground_index, silhouette[::-1, ::-1], roll_deg + 180)
+            assert there.entry_id == here.entry_id
             assert there.posture == here.posture
             assert there.tilt_deg == pytest.approx(here.tilt_deg, abs=1e-4)
-            assert apart(there.points_3d, here.points_3d) < 0.03
+            assert joint_error(there.points_3d, here.points_3d) < 0.03
             frame = np.array(silhouette.shape[::-1]) - 1
-            assert apart(frame - there.points_normalised, here.points_normalised) < 1
+            assert joint_error(frame - there.points_normalised, here.points_normalised) < 1
 
 
 class TestPostures:
-    def test_who_lies_lies_and_who_stands_stands(self, ground_index: PoseIndex) -> None:
+    def test_lying_and_standing_entries_are_classified(self, ground_index: PoseIndex) -> None:
         actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
-        told: dict[str, list[Posture]] = {"lying": [], "standing": []}
+        postures: dict[str, list[Posture]] = {"lying": [], "standing": []}
         for number in range(0, len(ground_index), 13):
             roll_deg = roll_of(ground_index, number)
             roll_deg = roll_deg if abs(roll_deg) > 30 else 0.0
-            found = best(ground_index, ground_index.silhouette(number), roll_deg)
-            told["lying" if actions[number] > 1 else "standing"].append(found.posture)
-        for posture, answers in told.items():
+            found = best_of(ground_index, ground_index.silhouette(number), roll_deg)
+            postures["lying" if actions[number] > 1 else "standing"].append(found.posture)
+        for posture, answers in postures.items():
             assert np.mean([answer == posture for answer in answers]) > 0.95
 
     @pytest.mark.parametrize("quarter", [-90.0, 90.0])
-    def test_who_stands_in_a_picture_turned_by_a_quarter_lies(
+    def test_standing_entry_in_a_picture_rotated_by_90_degrees_is_lying(
         self, toy_index: PoseIndex, quarter: float
     ) -> None:
         answers, tilts = [], []
         for number in range(0, len(toy_index), 29):
-            found = best(toy_index, toy_index.silhouette(number), -quarter)
+            found = best_of(toy_index, toy_index.silhouette(number), -quarter)
             answers.append(found.posture)
             tilts.append(found.tilt_deg)
         # A few in mid-stride rest on a leg, their trunk off the ground: on all fours.
         assert np.mean([answer == "lying" for answer in answers]) > 0.8
         assert not {"standing", "walking"} & set(answers)
-        # Cameras roll a little themselves.
+        # The cameras of entries roll a little.
         assert_allclose(tilts, quarter, atol=10)
+
+
+def keypoints_of_entry(index: PoseIndex, number: int, **changes: float) -> Keypoints:
+    entry = index.entry(number)
+    return keypoints_of(entry.points_normalised, entry.points_3d, **changes)
+
+
+View = tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]
+
+
+def sampled(new_views: Simulation) -> list[View]:
+    """Every twelfth silhouette with its joints in space and in the picture."""
+    in_space, in_picture = view_joints(new_views)
+    return list(zip(new_views.silhouettes(slice(None)), in_space, in_picture, strict=True))[::12]
+
+
+def likeliest(found: Match) -> Hypothesis:
+    best = found.hypotheses[0]
+    assert best.distance == min(one.distance for one in found.hypotheses)
+    return best
+
+
+def test_keypoints_reduce_the_error(toy_index: PoseIndex, new_views: Simulation) -> None:
+    with_them: list[float] = []
+    without: list[float] = []
+    for silhouette, in_space, joints in sampled(new_views):
+        for keypoints, errors in ((None, without), (keypoints_of(joints, in_space), with_them)):
+            best = likeliest(match(toy_index, silhouette, 7, keypoints))
+            errors.append(joint_error(best.points_normalised, joints))
+    assert np.mean(with_them) < 0.6 * np.mean(without)
+
+
+def test_keypoints_decide_between_left_and_right(
+    toy_index: PoseIndex, new_views: Simulation
+) -> None:
+    correct = []
+    for silhouette, in_space, joints in sampled(new_views):
+        padded = np.concatenate([joints, np.zeros((POINTS - JOINTS, 2))])
+        deep = np.concatenate([in_space, np.zeros((POINTS - JOINTS, 3))])
+        for wanted, depth in ((padded, deep), (exchange_sides(padded), exchange_sides(deep))):
+            best = likeliest(match(toy_index, silhouette, 7, keypoints_of(wanted, depth)))
+            right, wrong = (
+                joint_error(best.points_normalised, p) for p in (wanted, exchange_sides(wanted))
+            )
+            correct.append(right <= wrong)
+    assert np.mean(correct) > 0.9
+
+
+@pytest.mark.parametrize("number", [40, 300])
+@pytest.mark.parametrize("lean", [-30.0, 15.0, 45.0])
+def test_tilt_of_a_leaning_person(toy_index: PoseIndex, number: int, lean: float) -> None:
+    silhouette, inverse = rotate_silhouette(toy_index.silhouette(number), lean)
+    entry = toy_index.entry(number)
+    leaning = (entry.points_normalised - inverse[:, 2]) @ np.linalg.inv(inverse[:, :2]).T
+    keypoints = keypoints_of(leaning, rotate_clockwise(entry.points_3d, lean))
+    best = likeliest(match(toy_index, silhouette, 7, keypoints))
+    assert abs(best.tilt_deg - lean) < 20
+    assert joint_error(best.points_normalised, leaning) < 4
+    # Rotated upright, its outline is nearly that of the entry.
+    assert best.reprojection_error_px < 4
+
+
+def test_uninformative_silhouette_is_matched_by_keypoints(toy_index: PoseIndex) -> None:
+    """A full rectangle, within which only the keypoints show a pose."""
+    body = np.ones((128, 48), np.uint8)
+    for number in (40, 301, 500):
+        joints = toy_index.entry(number).points_normalised[:JOINTS]
+        seen = likeliest(match(toy_index, body, 7, keypoints_of_entry(toy_index, number)))
+        assert joint_error(seen.points_normalised, joints) < 5
+        by_silhouette = best_hypotheses(toy_index, body, 7)
+        errors = [joint_error(one.points_normalised, joints) for one in by_silhouette]
+        assert joint_error(seen.points_normalised, joints) < min(errors)
+
+
+@pytest.mark.parametrize("number", [7, 202, 480])
+def test_mirrored_keypoints_give_mirrored_hypotheses(toy_index: PoseIndex, number: int) -> None:
+    silhouette = toy_index.silhouette(number)
+    entry = toy_index.entry(number)
+    here = match(toy_index, silhouette, 5, keypoints_of_entry(toy_index, number)).hypotheses
+    there = match(
+        toy_index,
+        np.ascontiguousarray(silhouette[:, ::-1]),
+        5,
+        keypoints_of(mirror_normalised(entry.points_normalised), mirror_3d(entry.points_3d)),
+    ).hypotheses
+    assert there[0].entry_id == here[0].entry_id
+    assert there[0].mirrored != here[0].mirrored
+    assert there[0].distance == pytest.approx(here[0].distance, rel=0.02, abs=1e-3)
+    assert np.abs(there[0].points_3d - mirror_3d(here[0].points_3d)).max() < 0.02
+    apart_px = there[0].points_normalised - mirror_normalised(here[0].points_normalised)
+    assert np.abs(apart_px).max() < 0.5
+    assert there[0].confidence == pytest.approx(here[0].confidence, abs=0.01)
+    assert there[0].posture == here[0].posture
+
+
+def same(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two hypotheses are equal to the last bit."""
+    return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))
+
+
+@pytest.mark.parametrize(("fewer", "more"), [(3, 7), (7, 14), (10, 20), (1, 50)])
+@pytest.mark.parametrize("number", [9, 301])
+@pytest.mark.parametrize("evidence", ["silhouette", "landmarks", "landmarks, not whole"])
+def test_first_hypotheses_do_not_depend_on_the_number(
+    toy_index: PoseIndex, fewer: int, more: int, number: int, evidence: str
+) -> None:
+    keypoints = None if evidence == "silhouette" else keypoints_of_entry(toy_index, number)
+    few, many = (
+        match(
+            toy_index, toy_index.silhouette(number), n, keypoints,
+            whole=evidence != "landmarks, not whole",
+        )
+        for n in (fewer, more)
+    )  # fmt: skip
+    # Few poses of a small index agree with exact landmarks.
+    assert len(few.hypotheses) >= min(fewer, 7)
+    assert len(many.hypotheses) >= len(few.hypotheses[:fewer])
+    for one, other in zip(few.hypotheses[:fewer], many.hypotheses, strict=False):
+        assert same(one, other)
+    shared = min(fewer, len(few.hypotheses))
+    assert np.array_equal(few.features[:shared], many.features[:shared])
+
+
+@pytest.mark.parametrize("number", [40, 301, 500])
+def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, number: int) -> None:
+    """The silhouette is cut at the hips and fills the frame; landmarks show the scale."""
+    entry = toy_index.entry(number)
+    whole = toy_index.silhouette(number)
+    hips = entry.points_normalised[side_rows("hip")]
+    upper = whole.copy()
+    upper[round(float(hips[:, 1].mean())) :] = 0
+    cut, to_whole = rotate_silhouette(upper, 0.0)
+    seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
+    keypoints = keypoints_of(seen, entry.points_3d)
+    best = likeliest(match(toy_index, cut, 7, keypoints, whole=False))
+    assert joint_error(best.points_normalised, seen) < 8
+    assert joint_error(best.points_3d, entry.points_3d) < 0.15
+    # The silhouette affects only the order.
+    other = match(toy_index, np.ones_like(cut), 7, keypoints, whole=False)
+    assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1
+
+
+@pytest.mark.parametrize("number", [40, 300, 520])
+@pytest.mark.parametrize("angle", [-170.0, -90.0, -70.0, 35.0, 90.0, 110.0, 180.0])
+def test_rotated_person_has_the_rotated_pose(
+    toy_index: PoseIndex, number: int, angle: float
+) -> None:
+    """Whether the silhouette is rotated upright before matching or not."""
+    entry = toy_index.entry(number)
+    lying, to_entry = rotate_silhouette(toy_index.silhouette(number), angle)
+    points = (entry.points_normalised - to_entry[:, 2]) @ np.linalg.inv(to_entry[:, :2]).T
+    expected = rotate_clockwise(entry.points_3d, angle)
+    as_it_is = likeliest(match(toy_index, lying, 7, keypoints_of(points, expected)))
+    stood_up = likeliest(
+        match(
+            toy_index, toy_index.silhouette(number), 7, keypoints_of_entry(toy_index, number),
+            roll_deg=-angle,
+        )
+    )  # fmt: skip
+    assert joint_error(as_it_is.points_normalised, points) < 4
+    assert joint_error(stood_up.points_normalised, entry.points_normalised) < 4
+    for found in (as_it_is, stood_up):
+        assert joint_error(found.points_3d, expected) < 0.2
+        assert abs(wrap_degrees(found.tilt_deg - angle - entry.roll_deg)) < 15
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_keypoints_find_entries_that_were_rolled_upright(
+    ground_index: PoseIndex, mirrored: bool
+) -> None:
+    actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
+    rolled = np.flatnonzero((np.abs(ground_index.entries["roll_deg"]) > 30) & (actions > 1))[::31]
+    for number in rolled.tolist():
+        entry = ground_index.entry(number, mirrored=mirrored)
+        silhouette = ground_index.silhouette(number)
+        if mirrored:
+            silhouette = np.ascontiguousarray(silhouette[:, ::-1])
+        keypoints = keypoints_of(entry.points_normalised, entry.points_3d)
+        best = likeliest(match(ground_index, silhouette, 5, keypoints, roll_deg=entry.roll_deg))
+        assert (best.entry_id, best.mirrored) == (number, mirrored)
+        assert best.tilt_deg == pytest.approx(0, abs=1e-4)
+        assert best.posture == "lying"
+        expected = rotate_clockwise(entry.points_3d, -entry.roll_deg)
+        assert joint_error(best.points_3d, expected) < 0.1

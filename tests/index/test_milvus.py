@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from index.artefact import load_index, save_index
+from index.files import ArtefactError
 from index.search import UnavailableError
 from index.store import PoseIndex
-from index.verified_files import ArtefactError
 from tests.conftest import build_tiny_index
 from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
 

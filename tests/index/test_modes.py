@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
-from index.modes import DISTINCT_M, Modes, find_modes
-from index.skeleton import JOINTS, NATIVE, POINTS, with_bone_lengths_of
+from index.modes import Modes, find_modes
+from index.parameters import MODES
+from index.skeleton import JOINTS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
 
 Points = NDArray[np.float64]
-HEAD = NATIVE.names.index("head")
 
 
 def candidates_of(
@@ -44,15 +44,6 @@ def some_pose(seed: int = 0) -> Points:
     return pose
 
 
-def bone_lengths(pose: Points) -> Points:
-    return np.array([np.linalg.norm(pose[child] - pose[parent]) for parent, child in NATIVE.bones])
-
-
-def bone_directions(pose: Points) -> Points:
-    bones = np.array([pose[child] - pose[parent] for parent, child in NATIVE.bones])
-    return bones / np.linalg.norm(bones, axis=1, keepdims=True)
-
-
 @settings(max_examples=60)
 @given(
     seed=st.integers(0, 999),
@@ -60,7 +51,9 @@ def bone_directions(pose: Points) -> Points:
     count=st.integers(1, 20),
     spread=st.sampled_from([0.0, 0.01, 0.1, 1.0]),
 )
-def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float) -> None:
+def test_modes_are_distinct_and_keep_bone_lengths(
+    seed: int, size: int, count: int, spread: float
+) -> None:
     rng = np.random.default_rng(seed)
     poses = some_pose() + spread * rng.normal(size=(size, POINTS, 3))
     found = candidates_of(rng.normal(size=6), rng.normal(size=(size, 6)), poses)
@@ -68,23 +61,23 @@ def test_modes_of_any_candidates(seed: int, size: int, count: int, spread: float
     assert 1 <= len(modes) <= count
     centres = found.points_3d[modes.centres, :JOINTS]
     apart = np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=-1).mean(axis=-1))
-    assert (apart[~np.eye(len(modes), dtype=bool)] >= DISTINCT_M - 1e-6).all()
+    assert (apart[~np.eye(len(modes), dtype=bool)] >= MODES.distinct_m - 1e-6).all()
     if len(modes) < count and spread in (0.0, 1.0):
         # None was left out: every candidate is near some centre.
         joints = found.points_3d[:, None, :JOINTS]
         nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
-        assert (nearest < DISTINCT_M + 1e-6).all()
+        assert (nearest < MODES.distinct_m + 1e-6).all()
     assert (modes.votes > 0).all()
     assert (modes.votes <= 1 + 1e-6).all()
     assert (modes.distances >= 0).all()
     assert modes.points_3d.shape == (len(modes), POINTS, 3)
     for numbers in (modes.distances, modes.points_3d, modes.points_normalised):
         assert np.isfinite(numbers).all()
-    for points, centre in zip(modes.points_3d, modes.centres, strict=True):
-        assert_allclose(bone_lengths(points), bone_lengths(found.points_3d[centre]), rtol=1e-6)
+    centre_lengths = bone_lengths(found.points_3d[modes.centres])
+    assert_allclose(bone_lengths(modes.points_3d), centre_lengths, rtol=1e-6)
 
 
-def test_candidates_alike_are_one_mode_with_all_votes() -> None:
+def test_equal_candidates_make_one_mode() -> None:
     rng = np.random.default_rng(0)
     found = candidates_of(
         rng.normal(size=6), rng.normal(size=(9, 6)), np.tile(some_pose(), (9, 1, 1))
@@ -96,7 +89,7 @@ def test_candidates_alike_are_one_mode_with_all_votes() -> None:
     assert_allclose(modes.points_normalised, 100 * some_pose()[None, :, :2], atol=1e-4)
 
 
-def test_the_denser_of_two_modes_comes_first() -> None:
+def test_denser_mode_comes_first() -> None:
     poses = np.stack([some_pose(1)] * 3 + [some_pose(2)] * 7)
     angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # all as near
@@ -106,12 +99,11 @@ def test_the_denser_of_two_modes_comes_first() -> None:
 
 
 @pytest.mark.parametrize("where", [0.35, 0.45, 0.5, 0.6])
-def test_a_query_between_known_poses_lands_between_them(where: float) -> None:
-    """Pose and descriptor both move along a line, of which eleven points are known."""
+def test_query_between_known_poses_is_interpolated(where: float) -> None:
+    """Pose and descriptor both move along a line with eleven known points."""
     start = some_pose()
     step = np.zeros((POINTS, 3))
-    wrist = NATIVE.names.index("left_wrist")
-    elbow = NATIVE.names.index("left_elbow")
+    wrist, elbow = rows("left_wrist", "left_elbow")
     # Square to its bone, so that the bone hardly changes its length.
     step[wrist] = np.cross(start[wrist] - start[elbow], [0, 0, 1])
     step *= 0.2 / np.linalg.norm(step)
@@ -129,15 +121,13 @@ def test_a_query_between_known_poses_lands_between_them(where: float) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 4, 12, 30])
-def test_a_mode_that_interpolation_makes_like_another_leaves_its_place_to_the_next(
-    toy_index: PoseIndex, count: int
-) -> None:
+def test_modes_made_equal_by_interpolation_are_replaced(toy_index: PoseIndex, count: int) -> None:
     for number in range(0, 576, 23):
         found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
         assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
 
 
-def test_modes_that_a_fit_makes_alike_are_one(toy_index: PoseIndex) -> None:
+def test_modes_made_equal_by_a_fit_count_as_one(toy_index: PoseIndex) -> None:
     found = find_candidates(toy_index, toy_index.silhouette(7), 200)
 
     def fit(modes: Modes) -> Modes:
@@ -153,27 +143,7 @@ def test_modes_check_their_shapes() -> None:
         replace(modes, votes=np.ones(2))
 
 
-class TestWithBonesOf:
-    @given(seed=st.integers(0, 999), shrink=st.floats(0.1, 3))
-    def test_keeps_lengths_of_one_and_directions_of_the_other(
-        self, seed: int, shrink: float
-    ) -> None:
-        skeleton, points = some_pose(seed), shrink * some_pose(seed + 1) + 5.0
-        result = with_bone_lengths_of(skeleton, points)
-        assert_allclose(bone_lengths(result), bone_lengths(skeleton), rtol=1e-6)
-        assert_allclose(bone_directions(result), bone_directions(points), atol=1e-6)
-        assert_allclose(result[0], 0)
-
-    def test_the_face_moves_with_the_head(self) -> None:
-        points = some_pose(1)
-        result = with_bone_lengths_of(some_pose(2), points)
-        assert_allclose(result[JOINTS:] - result[HEAD], points[JOINTS:] - points[HEAD])
-
-    def test_a_bone_without_direction_stays_finite(self) -> None:
-        assert np.isfinite(with_bone_lengths_of(some_pose(), np.zeros((POINTS, 3)))).all()
-
-
-def test_of_equally_dense_modes_the_first_candidate_comes_first() -> None:
+def test_rounding_does_not_choose_among_equal_densities() -> None:
     rng = np.random.default_rng(0)
     # One pose, tilted by a hair: the sums of its kernels differ by rounding alone.
     poses = np.tile(some_pose(), (40, 1, 1)) * (1 + 1e-15 * rng.normal(size=(40, 1, 1)))

@@ -1,4 +1,4 @@
-"""The network that tells where joints may be: distributions, and what skeletons make of them."""
+"""The joint network: its distributions, their exactness, and the likelihood of skeletons."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from index.network import (
 )
 from index.skeleton import JOINTS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
-from tests.index.networks import random_network
+from tests.index.helpers import random_network
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_probabilities_of_each_axis_sum_to_one(network: JointNetwork, toy_index:
         assert_allclose(part.sum(axis=1), 1, rtol=1e-5)
 
 
-def test_convolutions_are_sums_over_windows(network: JointNetwork, toy_index: PoseIndex) -> None:
+def test_equals_plain_sums_bit_for_bit(network: JointNetwork, toy_index: PoseIndex) -> None:
     """The same layers, written as plain sums over the pixels of each window, twice as precise.
 
     Not a bit differs: whatever the order of its sums, a processor gives this.
@@ -91,7 +91,7 @@ def whole(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.rint(values).clip(0, 127).astype(np.float64)
 
 
-def test_a_mirror_image_is_seen_as_the_mirror_image(
+def test_mirror_image_has_mirrored_distributions(
     network: JointNetwork, toy_index: PoseIndex
 ) -> None:
     silhouette = toy_index.silhouette(3)
@@ -100,9 +100,7 @@ def test_a_mirror_image_is_seen_as_the_mirror_image(
     assert_allclose(other.log_probabilities, seen.mirrored().log_probabilities, rtol=1e-12)
 
 
-def test_mirrored_skeletons_are_as_likely_in_the_mirror(
-    network: JointNetwork, toy_index: PoseIndex
-) -> None:
+def test_mirrored_skeletons_are_as_likely(network: JointNetwork, toy_index: PoseIndex) -> None:
     seen = network.distributions(toy_index.silhouette(3))
     points_3d, points_2d = toy_index.points(np.arange(20))
     mirrored = joint_positions(mirror_3d(points_3d), mirror_normalised(points_2d))
@@ -114,7 +112,7 @@ def test_mirrored_skeletons_are_as_likely_in_the_mirror(
 
 
 class TestPosteriorMeans:
-    def test_normal_distributions_meet_between_their_means_by_their_variances(self) -> None:
+    def test_product_of_two_normal_distributions(self) -> None:
         """In closed form: the product of two normal distributions."""
         logits = np.zeros((JOINTS, BINS), np.float32)
         start = 0
@@ -129,12 +127,12 @@ class TestPosteriorMeans:
         expected = prior + share * (joints(16, 36, 16) - prior)
         assert_allclose(means, expected, atol=2e-3)
 
-    def test_who_sees_nothing_moves_nothing(self) -> None:
+    def test_uniform_distributions_move_nothing(self) -> None:
         blank = Distributions(log_softmax(np.zeros((JOINTS, BINS), np.float32)))
         prior = joints(14.3, 38.6, 15.2)
         assert_allclose(blank.posterior_means(prior, (3.0, 3.0, 0.1)), prior, atol=2e-2)
 
-    def test_another_way_to_see_a_joint_does_not_draw_it_across(self) -> None:
+    def test_distant_peak_does_not_attract_a_joint(self) -> None:
         logits = np.zeros((JOINTS, BINS), np.float32)
         logits[:, 10], logits[:, 20] = 8, 10
         seen = Distributions(log_softmax(logits))
@@ -142,13 +140,13 @@ class TestPosteriorMeans:
         assert_allclose(means[..., 0], AXES[0].first + AXES[0].step * 10, atol=0.2)
 
 
-def test_sees_what_most_of_four_pixels_show(toy_index: PoseIndex) -> None:
+def test_input_is_the_majority_of_four_pixels(toy_index: PoseIndex) -> None:
     silhouette = toy_index.silhouette(3)
     doubled = np.repeat(np.repeat(silhouette[::2, ::2], 2, axis=0), 2, axis=1)
     assert_array_equal(network_input(doubled[None])[0, ..., 0], silhouette[::2, ::2])
 
 
-def test_the_likeliest_place_is_where_the_network_sees_the_joints() -> None:
+def test_predicted_positions_are_likeliest() -> None:
     seen = certain(10, 40, 16)
     (there,) = seen.log_likelihood(joints(10, 40, 16))
     assert there == pytest.approx(seen.peak(), abs=1e-6)
@@ -156,32 +154,32 @@ def test_the_likeliest_place_is_where_the_network_sees_the_joints() -> None:
         assert seen.log_likelihood(joints(*other))[0] < there - 1
 
 
-def test_likelihood_is_continuous_between_bins() -> None:
+def test_likelihood_is_interpolated_between_bins() -> None:
     seen = certain(10, 40, 16)
     values = [seen.log_likelihood(joints(c, 40, 16))[0] for c in np.linspace(10, 11, 11)]
     steps = np.diff(values)
     assert_allclose(steps, steps[0], rtol=1e-3)
 
 
-def test_places_beyond_the_bins_count_as_the_last_ones() -> None:
+def test_positions_beyond_the_bins_are_clipped() -> None:
     seen = certain(0, 71, 31)
     ends, beyond = joints(0, 71, 31), joints(-20, 200, 90)
     assert_allclose(seen.log_likelihood(ends), seen.log_likelihood(beyond), rtol=1e-6)
 
 
-def test_expected_errors_are_distances_where_the_network_is_certain() -> None:
+def test_expected_errors_of_a_certain_network_are_distances() -> None:
     seen = certain(10, 40, 16)
     # Three and four bins of 2 pixels.
     assert seen.expected_errors(joints(13, 44, 20)) == pytest.approx(10, abs=0.1)
 
 
-def test_expected_errors_are_those_of_many_draws(
+def test_expected_errors_equal_those_of_random_draws(
     network: JointNetwork, toy_index: PoseIndex
 ) -> None:
     seen, generator = network.distributions(toy_index.silhouette(3)), np.random.default_rng(2)
     place = joints(14, 38, 15)
     columns, rows = (
-        np.stack([generator.choice(axis.middles, 20_000, p=p / p.sum()) for p in np.exp(part)])
+        np.stack([generator.choice(axis.centres, 20_000, p=p / p.sum()) for p in np.exp(part)])
         for axis, part in zip(AXES[:2], seen.by_axis()[:2], strict=True)
     )
     squares = (columns - place[0, :, :1]) ** 2 + (rows - place[0, :, 1:2]) ** 2
@@ -189,7 +187,7 @@ def test_expected_errors_are_those_of_many_draws(
     assert seen.expected_errors(place) == pytest.approx(drawn, rel=0.01)
 
 
-def test_layers_survive_storing(network: JointNetwork) -> None:
+def test_layers_are_restored(network: JointNetwork) -> None:
     back = JointNetwork.restore(network.arrays())
     for ours, theirs in zip(back.layers, network.layers, strict=True):
         for name, values in vars(theirs).items():
@@ -203,7 +201,7 @@ def test_layers_of_other_shapes_are_refused(network: JointNetwork) -> None:
         JointNetwork.restore({**network.arrays(), "offsets1": np.zeros(3, np.float32)})
 
 
-def test_sums_that_might_not_be_exact_are_refused() -> None:
+def test_layers_with_inexact_sums_are_refused() -> None:
     weights, ones = np.full((1100, 2), 127, np.float32), np.ones(2, np.float32)
     with pytest.raises(ValueError, match="expected sums below 16777216, got up to 17741900"):
         Layer(weights, ones, ones)

@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from index.parameters import POSTURE_RULES
 from index.posture import (
     LOW,
-    MAX_ELEVATION_DEG,
     POSTURES,
-    RUNNING_FROM,
-    WALKING_FROM,
     Posture,
     camera_up,
-    classify,
+    classify_postures,
     lying_elevation_deg,
 )
 from index.skeleton import JOINT_NAMES, POINTS, camera_rotation, mirror_3d
@@ -103,7 +101,7 @@ BODIES: Mapping[str, tuple[Posture, NDArray[np.float64]]] = {
     "on the back, knees drawn up": ("lying", body(tilt=-90, thighs=140, shanks=40, arms=90)),
     "on the back, arms stretched up": ("lying", body(tilt=-90, thighs=90, shanks=90, arms=180)),
 }  # fmt: skip
-"""What somebody does, the posture it is, and the skeleton."""
+"""By description: the posture and the skeleton."""
 
 SKELETONS = np.stack([skeleton for _, skeleton in BODIES.values()])
 EXPECTED = [posture for posture, _ in BODIES.values()]
@@ -112,7 +110,7 @@ EXPECTED = [posture for posture, _ in BODIES.values()]
 def postures(
     points: NDArray[np.floating], up: NDArray[np.floating] = UP, speed: float = 0.0
 ) -> list[Posture]:
-    return [POSTURES[row] for row in classify(points, up, speed)]
+    return [POSTURES[row] for row in classify_postures(points, up, speed)]
 
 
 def rotated(axis: int, degrees: float) -> NDArray[np.float64]:
@@ -126,7 +124,7 @@ def rotated(axis: int, degrees: float) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_the_rules(name: str) -> None:
+def test_rules(name: str) -> None:
     posture, skeleton = BODIES[name]
     assert postures(skeleton[None]) == [posture]
 
@@ -137,7 +135,7 @@ def test_every_rule_is_tested() -> None:
 
 
 @pytest.mark.parametrize("side", [-90.0, 90.0])
-def test_on_a_side(side: float) -> None:
+def test_lying_on_the_side(side: float) -> None:
     """Stretched and curled up."""
     for skeleton in (body(), body(thighs=90, shanks=-20, tilt=20)):
         assert postures((skeleton @ rotated(2, side).T)[None]) == ["lying"]
@@ -147,13 +145,13 @@ def test_on_a_side(side: float) -> None:
     ("speed", "posture"),
     [
         (0.0, "standing"),
-        (WALKING_FROM - 0.01, "standing"),
-        (WALKING_FROM, "walking"),
-        (RUNNING_FROM - 0.01, "walking"),
-        (RUNNING_FROM, "running"),
+        (POSTURE_RULES.min_walking_speed - 0.01, "standing"),
+        (POSTURE_RULES.min_walking_speed, "walking"),
+        (POSTURE_RULES.min_running_speed - 0.01, "walking"),
+        (POSTURE_RULES.min_running_speed, "running"),
     ],
 )
-def test_speed_tells_who_walks_and_runs(speed: float, posture: str) -> None:
+def test_speed_separates_walking_and_running(speed: float, posture: str) -> None:
     assert postures(body(left_thigh=25, right_thigh=-25)[None], speed=speed) == [posture]
 
 
@@ -162,21 +160,21 @@ def test_speed_changes_only_standing() -> None:
     assert moving == ["walking" if posture == "standing" else posture for posture in still]
 
 
-def test_each_has_its_own_speed_and_its_own_up() -> None:
+def test_each_skeleton_has_its_own_speed_and_up() -> None:
     ups = np.stack([UP, rotated(0, 90.0) @ UP, UP])
     bodies = np.stack([body()] * 3)
-    assert [POSTURES[row] for row in classify(bodies, ups, [0.0, 0.0, 1.0])] == [
+    assert [POSTURES[row] for row in classify_postures(bodies, ups, [0.0, 0.0, 1.0])] == [
         "standing", "lying", "walking",
     ]  # fmt: skip
 
 
 @given(yaw=st.floats(-180, 180), scale=st.floats(0.5, 2.0), shift=st.floats(-5, 5))
-def test_neither_heading_size_nor_place_matters(yaw: float, scale: float, shift: float) -> None:
+def test_heading_size_and_place_do_not_matter(yaw: float, scale: float, shift: float) -> None:
     moved = scale * SKELETONS @ rotated(1, yaw).T + np.array([shift, -shift, 2 * shift])
     assert postures(moved) == EXPECTED
 
 
-def test_the_mirror_image_is_in_the_same_posture() -> None:
+def test_mirror_image_has_the_same_posture() -> None:
     assert postures(mirror_3d(SKELETONS)) == EXPECTED
 
 
@@ -185,13 +183,13 @@ def test_only_joints_count() -> None:
 
 
 @given(azimuth=st.floats(0, 360), elevation=st.floats(-5, 70))
-def test_cameras_that_know_their_elevation_tell_the_same(azimuth: float, elevation: float) -> None:
+def test_posture_does_not_depend_on_the_camera(azimuth: float, elevation: float) -> None:
     seen = SKELETONS @ camera_rotation(azimuth, elevation).T
     assert postures(seen, camera_up(elevation)) == EXPECTED
 
 
 @given(elevation=st.floats(-90, 90), azimuth=st.floats(0, 360))
-def test_camera_up_is_up_as_the_camera_sees_it(elevation: float, azimuth: float) -> None:
+def test_camera_up_is_up_in_camera_axes(elevation: float, azimuth: float) -> None:
     up = camera_up(elevation)
     assert_allclose(up, camera_rotation(azimuth, elevation) @ UP, atol=1e-12)
     assert_allclose(camera_up(np.array([elevation, 0.0])), [up, [0, -1, 0]], atol=1e-12)
@@ -199,11 +197,11 @@ def test_camera_up_is_up_as_the_camera_sees_it(elevation: float, azimuth: float)
 
 @given(
     azimuth=st.floats(0, 360),
-    elevation=st.floats(0, MAX_ELEVATION_DEG),
+    elevation=st.floats(0, POSTURE_RULES.max_elevation_deg),
     side=st.floats(0, 360),
     tail_first=st.booleans(),
 )
-def test_the_elevation_that_levels_a_trunk_is_the_cameras(
+def test_elevation_of_a_level_trunk_is_the_cameras(
     azimuth: float, elevation: float, side: float, tail_first: bool
 ) -> None:
     level = body(arms=30) @ rotated(1, side).T @ rotated(0, 90.0 if tail_first else -90.0).T
@@ -215,8 +213,6 @@ def test_the_elevation_that_levels_a_trunk_is_the_cameras(
 
 
 @given(azimuth=st.floats(0, 360), elevation=st.floats(-90, 90))
-def test_the_elevation_that_levels_a_trunk_is_one_that_cameras_have(
-    azimuth: float, elevation: float
-) -> None:
+def test_elevation_is_limited_to_that_of_cameras(azimuth: float, elevation: float) -> None:
     found = lying_elevation_deg(SKELETONS @ camera_rotation(azimuth, elevation).T)
-    assert ((found >= 0) & (found <= MAX_ELEVATION_DEG)).all()
+    assert ((found >= 0) & (found <= POSTURE_RULES.max_elevation_deg)).all()

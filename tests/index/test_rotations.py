@@ -11,20 +11,14 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
+from index.parameters import ROTATIONS
 from index.rotations import (
-    MAX_ROTATIONS,
-    MIN_SHARE,
-    STEP_DEG,
-    RotatedQuery,
+    landmark_rotations,
     rotate_silhouette,
-    rotations_of_landmarks,
-    usual_rotations,
+    silhouette_rotations,
 )
-from index.search import rotate_clockwise
-from index.skeleton import camera_rotation
 from index.store import PoseIndex
 
-ANGLES = (-30.0, -15.0, 10.0, 25.0)
 EVERY_WAY = (-170.0, -90.0, -53.0, 8.0, 90.0, 121.0, 180.0)
 
 
@@ -54,13 +48,15 @@ def assert_differ_only_at_the_outline(one: NDArray[np.uint8], other: NDArray[np.
 
 @pytest.mark.parametrize("angle", EVERY_WAY)
 class TestRotateAnyMask:
-    def test_rotating_back_gives_the_silhouette(self, toy_index: PoseIndex, angle: float) -> None:
+    def test_rotating_back_restores_the_silhouette(
+        self, toy_index: PoseIndex, angle: float
+    ) -> None:
         silhouette = toy_index.silhouette(40)
         again = rotate_silhouette(rotate_silhouette(silhouette, angle)[0], -angle)[0]
         # Lying, it is drawn at less than half of the size.
         assert (again & silhouette).sum() / (again | silhouette).sum() > 0.6
 
-    def test_pixels_lead_back_to_the_mask(self, toy_index: PoseIndex, angle: float) -> None:
+    def test_pixels_map_back_to_the_mask(self, toy_index: PoseIndex, angle: float) -> None:
         mask = frame_mask(toy_index.silhouette(40))
         upright, inverse = rotate_silhouette(mask, angle)
         x, y = np.rint(pixels(upright) @ inverse[:, :2].T + inverse[:, 2]).astype(int).T
@@ -78,7 +74,7 @@ class TestRotateAnyMask:
         # Counterclockwise, with y down.
         assert_allclose(linear / scale, [[cosine, sine], [-sine, cosine]], atol=1e-9)
 
-    def test_where_in_the_frame_and_how_large_does_not_matter(
+    def test_place_and_size_in_the_frame_do_not_matter(
         self, toy_index: PoseIndex, angle: float
     ) -> None:
         silhouette = toy_index.silhouette(40)
@@ -93,17 +89,13 @@ class TestRotateAnyMask:
             assert_differ_only_at_the_outline(first, other)
 
 
-def test_without_a_rotation_a_mask_is_normalised(toy_index: PoseIndex) -> None:
+def test_rotation_by_zero_normalises(toy_index: PoseIndex) -> None:
     mask = frame_mask(toy_index.silhouette(40))
     rotated_by_none, inverse = rotate_silhouette(mask, 0.0)
     expected, placement = normalise(mask)
     assert_differ_only_at_the_outline(rotated_by_none, expected)
     middle = (inverse @ [24, 64, 1])[:2]
     assert_allclose(placement.to_normalised(middle), [24, 64], atol=placement.scale)
-
-
-def rotated(silhouette: NDArray[np.uint8], *rotations_deg: float) -> list[RotatedQuery]:
-    return [RotatedQuery.of(silhouette, rotation) for rotation in rotations_deg]
 
 
 UPRIGHT = (0.0,)
@@ -113,87 +105,78 @@ UPRIGHT = (0.0,)
     rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60),
     usual=st.sampled_from([UPRIGHT, (0.0, -180.0), (0.0, 37.0, -143.0)]),
 )
-def test_rotations_of_landmarks_are_few_and_the_most_frequent(
+def test_landmark_rotations_are_few_and_the_most_frequent(
     rolls: list[float], usual: tuple[float, ...]
 ) -> None:
-    found = rotations_of_landmarks(usual, np.array(rolls))
-    assert 1 <= len(found) == len(set(found)) <= MAX_ROTATIONS
+    found = landmark_rotations(usual, np.array(rolls))
+    assert 1 <= len(found) == len(set(found)) <= ROTATIONS.max_rotations
 
     def apart(one: float, other: float) -> float:
         return abs((one - other + 180) % 360 - 180)
 
     # Each is a usual one or a multiple of a step, within one and a half steps of half a step.
     for rotation in found:
-        assert rotation in usual or rotation % STEP_DEG == 0
-        assert min(apart(rotation, roll) for roll in rolls) <= STEP_DEG + 1e-6
-    near = [sum(apart(rotation, roll) <= STEP_DEG + 1e-6 for roll in rolls) for rotation in found]
+        assert rotation in usual or rotation % ROTATIONS.step_deg == 0
+        assert min(apart(rotation, roll) for roll in rolls) <= ROTATIONS.step_deg + 1e-6
+    near = [
+        sum(apart(rotation, roll) <= ROTATIONS.step_deg + 1e-6 for roll in rolls)
+        for rotation in found
+    ]
     if len(found) > 1:
-        assert all(count >= MIN_SHARE * len(rolls) for count in near)
+        assert all(count >= ROTATIONS.min_share * len(rolls) for count in near)
 
 
 @pytest.mark.parametrize("lean", [-150.0, -90.0, -45.0, 0.0, 30.0, 60.0, 165.0])
 def test_the_most_frequent_rotation_comes_first(lean: float) -> None:
     rolls = np.random.default_rng(1).normal(lean, 2, 100)
-    assert rotations_of_landmarks(UPRIGHT, rolls)[0] == lean
+    assert landmark_rotations(UPRIGHT, rolls)[0] == lean
 
 
-def test_usual_rotations_take_in_those_near_them() -> None:
-    assert rotations_of_landmarks((0.0, 37.0), np.array([41.0, 33.0, 37.0, 1.0])) == [37.0, 0.0]
+def test_rotations_near_a_usual_one_are_merged_with_it() -> None:
+    assert landmark_rotations((0.0, 37.0), np.array([41.0, 33.0, 37.0, 1.0])) == [37.0, 0.0]
 
 
 def test_mirrored_rotations_are_as_likely() -> None:
     rolls = np.array([14.0] * 30 + [-31.0] * 20 + [3.0] * 50)
-    assert rotations_of_landmarks(UPRIGHT, rolls) == [0.0, 15.0]
-    assert rotations_of_landmarks(UPRIGHT, -rolls) == [0.0, -15.0]
+    assert landmark_rotations(UPRIGHT, rolls) == [0.0, 15.0]
+    assert landmark_rotations(UPRIGHT, -rolls) == [0.0, -15.0]
 
 
-class TestUsualRotations:
-    def test_somebody_upright_is_searched_for_upright(self) -> None:
-        assert usual_rotations(bar(120, 40), 0.0) == (0.0,)
+class TestSilhouetteRotations:
+    def test_upright_silhouette_is_searched_upright(self) -> None:
+        assert silhouette_rotations(bar(120, 40), 0.0) == (0.0,)
 
     @pytest.mark.parametrize("angle", [-60.0, -30.0, 45.0, 75.0])
-    def test_nearly_square_is_searched_for_standing_either_way_up_as_well(
+    def test_nearly_square_silhouette_is_searched_along_its_axis_as_well(
         self, angle: float
     ) -> None:
-        upright, axis, opposite = usual_rotations(bar(100, 70, angle), 0.0)
+        upright, axis, opposite = silhouette_rotations(bar(100, 70, angle), 0.0)
         assert upright == 0
         assert axis == pytest.approx(angle, abs=3)
         assert abs(axis - opposite) == pytest.approx(180)
 
     @pytest.mark.parametrize("roll", [-90.0, -60.0, 70.0, 90.0])
-    def test_rotated_to_stand_is_searched_for_either_way_up(self, roll: float) -> None:
-        assert usual_rotations(bar(120, 40), roll) == (0.0, -180.0)
+    def test_rolled_silhouette_is_searched_both_ways_up(self, roll: float) -> None:
+        assert silhouette_rotations(bar(120, 40), roll) == (0.0, -180.0)
 
     @pytest.mark.parametrize("roll", [-90.0, -80.0, 85.0, 90.0])
-    def test_and_as_it_was_if_it_was_hardly_wide(self, roll: float) -> None:
-        assert usual_rotations(bar(60, 50), roll) == (0.0, -180.0, roll)
+    def test_hardly_wide_silhouette_is_searched_unrolled_as_well(self, roll: float) -> None:
+        assert silhouette_rotations(bar(60, 50), roll) == (0.0, -180.0, roll)
 
     @pytest.mark.parametrize("roll", [0.0, 90.0, -70.0])
     @pytest.mark.parametrize("size", [(60, 50), (120, 40)])
-    def test_the_mirror_image_is_searched_for_at_mirrored_rotations(
+    def test_mirror_image_is_searched_at_mirrored_rotations(
         self, roll: float, size: tuple[int, int]
     ) -> None:
         silhouette = bar(*size, 20.0)
-        ours = usual_rotations(silhouette, roll)
-        theirs = usual_rotations(np.ascontiguousarray(silhouette[:, ::-1]), -roll)
+        ours = silhouette_rotations(silhouette, roll)
+        theirs = silhouette_rotations(np.ascontiguousarray(silhouette[:, ::-1]), -roll)
         assert_allclose(np.cos(np.deg2rad(theirs)), np.cos(np.deg2rad(ours)), atol=0.02)
         assert_allclose(np.sin(np.deg2rad(theirs)), -np.sin(np.deg2rad(ours)), atol=0.02)
 
 
-class TestRotateClockwise:
-    def test_up_becomes_right_and_depth_stays(self) -> None:
-        up = np.array([[0.0, -1.0, 0.3]])
-        assert_allclose(rotate_clockwise(up, 90.0), [[1.0, 0.0, 0.3]], atol=1e-12)
-
-    @pytest.mark.parametrize("angle", ANGLES)
-    def test_is_a_roll_of_the_camera(self, angle: float) -> None:
-        points = np.random.default_rng(0).normal(size=(5, 3))
-        upright, rolled = (points @ camera_rotation(40, 25, roll).T for roll in (0.0, angle))
-        assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-12)
-
-
 @pytest.mark.parametrize("shape", [(12, 1_000_000), (40_000, 3)])
-def test_masks_longer_than_opencv_takes_are_rotated(shape: tuple[int, int]) -> None:
+def test_masks_beyond_the_limits_of_opencv_are_rotated(shape: tuple[int, int]) -> None:
     mask = np.ones(shape, np.uint8)
     assert abs(principal_axis_deg(mask)) == pytest.approx(90 if shape[1] > shape[0] else 0, abs=1)
     rotated, inverse = rotate_silhouette(mask, 90.0)
@@ -205,7 +188,7 @@ def test_masks_longer_than_opencv_takes_are_rotated(shape: tuple[int, int]) -> N
 
 @pytest.mark.parametrize("angle", [0.0, 20.0, 90.0, -135.0])
 @pytest.mark.parametrize("length", [400, 4_000, 30_000])
-def test_a_line_is_rotated_all_along(length: int, angle: float) -> None:
+def test_thin_line_stays_unbroken(length: int, angle: float) -> None:
     """However thin it is in the frame, where it covers no pixel by half."""
     rotated, inverse = rotate_silhouette(np.ones((length, 3), np.uint8), angle)
     along = (pixels(rotated) @ inverse[:, :2].T + inverse[:, 2])[:, 1]

@@ -16,11 +16,19 @@ from index.skeleton import (
     POINT_NAMES,
     POINTS,
     KeypointSet,
+    bone_lengths,
     camera_rotation,
     exchange_sides,
     mirror_3d,
     mirror_normalised,
+    other_side,
+    pixels_per_metre,
     project,
+    rotate_clockwise,
+    rows,
+    side_rows,
+    with_bone_lengths,
+    wrap_degrees,
 )
 
 LEFT, UP, FRONT = np.eye(3)
@@ -87,12 +95,6 @@ def test_projection_is_a_line_of_sight(depth: float, scale: float) -> None:
     )
 
 
-def other(name: str) -> str:
-    if name.startswith("left_"):
-        return "right_" + name[5:]
-    return "left_" + name[6:] if name.startswith("right_") else name
-
-
 @pytest.mark.parametrize("keypoints", KEYPOINT_SETS.values(), ids=lambda k: k.name)
 class TestKeypointSets:
     def test_indices_name_the_points(self, keypoints: KeypointSet) -> None:
@@ -110,7 +112,7 @@ class TestKeypointSets:
         def named(pairs: tuple[tuple[int, int], ...]) -> set[frozenset[str]]:
             return {frozenset((keypoints.names[a], keypoints.names[b])) for a, b in pairs}
 
-        bones = {frozenset(map(other, bone)) for bone in named(keypoints.bones)}
+        bones = {frozenset(map(other_side, bone)) for bone in named(keypoints.bones)}
         assert bones == named(keypoints.bones)
 
 
@@ -128,10 +130,9 @@ class TestMirror:
     def test_left_becomes_right_and_the_middle_stays(self) -> None:
         points = some_points(3)[0]
         image = mirror_3d(points)
-        left, right = POINT_NAMES.index("left_wrist"), POINT_NAMES.index("right_wrist")
+        left, right, nose = rows("left_wrist", "right_wrist", "nose")
         assert_array_equal(image[right], points[left] * (-1, 1, 1))
         assert_array_equal(image[left], points[right] * (-1, 1, 1))
-        nose = POINT_NAMES.index("nose")
         assert_array_equal(image[nose], points[nose] * (-1, 1, 1))
 
     @given(azimuth=angles, elevation=angles, roll=angles)
@@ -167,8 +168,68 @@ def test_native_bones_form_a_tree_from_the_pelvis() -> None:
 def test_exchanging_sides_moves_names_not_points() -> None:
     points = np.random.default_rng(0).normal(size=(3, POINTS, 2))
     exchanged = exchange_sides(points)
-    left, right = (POINT_NAMES.index(f"{side}_knee") for side in ("left", "right"))
-    head = POINT_NAMES.index("head")
+    left, right, head = rows("left_knee", "right_knee", "head")
     assert_array_equal(exchanged[:, left], points[:, right])
     assert_array_equal(exchanged[:, head], points[:, head])
     assert_array_equal(exchange_sides(exchanged), points)
+
+
+def test_rows_by_name() -> None:
+    assert rows("pelvis", "nose") == [0, JOINTS]
+    left, right = side_rows("knee")
+    assert (POINT_NAMES[left], POINT_NAMES[right]) == ("left_knee", "right_knee")
+    assert other_side("left_knee") == "right_knee" and other_side("pelvis") == "pelvis"
+
+
+@given(angle=angles)
+def test_wrapped_angles_are_the_same_angles(angle: float) -> None:
+    wrapped = float(wrap_degrees(angle))
+    assert -180 <= wrapped < 180
+    assert np.cos(np.deg2rad(wrapped - angle)) == pytest.approx(1)
+
+
+class TestRotateClockwise:
+    def test_up_becomes_right_and_depth_stays(self) -> None:
+        up = np.array([[0.0, -1.0, 0.3]])
+        assert_allclose(rotate_clockwise(up, 90.0), [[1.0, 0.0, 0.3]], atol=1e-12)
+
+    @given(angle=angles)
+    def test_is_a_roll_of_the_camera(self, angle: float) -> None:
+        points = some_points(3)[0]
+        upright, rolled = (points @ camera_rotation(40, 25, roll).T for roll in (0.0, angle))
+        assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-9)
+
+
+class TestWithBoneLengths:
+    def test_face_moves_with_the_head(self) -> None:
+        points, (head,) = some_points(3)[0], rows("head")
+        result = with_bone_lengths(points, bone_lengths(some_points(3)[1]))
+        assert_allclose(result[JOINTS:] - result[head], points[JOINTS:] - points[head])
+
+    def test_bones_without_direction_stay_finite(self) -> None:
+        lengths = bone_lengths(some_points(3)[0])
+        assert np.isfinite(with_bone_lengths(np.zeros((POINTS, 3)), lengths)).all()
+
+
+@given(seed=st.integers(0, 999))
+def test_bone_lengths_are_set_as_if_bone_by_bone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, lengths = rng.normal(size=(POINTS, 3)), rng.uniform(0.1, 1, len(NATIVE.bones))
+    points -= points[0]
+    expected, (head,) = points.copy(), rows("head")
+    for (parent, child), length in zip(NATIVE.bones, lengths, strict=True):
+        bone = points[child] - points[parent]
+        expected[child] = expected[parent] + bone * length / np.linalg.norm(bone)
+    expected[JOINTS:] += expected[head] - points[head]
+    found = with_bone_lengths(points, lengths)
+    assert_allclose(found, expected, atol=1e-12)
+    assert_allclose(bone_lengths(found), lengths, atol=1e-12)
+
+
+@pytest.mark.parametrize("points", [JOINTS, POINTS])
+def test_scale_of_a_projection_from_joints_or_all_points(points: int) -> None:
+    points_3d = np.random.default_rng(0).normal(size=(3, POINTS, 3))
+    scales = np.array([20.0, 80.0, 300.0])
+    points_2d = scales[:, None, None] * points_3d[..., :2] + (5.0, 9.0)
+    points_2d[:, points:] = 1e6
+    assert_allclose(pixels_per_metre(points_3d, points_2d, points), scales)

@@ -22,7 +22,7 @@ def results(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("document", documents(), ids=lambda path: str(path.relative_to(ROOT)))
 def test_quoted_figures_are_those_measured(document: Path) -> None:
     text = document.read_text()
-    assert list(differences(text, updated(text))) == [], "run python -m scripts.figures"
+    assert list(differences(text, updated(text))) == [], "run python -m scripts figures"
 
 
 @pytest.mark.parametrize("file", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)

@@ -4,15 +4,35 @@ from __future__ import annotations
 
 import os
 import subprocess
-import time
 from pathlib import Path
 
-import httpx
-
-from scripts.load.server import free_ports
-from scripts.results import ROOT
+from tests.conftest import ROOT, start_server, wait_until
+from tests.support.ports import free_ports
 
 CONFIGURATION = ROOT / "deploy" / "haproxy.cfg"
+
+
+class Replica:
+    """A server process that is ready, as a context manager; entering it again restarts it."""
+
+    def __init__(self, index: Path, log: Path | None = None) -> None:
+        (self._port,) = free_ports(1)
+        self.url = f"http://127.0.0.1:{self._port}"
+        self._index, self._log = index, log
+
+    def __enter__(self) -> Replica:
+        self._server = start_server(self._index, log=self._log, PORT=str(self._port))
+        wait_until(f"{self.url}/readyz", timeout_s=60)
+        return self
+
+    def kill(self) -> None:
+        """End it as a crash would, with no request finished."""
+        self._server.process.kill()
+        self._server.process.wait()
+
+    def __exit__(self, *error: object) -> None:
+        if self._server.process.poll() is None:
+            self._server.stop()
 
 
 class Balancer:
@@ -41,7 +61,7 @@ class Balancer:
         self._log = log or Path(os.devnull)
 
     def __enter__(self) -> Balancer:
-        """Start it, and wait until it has a replica to ask."""
+        """Start it, and wait until one of its replicas is ready."""
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
                 ["haproxy", "-db", "-f", str(self._configuration)],
@@ -50,24 +70,12 @@ class Balancer:
                 stderr=subprocess.STDOUT,
             )
         try:
-            self._wait_until_ready()
+            wait_until(f"{self.operations_url}/readyz")
         except TimeoutError:
             self.__exit__()
             raise
         return self
 
-    def _wait_until_ready(self, timeout_s: float = 20) -> None:
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline and self._process.poll() is None:
-            try:
-                if httpx.get(f"{self.operations_url}/readyz").status_code == 200:
-                    return
-            except httpx.TransportError:
-                pass
-            time.sleep(0.02)
-        raise TimeoutError(f"the balancer at {self.url} was not ready in {timeout_s} s")
-
     def __exit__(self, *error: object) -> None:
-        """End it."""
         self._process.terminate()
         self._process.wait(timeout=10)

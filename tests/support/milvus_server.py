@@ -15,7 +15,7 @@ import urllib.request
 from pathlib import Path
 from types import TracebackType
 
-from scripts.load.server import free_ports
+from tests.support.ports import free_ports
 
 _PORTS = (
     "proxy_port",

@@ -50,5 +50,5 @@ def page(browser: Any, server: Server, request: pytest.FixtureRequest) -> Iterat
 
 
 def is_trouble(message: Any) -> bool:
-    # Of an answer with an error status the browser complains by itself.
+    # The browser logs an error for each answer with an error status.
     return message.type == "error" and "Failed to load resource" not in message.text

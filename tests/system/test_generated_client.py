@@ -77,7 +77,7 @@ def test_it_gets_pictures_of_a_frame(
     assert picture.payload.read().startswith(b"\x89PNG")
 
 
-def test_it_asks_for_boxes_as_deepstack_does(package: Any, server: Server, photo: Photo) -> None:
+def test_it_requests_boxes_like_deepstack(package: Any, server: Server, photo: Photo) -> None:
     body = load("models").DeepstackUpload(image=image(photo.frame_png), min_confidence=0.9)
     client = package.Client(server.url)
     answer = load("api.compatibility.detect_deepstack").sync(client=client, body=body)

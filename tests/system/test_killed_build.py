@@ -1,4 +1,4 @@
-"""kill -9 while an index is built: the old one stays, whole, and the next build tidies up."""
+"""A build ended by ``kill -9`` leaves the old index intact, and the next build cleans up."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SLOWEST_S = 300
 
 def start_build(out: Path) -> subprocess.Popen[bytes]:
     size = ["--entries", "240", "--bodies", "1", "--views", "6", "--descriptor", "paper"]
-    command = [sys.executable, "-m", "scripts.build_index", "--mocap", str(MOCAP), *size]
+    command = [sys.executable, "-m", "scripts", "build", "--mocap", str(MOCAP), *size]
     return subprocess.Popen(
         [*command, "--out", str(out)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT
     )
@@ -38,7 +38,7 @@ def kill_once(build: subprocess.Popen[bytes], due: Callable[[], bool]) -> None:
     assert build.wait() == -signal.SIGKILL
 
 
-def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
+def test_a_killed_build_leaves_the_old_index_intact(tmp_path: Path) -> None:
     pytest.importorskip("anny", reason="needs the build extra")
     if not MOCAP.exists():
         pytest.skip(f"needs the motion data in {MOCAP}")
@@ -53,7 +53,7 @@ def test_a_killed_build_leaves_the_old_index_whole(tmp_path: Path) -> None:
             return []
 
     def staged() -> list[Path]:
-        return beside("*.xz") + beside("*.npy")
+        return beside("new/*.xz") + beside("new/*.npy")
 
     started = time.monotonic()
     # While it computes; with a shard drawn; with the first file written; with several.

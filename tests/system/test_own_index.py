@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.serving.loading import load_estimator
 from app.settings import Settings
 from index.artefact import load_index
 
@@ -27,8 +27,8 @@ CLIPS = {"jump_train_1": "jump", "basketball_train_1": "basketball", "14_30": "k
 RENAMED = {"LeftArm": "arm.L", "RightArm": "arm.R", "Head": "skull"}
 
 COMMANDS = (
-    ("scripts.build_index", "--entries", "480", "--views", "4", "--attribution", "Motion by us."),
-    ("scripts.train_reranker", "--passes", "1"),
+    ("build", "--entries", "480", "--views", "4", "--attribution", "Motion by us."),
+    ("train-reranker", "--passes", "1"),
 )
 
 
@@ -49,9 +49,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lines.append(f"{clip},s,{action},0,100,30,")
     (mocap / "manifest.csv").write_text("\n".join(lines) + "\n")
     (mocap / "rig.json").write_text(json.dumps({"joints": RENAMED}))
-    for module, *options in COMMANDS:
-        place = "--out" if module == "scripts.build_index" else "--index"
-        command = [sys.executable, "-m", module, "--mocap", mocap, place, out, *options]
+    for name, *options in COMMANDS:
+        place = "--out" if name == "build" else "--index"
+        command = [sys.executable, "-m", "scripts", name, "--mocap", mocap, place, out, *options]
         done = subprocess.run(
             list(map(str, command)), cwd=ROOT, capture_output=True, text=True, timeout=900
         )
@@ -61,7 +61,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_says_whose_it_is_and_what_its_confidence_rests_on(built: Path) -> None:
+def test_it_names_its_source_and_its_calibration(built: Path) -> None:
     index = load_index(built)
     assert index.name == "our-index"
     assert index.parameters["attribution"].startswith("Motion by us. Bodies by MakeHuman")
@@ -73,11 +73,11 @@ def test_says_whose_it_is_and_what_its_confidence_rests_on(built: Path) -> None:
 
 
 @pytest.mark.slow
-def test_is_served(built: Path) -> None:
+def test_it_is_served(built: Path) -> None:
     silhouette = cv2.copyMakeBorder(load_index(built).silhouette(7), 9, 9, 9, 9, 0)
     mask = cv2.imencode(".png", np.asarray(255 * silhouette, np.uint8))[1].tobytes()
     settings = Settings(index=built)
-    with TestClient(create_app(settings, Estimator.load(settings))) as client:
+    with TestClient(create_app(settings, load_estimator(settings))) as client:
         described = client.get("/index").json()
         reply = client.post("/pose", files={"mask": ("mask.png", mask, "image/png")})
     assert described["name"] == "our-index"

@@ -13,14 +13,14 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.coco import compressed, run_lengths
-from app.vision.geometry import silhouette_from_mask
+from app.vision.people import silhouette_from_mask
 from tests.conftest import ROOT, WALKERS, Photo, png
 
 STATIC = ROOT / "app" / "static"
 MAX_LINES = 350
 
 
-def test_the_page_and_its_files_are_served_and_ask_nobody_else(client: TestClient) -> None:
+def test_the_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
     page = client.get("/")
     assert page.headers["content-type"].startswith("text/html")
     assert "default-src 'self'" in page.headers["content-security-policy"]
@@ -73,7 +73,7 @@ def test_a_photograph_shows_its_pose(page: Any, pictures: list[str], photo: Phot
     assert command.endswith("/pose?n=7&keypoints=native'")
 
 
-def test_the_keyboard_chooses_and_turns(page: Any, pictures: list[str]) -> None:
+def test_the_keyboard_selects_and_rotates(page: Any, pictures: list[str]) -> None:
     page.set_input_files("#file", pictures)
     page.locator("#hypotheses .card").first.wait_for()
     before = page.locator("#supposed").inner_text()
@@ -89,7 +89,7 @@ def test_the_keyboard_chooses_and_turns(page: Any, pictures: list[str]) -> None:
     assert solid.evaluate("c => c.toDataURL()") != still
 
 
-def test_the_tallest_person_is_shown_first_and_close_up(page: Any, tmp_path: Path) -> None:
+def test_the_tallest_person_is_selected_first(page: Any, tmp_path: Path) -> None:
     labels = np.zeros((240, 320), np.uint8)
     labels[100:160, 30:60], labels[60:200, 200:260] = 1, 2
     paths = [tmp_path / "two.png", tmp_path / "two_mask.png"]
@@ -104,7 +104,7 @@ def test_the_tallest_person_is_shown_first_and_close_up(page: Any, tmp_path: Pat
     assert close_up.evaluate("c => c.toDataURL()") != second
 
 
-def test_a_background_goes_with_the_frame(page: Any, photo: Photo, tmp_path: Path) -> None:
+def test_a_background_is_sent_with_the_frame(page: Any, photo: Photo, tmp_path: Path) -> None:
     paths = [tmp_path / "yard.png", tmp_path / "yard_background.png"]
     paths[0].write_bytes(photo.frame_png)
     paths[1].write_bytes(png(np.full(photo.frame.shape, 200, np.uint8)))
@@ -113,9 +113,7 @@ def test_a_background_goes_with_the_frame(page: Any, photo: Photo, tmp_path: Pat
     assert page.locator("#facts").get_by_text("background").count() > 0
 
 
-def test_what_is_measured_leads_and_the_clip_is_named_as_such(
-    page: Any, pictures: list[str]
-) -> None:
+def test_measurements_come_first_and_the_clip_is_labelled(page: Any, pictures: list[str]) -> None:
     page.set_input_files("#file", pictures)
     page.locator("#hypotheses .card").first.wait_for()
     assert page.locator("#terms h2").first.inner_text() == "Measured in the photograph"
@@ -144,7 +142,7 @@ def test_after_an_error_the_old_answer_is_dimmed(
     assert page.locator("#note").is_hidden()
 
 
-def test_nobody_found_is_no_alarm(page: Any, tmp_path: Path) -> None:
+def test_finding_nobody_is_no_error(page: Any, tmp_path: Path) -> None:
     (tmp_path / "wall.png").write_bytes(png(np.full((240, 320, 3), 200, np.uint8)))
     page.set_input_files("#file", str(tmp_path / "wall.png"))
     page.get_by_text("Nobody was found").wait_for()
@@ -152,7 +150,7 @@ def test_nobody_found_is_no_alarm(page: Any, tmp_path: Path) -> None:
     assert page.locator("[role=alert]:visible").count() == 0
 
 
-def test_a_second_photograph_is_not_dropped_silently(
+def test_a_second_photograph_is_mentioned(
     page: Any, photo: Photo, pictures: list[str], tmp_path: Path
 ) -> None:
     (tmp_path / "yard.png").write_bytes(photo.frame_png)
@@ -163,7 +161,7 @@ def test_a_second_photograph_is_not_dropped_silently(
     page.get_by_text("street.png is shown, street_background.png left out").wait_for()
 
 
-def test_99_hypotheses_are_told_to_be_50(page: Any, pictures: list[str]) -> None:
+def test_99_hypotheses_become_50(page: Any, pictures: list[str]) -> None:
     page.locator("#count").fill("99")
     with page.expect_response("**/pose?*") as answer:
         page.set_input_files("#file", pictures)
@@ -172,9 +170,7 @@ def test_99_hypotheses_are_told_to_be_50(page: Any, pictures: list[str]) -> None
     assert page.locator("#count").input_value() == "50"
 
 
-def test_a_large_photograph_is_sent_small_and_shown_in_its_own_pixels(
-    page: Any, tmp_path: Path
-) -> None:
+def test_a_large_photograph_is_sent_small_and_shown_large(page: Any, tmp_path: Path) -> None:
     walkers = cv2.imread(str(WALKERS))
     height, width = walkers.shape[:2]
     large = tmp_path / "large.png"
@@ -192,7 +188,7 @@ def test_a_large_photograph_is_sent_small_and_shown_in_its_own_pixels(
     assert shown == pytest.approx([tallest["width"] * factor, tallest["height"] * factor], abs=1)
 
 
-def test_an_answer_is_brought_back_to_the_photographs_pixels(page: Any) -> None:
+def test_an_answer_is_scaled_back_to_the_photograph(page: Any) -> None:
     answer = """{
         image: {width: 100, height: 50},
         persons: [{
@@ -216,7 +212,7 @@ def test_an_answer_is_brought_back_to_the_photographs_pixels(page: Any) -> None:
     assert person["hypotheses"][0]["joints_2d"] == [{"x": 1.5, "y": 5.5}, None]
 
 
-def test_silhouettes_are_drawn_as_the_answer_has_them(page: Any) -> None:
+def test_silhouettes_are_drawn_as_in_the_answer(page: Any) -> None:
     mask = np.zeros((240, 320), bool)
     mask[20:220, 100:180], mask[60:80, 120:140], mask[:, 300:] = True, False, True
     silhouette = silhouette_from_mask(mask, segmenter="mask", truncated=False)
@@ -235,7 +231,7 @@ def test_silhouettes_are_drawn_as_the_answer_has_them(page: Any) -> None:
     assert np.array_equal(np.reshape(alpha, (240, 320)) > 0, mask)
 
 
-def test_keypoints_of_the_photograph_are_shown_unless_it_does_not_count(page: Any) -> None:
+def test_observed_keypoints_are_shown_if_they_were_used(page: Any) -> None:
     page.set_input_files("#file", str(WALKERS))
     page.locator("#hypotheses .card").first.wait_for()
     assert re.search(r"\d+ of 17 seen", page.locator("#facts").inner_text())
@@ -250,7 +246,7 @@ def test_keypoints_of_the_photograph_are_shown_unless_it_does_not_count(page: An
     assert "&evidence=silhouette'" in page.locator("#curl").inner_text()
 
 
-def test_colours_are_told_and_on_a_phone_the_result_comes_into_view(page: Any) -> None:
+def test_the_legend_explains_colours_and_a_phone_scrolls_to_the_result(page: Any) -> None:
     page.set_input_files("#file", str(WALKERS))
     page.locator("#hypotheses .card").first.wait_for()
     legend = page.locator("#photo .legend").inner_text()
@@ -263,7 +259,7 @@ def test_colours_are_told_and_on_a_phone_the_result_comes_into_view(page: Any) -
         )
 
 
-def test_a_drop_a_paste_and_a_mistake(page: Any, photo: Photo) -> None:
+def test_files_may_be_dropped_or_pasted(page: Any, photo: Photo) -> None:
     send = """([kind, bytes, name]) => {
         const data = new DataTransfer();
         data.items.add(new File([new Uint8Array(bytes)], name, {type: 'image/png'}));

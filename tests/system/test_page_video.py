@@ -45,7 +45,7 @@ def person(track_id: int, **changed: object) -> Answer:
 
 
 def answer(number: int, timestamp: float) -> Answer:
-    """What the service may say of a frame: 7 falls on the third one."""
+    """A possible answer to a frame: person 7 falls on the third one."""
     fall = {"event": "fell", "state": "instant", "track_id": 7, "probability": 0.9}
     return {
         "image": {"width": 64, "height": 48},
@@ -110,7 +110,7 @@ def play(page: Any, file: str) -> None:
     page.get_by_text("The end, after").wait_for()
 
 
-def test_a_video_is_played_as_a_session_of_its_own(page: Any, clip: str) -> None:
+def test_a_video_is_played_as_a_separate_session(page: Any, clip: str) -> None:
     cameras = Cameras(page)
     play(page, clip)
     times = cameras.timestamps()
@@ -142,7 +142,7 @@ def test_people_events_and_postures_are_shown(page: Any, clip: str) -> None:
     assert "sitting" not in legend
 
 
-def test_raw_and_smoothed_skeletons_are_told_apart(page: Any, clip: str) -> None:
+def test_raw_and_smoothed_skeletons_differ(page: Any, clip: str) -> None:
     Cameras(page)
     play(page, clip)
     pictures = set()
@@ -153,7 +153,7 @@ def test_raw_and_smoothed_skeletons_are_told_apart(page: Any, clip: str) -> None
     assert page.locator("#alone").is_visible()
 
 
-def test_a_row_chooses_whose_skeleton_turns(page: Any, clip: str) -> None:
+def test_a_row_selects_the_skeleton_in_3d(page: Any, clip: str) -> None:
     Cameras(page)
     play(page, clip)
     assert page.locator("#crowd input").first.is_checked()
@@ -162,7 +162,7 @@ def test_a_row_chooses_whose_skeleton_turns(page: Any, clip: str) -> None:
     assert page.locator("#live").evaluate("c => c.toDataURL()") != before
 
 
-def test_a_busy_service_is_asked_again_for_the_same_frame(page: Any, clip: str) -> None:
+def test_a_frame_is_sent_again_to_a_busy_service(page: Any, clip: str) -> None:
     cameras = Cameras(page, {3: (503, {"Retry-After": "1"})})
     page.set_input_files("#file", clip)
     page.get_by_text("Not now. Trying again").wait_for()
@@ -173,14 +173,14 @@ def test_a_busy_service_is_asked_again_for_the_same_frame(page: Any, clip: str) 
     assert page.locator("#message").is_hidden()
 
 
-def test_a_forgotten_camera_is_told(page: Any, clip: str) -> None:
+def test_a_forgotten_camera_is_reported(page: Any, clip: str) -> None:
     Cameras(page, forgetful_at=5)
     play(page, clip)
     assert "numbered anew" in page.locator("#note").inner_text()
     assert page.locator("#events li").count() == 1
 
 
-def test_a_key_that_was_missing_starts_the_video_again(page: Any, clip: str) -> None:
+def test_a_missing_key_restarts_the_video(page: Any, clip: str) -> None:
     cameras = Cameras(page, {0: (401, {})})
     page.set_input_files("#file", clip)
     page.locator("#key").fill("secret")
@@ -419,9 +419,7 @@ def wait_for_cameras(server: Server, wanted: Callable[[list[str]], bool], page: 
     raise AssertionError(f"expected other cameras, got {listed}")
 
 
-def test_the_service_follows_a_video_and_forgets_it_with_the_page(
-    page: Any, server: Server, tmp_path: Path
-) -> None:
+def test_closing_the_page_ends_the_session(page: Any, server: Server, tmp_path: Path) -> None:
     page.set_input_files("#file", walkers(tmp_path))
     page.locator("#crowd tr").first.wait_for()
     assert page.locator("#message").is_hidden()

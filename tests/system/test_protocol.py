@@ -26,7 +26,7 @@ def anyio_backend() -> str:
 
 
 class Hasty(HttpProtocol):
-    """Waits for nobody."""
+    """A protocol with short timeouts."""
 
     head_timeout_s = 0.5
     max_head_bytes = 1000
@@ -47,7 +47,7 @@ async def connection() -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.Stre
 
 
 async def talk(*sent: bytes) -> bytes:
-    """What the server says until it closes the connection."""
+    """Everything the server sends until it closes the connection."""
     said = bytearray()
     async with connection() as (reader, writer):
 
@@ -67,7 +67,7 @@ async def talk(*sent: bytes) -> bytes:
 
 
 def problem(answer: bytes) -> dict[str, Any]:
-    """The body of an answer that is a problem and nothing else."""
+    """The body of an answer that is one problem."""
     head, body = answer.split(b"\r\n\r\n")
     assert b"content-type: application/problem+json\r\n" in head
     assert b"connection: close" in head
@@ -82,26 +82,26 @@ async def test_a_request_is_answered() -> None:
     assert answer.endswith(b"done")
 
 
-async def test_a_connection_that_says_nothing_is_closed() -> None:
+async def test_a_silent_connection_is_closed() -> None:
     assert await talk() == b""
     assert await talk(b"\r\n", b"\r\n") == b""
 
 
 @pytest.mark.parametrize("begun", [b"G", HEAD, HEAD + b"X-Slow: 1"])
-async def test_headers_that_do_not_come_are_not_waited_for(begun: bytes) -> None:
+async def test_late_headers_get_a_408(begun: bytes) -> None:
     found = problem(await talk(begun))
     assert found["status"] == 408
     assert "0.5 seconds" in found["detail"]
 
 
-async def test_nor_are_those_of_the_next_request() -> None:
+async def test_late_headers_of_the_next_request_get_a_408() -> None:
     answer = await talk(HEAD + b"\r\n", HEAD)
     first, rest = answer.split(b"done")
     assert first.startswith(b"HTTP/1.1 200 OK")
     assert problem(rest)["status"] == 408
 
 
-async def test_the_body_before_counts_for_no_head() -> None:
+async def test_a_body_does_not_count_towards_the_next_head() -> None:
     post = b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5000\r\n\r\n" + b"x" * 5000
     answer = await talk(post + HEAD, b"Connection: close\r\n\r\n")
     assert answer.count(b"HTTP/1.1 200 OK") == 2
@@ -134,5 +134,5 @@ async def test_huge_headers_are_refused(parts: list[bytes]) -> None:
         (b"\x16\x03\x01\x02\x00\x01\x00", 501),  # TLS.
     ],
 )
-async def test_what_is_no_request_is_a_problem(sent: bytes, status: int) -> None:
+async def test_bytes_that_are_no_request_get_a_problem(sent: bytes, status: int) -> None:
     assert problem(await talk(sent))["status"] == status

@@ -42,7 +42,7 @@ def value(server: Server, metric: str, **labels: str) -> float:
         return sample(client, metric, **labels) or 0.0
 
 
-def test_overload_is_refused_at_once_and_probes_go_on(narrow: Server, slow_frame: bytes) -> None:
+def test_overload_is_refused_at_once(narrow: Server, slow_frame: bytes) -> None:
     def ask(_: int) -> tuple[int, float, str | None]:
         started = time.perf_counter()
         response = httpx.post(f"{narrow.url}/pose", files={"frame": slow_frame}, timeout=30)
@@ -63,7 +63,7 @@ def test_overload_is_refused_at_once_and_probes_go_on(narrow: Server, slow_frame
     assert value(narrow, "pose_rejected_total", reason="overloaded") == len(refused)
 
 
-def test_frames_nobody_waits_for_are_dropped(narrow: Server, slow_frame: bytes) -> None:
+def test_frames_of_disconnected_clients_are_dropped(narrow: Server, slow_frame: bytes) -> None:
     def ask_and_hang_up(_: int) -> None:
         with pytest.raises(httpx.ReadTimeout):
             httpx.post(f"{narrow.url}/pose", files={"frame": slow_frame}, timeout=0.06)
@@ -76,7 +76,7 @@ def test_frames_nobody_waits_for_are_dropped(narrow: Server, slow_frame: bytes) 
     assert value(narrow, "pose_stage_seconds_count", stage="total") <= 1
 
 
-def test_sigterm_finishes_what_runs_and_what_waits_and_ends_with_status_0(
+def test_sigterm_finishes_all_frames_and_exits_with_status_0(
     index_path: Path, slow_frame: bytes
 ) -> None:
     running = start_server(index_path, POSE_CONCURRENCY="2", POSE_MAX_WAIT_S="10")
@@ -94,7 +94,7 @@ def test_sigterm_finishes_what_runs_and_what_waits_and_ends_with_status_0(
         assert [answer.result() for answer in answers] == [200, 200, 200]
 
 
-def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) -> None:
+def test_a_corrupted_index_is_reported_and_not_served(index_path: Path, tmp_path: Path) -> None:
     corrupted = tmp_path / "index"
     shutil.copytree(index_path, corrupted)
     vectors = corrupted / "descriptors.faiss.xz"
@@ -109,7 +109,7 @@ def test_a_corrupted_index_is_told_not_served(index_path: Path, tmp_path: Path) 
         assert running.stop() == 0
 
 
-def test_a_slow_upload_is_sent_away(index_path: Path) -> None:
+def test_a_slow_upload_gets_a_408(index_path: Path) -> None:
     def trickle() -> Iterator[bytes]:
         yield b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n'
         for _ in range(20):
@@ -126,7 +126,7 @@ def test_a_slow_upload_is_sent_away(index_path: Path) -> None:
         assert response.status_code == 408
 
 
-def test_stalled_uploads_do_not_keep_others_out(index_path: Path, photo: Photo) -> None:
+def test_stalled_uploads_do_not_block_others(index_path: Path, photo: Photo) -> None:
     head = (
         b"POST /pose HTTP/1.1\r\nHost: x\r\nContent-Type: image/png\r\nContent-Length: 999\r\n\r\n"
     )
@@ -141,7 +141,7 @@ def test_stalled_uploads_do_not_keep_others_out(index_path: Path, photo: Photo) 
         assert value(running, "pose_rejected_total", reason="slow_upload") >= 1
 
 
-def test_a_server_speaks_of_problems_where_there_is_no_request(server: Server) -> None:
+def test_the_server_answers_bytes_that_are_no_request(server: Server) -> None:
     host, port = server.url.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port)), timeout=10) as connection:
         connection.sendall(b"BREW /pot HTTP/1.1\r\n\r\n")

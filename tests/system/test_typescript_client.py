@@ -60,7 +60,7 @@ def test_it_uploads_a_frame_and_reads_poses_problems_and_pictures(
     assert said["picture"] > 1000
 
 
-def test_what_is_optional_in_a_form_is_optional_in_its_type(folder: Path) -> None:
+def test_optional_fields_are_optional_in_the_type(folder: Path) -> None:
     types = (folder / "api.ts").read_text()
     form = types.split("FrameUpload: {")[1].split("};")[0]
     for field in ("frame?: Blob;", "mask?: Blob;", "background?: Blob;", "boxes?: string;"):

@@ -13,9 +13,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.serving.version import VERSION
+from app.serving.runtime import VERSION
 from app.vision.models import MODELS
-from index.store import DEFAULT_PATH
+from index import DEFAULT_PATH
 from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
 
 pytestmark = pytest.mark.slow
@@ -70,7 +70,7 @@ def checkout() -> Iterator[Server]:
         server.stop()
 
 
-def test_it_holds_all_that_serving_needs_and_no_more(wheel: Path) -> None:
+def test_the_wheel_holds_exactly_what_serving_needs(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
@@ -88,7 +88,7 @@ def test_it_holds_all_that_serving_needs_and_no_more(wheel: Path) -> None:
     assert not any(name.startswith("index/build/") for name in names)
 
 
-def test_it_serves_what_a_checkout_serves(installed: Server, checkout: Server) -> None:
+def test_the_wheel_serves_like_a_checkout(installed: Server, checkout: Server) -> None:
     for path in ("/", "/static/page.js", "/docs", "/index", "/index/entries/7"):
         there, here = (httpx.get(server.url + path) for server in (installed, checkout))
         assert there.status_code == 200

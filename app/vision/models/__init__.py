@@ -1,7 +1,7 @@
-"""The networks that ship, and the constants fitted to what they answer.
+"""The networks that ship, and the constants fitted to their outputs.
 
-``models.json`` gives each network's description, source, conversion and SHA-256; ``fitted.json``
-holds the constants, each written by the command it names.
+``models.json`` gives each network's description, source, conversion and SHA-256. ``fitted.json``
+gives the constants, with the command that fits them and the data they were fitted to.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ MODELS = FOLDER / "models.json"
 
 
 def network_path(name: str) -> Path:
-    """Path of a network's file, its content checked.
-
-    Parameters
-    ----------
-    name : str
-        As ``models.json`` names it.
+    """Path of the network that ``models.json`` calls ``name``, its content verified.
 
     Raises
     ------
@@ -51,8 +46,8 @@ def check_networks() -> None:
 
 
 @cache
-def fitted(name: str) -> dict[str, Any]:
-    """Constants of one part of ``fitted.json``."""
+def fitted_constants(name: str) -> dict[str, Any]:
+    """The constants of one part of ``fitted.json``."""
     constants: dict[str, Any] = json.loads(FITTED.read_text())[name]["constants"]
     return constants
 
@@ -64,13 +59,13 @@ def write_fitted(name: str, command: str, data: str, constants: dict[str, Any]) 
     ----------
     name : str
     command : str
-        The command that fits it.
+        The command that fits the constants.
     data : str
-        The data it was fitted to.
+        The data they were fitted to.
     constants : dict
         JSON values.
     """
     document = json.loads(FITTED.read_text()) if FITTED.is_file() else {}
     document[name] = {"command": command, "data": data, "constants": constants}
     FITTED.write_text(json.dumps(document, indent=1) + "\n")
-    fitted.cache_clear()
+    fitted_constants.cache_clear()

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
 from app.api.coco import compressed, polygon, run_lengths
-from app.vision.geometry import Silhouette, silhouette_from_mask
+from app.vision.people import Silhouette, silhouette_from_mask
 from tests.conftest import Photo
 
 masks = arrays(
@@ -74,7 +74,7 @@ def filled(polygon: list[list[float]], shape: tuple[int, ...]) -> NDArray[np.boo
         ("#.. ..# ###", [0, 1, 1, 1, 2, 1, 1, 2], "011010O1"),
     ],
 )
-def test_run_lengths_are_those_of_pycocotools(rows: str, counts: list[int], text: str) -> None:
+def test_run_lengths_match_pycocotools(rows: str, counts: list[int], text: str) -> None:
     mask = drawn(rows)
     found = run_lengths(silhouette_of(mask), mask.shape)
     assert found.tolist() == counts
@@ -82,7 +82,7 @@ def test_run_lengths_are_those_of_pycocotools(rows: str, counts: list[int], text
 
 
 @given(mask=masks)
-def test_run_lengths_read_back_are_the_silhouette(mask: NDArray[np.bool_]) -> None:
+def test_decoded_run_lengths_are_the_silhouette(mask: NDArray[np.bool_]) -> None:
     counts = compressed(run_lengths(silhouette_of(mask), mask.shape))
     assert np.array_equal(mask_of({"counts": counts, "size": mask.shape}), mask)
 
@@ -104,7 +104,7 @@ def silhouette(client: TestClient, photo: Photo, **params: str) -> dict[str, Any
     return answer.json()["persons"][0]["silhouette"]
 
 
-def test_silhouettes_come_in_the_form_that_is_asked_for(client: TestClient, photo: Photo) -> None:
+def test_silhouettes_have_the_requested_format(client: TestClient, photo: Photo) -> None:
     mask = photo.mask == 1
     rle = silhouette(client, photo, silhouettes="rle")
     assert rle["rle"]["size"] == [240, 320]

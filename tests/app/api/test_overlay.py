@@ -1,4 +1,4 @@
-"""Where texts stand in the overlay."""
+"""Placement of labels in the overlay."""
 
 from __future__ import annotations
 

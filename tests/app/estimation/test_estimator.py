@@ -1,4 +1,4 @@
-"""What an estimator asks of the photograph, and when."""
+"""The estimator, with real networks on a real photograph."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from app.estimation.estimator import Estimator, network_threads
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.estimation.upload import Upload
 from app.scheduling.job import DeadlineError, Job
+from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.geometry import Box, Landmarks, silhouette_from_mask
+from app.vision.geometry import Box
+from app.vision.people import Landmarks, silhouette_from_mask
 from app.vision.person_reader import PersonReader
 from index.posture import LOW
-from index.search import rotate_clockwise
-from scripts.experiments.rotation import rotate_box, rotate_points
+from index.skeleton import rotate_clockwise
 from tests.conftest import WALKERS, Photo, png
 from tests.support.jobs import ShortJob
+from tests.support.rotation import rotate_box, rotate_points
 
 WALKER = Box(135, 162, 40, 105)
 
@@ -43,7 +45,7 @@ def persons(estimator: Estimator, upload: Upload, evidence: str = "photograph") 
 def poses(person: Person) -> list[tuple[int, bool, float]]:
     """The hypotheses of a person."""
     return [
-        (placed.hypothesis.entry, placed.hypothesis.mirrored, placed.hypothesis.distance)
+        (placed.entry_id, placed.mirrored, placed.silhouette_distance)
         for placed in person.hypotheses
     ]
 
@@ -60,7 +62,7 @@ def landmarks_of(person: Person) -> Landmarks:
 
 @pytest.mark.parametrize("concurrency", [1, 2, 3, 64])
 @pytest.mark.parametrize("cores", [1, 2, 3, 8, 64])
-def test_passes_of_a_network_share_the_cores(cores: int, concurrency: int) -> None:
+def test_network_passes_share_the_cores(cores: int, concurrency: int) -> None:
     threads, copies = network_threads(cores, concurrency)
     assert threads == min(2, cores)
     assert threads * copies <= cores
@@ -68,11 +70,11 @@ def test_passes_of_a_network_share_the_cores(cores: int, concurrency: int) -> No
     assert copies == concurrency or threads * (copies + 1) > cores
 
 
-def test_the_photograph_is_evidence(walker: Person) -> None:
+def test_photograph_is_evidence(walker: Person) -> None:
     assert walker.facing is not None and walker.facing.evidence == "image"
     assert walker.observed.landmarks is not None
     assert walker.observed.presence is not None and walker.observed.presence > 0.9
-    assert all(placed.distance != placed.hypothesis.distance for placed in walker.hypotheses)
+    assert all(placed.distance != placed.silhouette_distance for placed in walker.hypotheses)
     assert all(0 <= placed.confidence <= 1 for placed in walker.hypotheses)
     distances = [placed.distance for placed in walker.hypotheses]
     assert distances == sorted(distances)
@@ -88,7 +90,7 @@ def test_poses_lie_on_the_keypoints(walker: Person) -> None:
 
 
 @pytest.mark.parametrize("source", ["detector", "boxes", "mask", "background"])
-def test_by_the_silhouette_alone_nothing_is_told_of_the_photograph(
+def test_silhouette_evidence_ignores_the_photograph(
     estimator: Estimator,
     street: NDArray[np.uint8],
     walker: Person,
@@ -118,8 +120,8 @@ def test_by_the_silhouette_alone_nothing_is_told_of_the_photograph(
             continue
         assert person.facing is not None and person.facing.evidence == "none"
         for placed in person.hypotheses:
-            assert placed.hypothesis.adjusted_m < 0.2
-            assert placed.distance == placed.hypothesis.distance
+            assert placed.adjusted_m < 0.2
+            assert placed.distance == placed.silhouette_distance
 
 
 LEAN_DEG = {1: 90.0, 2: 180.0, 3: -90.0}
@@ -146,7 +148,7 @@ def turned(
 @pytest.mark.parametrize(
     ("quarter_turns", "seen"), [(1, True), (2, True), (3, True), (1, False), (3, False)]
 )
-def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
+def test_rotated_person_has_the_same_poses(
     estimator: Estimator, street: NDArray[np.uint8], walker: Person, quarter_turns: int, seen: bool
 ) -> None:
     shape = street.shape
@@ -164,26 +166,23 @@ def test_somebody_who_lies_has_the_poses_of_the_same_person_upright(
         assert ours == pytest.approx(theirs, abs=0.1)
 
     first, lean = upright.hypotheses[0], LEAN_DEG[quarter_turns]
-    body = rotate_clockwise(first.hypothesis.points_3d, lean)
+    body = rotate_clockwise(first.points_3d, lean)
     # Rotated to stand, the silhouette is a few degrees off and sampled anew; another may come
     # first.
-    gaps = [
-        np.linalg.norm(other.hypothesis.points_3d - body, axis=1).mean()
-        for other in lying.hypotheses
-    ]
+    gaps = [np.linalg.norm(other.points_3d - body, axis=1).mean() for other in lying.hypotheses]
     same = lying.hypotheses[int(np.argmin(gaps))]
     assert min(gaps) < 0.06
     picture = rotate_points(first.points_2d, shape, -quarter_turns)
     assert np.linalg.norm(same.points_2d - picture, axis=1).mean() < 3
-    off = same.hypothesis.tilt_deg - first.hypothesis.tilt_deg - lean
+    off = same.tilt_deg - first.tilt_deg - lean
     assert (off + 180) % 360 - 180 == pytest.approx(0, abs=15)
-    assert {one.hypothesis.posture for one in upright.hypotheses} == {"standing"}
-    assert same.hypothesis.posture in LOW
+    assert {one.posture for one in upright.hypotheses} == {"standing"}
+    assert same.posture in LOW
 
 
-# In a box, somebody upside down is not read: MoveNet, which tells where the head is, sees nobody.
+# A person upside down in a box is not read: MoveNet, which finds the head, does not recognise them.
 @pytest.mark.parametrize("quarter_turns", [1, 3])
-def test_boxes_and_masks_of_people_who_lie_are_read(
+def test_boxes_and_masks_of_lying_people_are_read(
     estimator: Estimator, street: NDArray[np.uint8], walker: Person, quarter_turns: int
 ) -> None:
     frame = np.ascontiguousarray(np.rot90(street, -quarter_turns))
@@ -201,7 +200,7 @@ def test_boxes_and_masks_of_people_who_lie_are_read(
         assert abs((roll_deg + 180) % 360 - 180) <= 45
 
 
-def test_a_box_without_a_silhouette_has_no_poses(
+def test_box_without_a_silhouette_has_no_poses(
     estimator: Estimator, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(finder, "silhouettes_of", lambda _, boxes, *__, **___: [None] * len(boxes))
@@ -214,10 +213,10 @@ def test_a_box_without_a_silhouette_has_no_poses(
 
 
 @pytest.mark.parametrize("name", ["network", "hog"])
-def test_the_detector_is_the_one_that_is_set(
+def test_detector_of_the_settings_is_used(
     settings: Settings, street: NDArray[np.uint8], name: str
 ) -> None:
-    chosen = Estimator.load(settings.model_copy(update={"detector": name}))
+    chosen = load_estimator(settings.model_copy(update={"detector": name}))
     assert chosen.detector.name == name
     chosen.warm_up()
     found = chosen.estimate(Upload(png(street)), 1, Job()).persons
@@ -225,7 +224,7 @@ def test_the_detector_is_the_one_that_is_set(
     assert {person.observed.source for person in found} == {"detector"}
 
 
-def test_it_stops_where_the_work_is_no_longer_wanted(estimator: Estimator, photo: Photo) -> None:
+def test_cancelled_job_stops(estimator: Estimator, photo: Photo) -> None:
     for steps in range(4):
         with pytest.raises(DeadlineError):
             estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, ShortJob(steps))
@@ -247,7 +246,7 @@ def flags(estimator: Estimator, frame: NDArray[np.uint8], box: Box) -> tuple[boo
     [(edge, hidden) for edge in ("left", "right", "bottom") for hidden in (0.3, 0.4, 0.6)]
     + [("top", 0.3)],
 )
-def test_somebody_cut_by_an_edge_is_flagged(
+def test_person_cut_by_the_frame_is_flagged(
     estimator: Estimator, street: NDArray[np.uint8], edge: str, hidden: float
 ) -> None:
     left, top, right, bottom = WALKER.pixels()
@@ -265,7 +264,7 @@ def test_somebody_cut_by_an_edge_is_flagged(
     assert flags(estimator, frame, visible)[1]
 
 
-def test_whole_people_are_not_flagged(estimator: Estimator, street: NDArray[np.uint8]) -> None:
+def test_whole_person_is_not_flagged(estimator: Estimator, street: NDArray[np.uint8]) -> None:
     assert flags(estimator, street, WALKER) == (False, False)
     for room in (8, 15, 30):
         left, top, right, bottom = WALKER.pixels()

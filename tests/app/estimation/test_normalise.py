@@ -1,4 +1,4 @@
-"""People as they are matched, wide ones rotated to stand, and the way back to the frame."""
+"""People normalised for matching, and the transform back to the frame."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from app.estimation.normalise import NormalisedPerson
-from app.vision.geometry import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
-from index.search import rotate_clockwise
-from index.skeleton import LIMBS, POINT_NAMES
+from index.skeleton import LIMBS, POINT_NAMES, rotate_clockwise, rows, wrap_degrees
 
 SHAPE = (300, 300)
 CENTRE = np.array([149.5, 149.5])
@@ -31,11 +30,6 @@ def moved(points: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArra
     return points @ transform[:, :2].T + transform[:, 2]
 
 
-def wrapped(angle: float) -> float:
-    """The same angle from -180 up to 180 degrees."""
-    return (angle + 180) % 360 - 180
-
-
 def silhouette_of(mask: NDArray[np.generic], angle: float = 0.0) -> Silhouette:
     """The silhouette of a mask of the frame that is rotated clockwise."""
     rotated = cv2.warpAffine(mask.astype(np.float32), about_centre(angle), SHAPE[::-1])
@@ -45,7 +39,7 @@ def silhouette_of(mask: NDArray[np.generic], angle: float = 0.0) -> Silhouette:
 
 
 def standing() -> NDArray[np.bool_]:
-    """Somebody with one arm out, so that every turn of it looks different."""
+    """A person with one arm out, so that every rotation looks different."""
     mask = np.zeros(SHAPE, bool)
     mask[90:210, 135:165] = True
     mask[110:122, 165:190] = True
@@ -76,48 +70,45 @@ def keypoints_in_frame(one: NormalisedPerson) -> NDArray[np.float64]:
     return one.points_in_frame(keypoints.positions)
 
 
-class TestWhoStands:
-    @pytest.mark.parametrize("angle", [-35.0, -10.0, 0.0, 30.0, 180.0])
-    def test_is_not_rotated(self, angle: float) -> None:
-        silhouette = silhouette_of(standing(), angle)
-        one = NormalisedPerson.of(silhouette, None)
-        assert one.roll_deg == 0
-        assert_array_equal(one.silhouette, normalise(silhouette.crop)[0])
-        assert one.to_frame[0, 0] == one.to_frame[1, 1]
-        assert one.to_frame[0, 1] == one.to_frame[1, 0] == 0
+@pytest.mark.parametrize("angle", [-35.0, -10.0, 0.0, 30.0, 180.0])
+def test_narrow_silhouette_is_not_rotated(angle: float) -> None:
+    silhouette = silhouette_of(standing(), angle)
+    one = NormalisedPerson.of(silhouette, None)
+    assert one.roll_deg == 0
+    assert_array_equal(one.silhouette, normalise(silhouette.crop)[0])
+    assert one.to_frame[0, 0] == one.to_frame[1, 1]
+    assert one.to_frame[0, 1] == one.to_frame[1, 0] == 0
 
 
-class TestWhoIsWide:
-    @WIDE_DEG
-    def test_is_rotated_until_they_stand(self, angle: float) -> None:
-        one = person(angle)
-        assert abs(one.roll_deg) > 40
-        assert not is_wide(one.silhouette)
-        assert principal_axis_deg(one.silhouette) == pytest.approx(0, abs=3)
-        # Head or feet up, as large as who stands.
-        assert one.silhouette.any(axis=1).sum() > 100
+@WIDE_DEG
+def test_wide_silhouette_is_rotated_upright(angle: float) -> None:
+    one = person(angle)
+    assert abs(one.roll_deg) > 40
+    assert not is_wide(one.silhouette)
+    assert principal_axis_deg(one.silhouette) == pytest.approx(0, abs=3)
+    # Head or feet up, as large as a standing person.
+    assert one.silhouette.any(axis=1).sum() > 100
 
-    @WIDE_DEG
-    def test_the_mirror_image_is_the_mirror_image(self, angle: float) -> None:
-        mask = silhouette_of(standing(), angle).mask(SHAPE)
-        one, other = (
-            NormalisedPerson.of(silhouette_of(m), None) for m in (mask, mask[:, ::-1].copy())
-        )
-        assert wrapped(one.roll_deg + other.roll_deg) == pytest.approx(0, abs=1e-6)
-        assert (one.silhouette != other.silhouette[:, ::-1]).mean() < 0.02
+
+@WIDE_DEG
+def test_mirror_image_is_normalised_to_the_mirror_image(angle: float) -> None:
+    mask = silhouette_of(standing(), angle).mask(SHAPE)
+    one, other = (NormalisedPerson.of(silhouette_of(m), None) for m in (mask, mask[:, ::-1].copy()))
+    assert wrap_degrees(one.roll_deg + other.roll_deg) == pytest.approx(0, abs=1e-6)
+    assert (one.silhouette != other.silhouette[:, ::-1]).mean() < 0.02
 
 
 @ANY_DEG
-def test_keypoints_come_back_to_the_frame(angle: float) -> None:
+def test_keypoints_map_back_to_the_frame(angle: float) -> None:
     observed = seen(angle=angle)
     one = person(angle, observed)
     keypoints = one.keypoints()
     assert keypoints is not None
-    rows = [landmark(POINT_NAMES[row]) for row in keypoints.rows]
-    assert_allclose(keypoints_in_frame(one), observed.positions[rows], atol=1e-9)
-    assert_array_equal(keypoints.scores, observed.visibility[rows])
+    shown = [landmark(POINT_NAMES[row]) for row in keypoints.rows]
+    assert_allclose(keypoints_in_frame(one), observed.positions[shown], atol=1e-9)
+    assert_array_equal(keypoints.scores, observed.visibility[shown])
     # In depth they are turned with the silhouette.
-    limbs = observed.metres[[LANDMARK_NAMES.index(name) for name in LIMBS]]
+    limbs = observed.metres[rows(*LIMBS, among=LANDMARK_NAMES)]
     assert keypoints.limbs_3d is not None
     assert_allclose(rotate_clockwise(keypoints.limbs_3d, -one.roll_deg), limbs, atol=1e-9)
 
@@ -126,7 +117,7 @@ def test_keypoints_come_back_to_the_frame(angle: float) -> None:
     angle=st.floats(-180, 180),
     points=st.lists(st.tuples(st.floats(-50, 100), st.floats(-50, 200)), min_size=2, max_size=4),
 )
-def test_the_way_to_the_frame_is_a_rotation_and_a_scale(
+def test_transform_to_the_frame_is_a_rotation_and_a_scale(
     angle: float, points: list[tuple[float, float]]
 ) -> None:
     one = person(angle)
@@ -141,7 +132,7 @@ def test_the_way_to_the_frame_is_a_rotation_and_a_scale(
 
 
 @ANY_DEG
-def test_pixels_of_the_silhouette_lie_on_it_in_the_frame(angle: float) -> None:
+def test_silhouette_maps_back_to_the_frame(angle: float) -> None:
     silhouette = silhouette_of(standing(), angle)
     one = NormalisedPerson.of(silhouette, None)
     pixels = np.argwhere(one.silhouette)[:, ::-1].astype(float)
@@ -153,7 +144,7 @@ def test_pixels_of_the_silhouette_lie_on_it_in_the_frame(angle: float) -> None:
     assert area == pytest.approx(mask.sum(), rel=0.03)
 
 
-def test_limbs_nose_and_toes_are_compared_and_what_is_not_seen_is_not() -> None:
+def test_visible_limbs_nose_and_toes_are_keypoints() -> None:
     compared = {*LIMBS, "nose", "left_toe", "right_toe"}
     keypoints = person(landmarks=seen()).keypoints()
     assert keypoints is not None
@@ -170,17 +161,17 @@ def test_limbs_nose_and_toes_are_compared_and_what_is_not_seen_is_not() -> None:
 
 
 @pytest.mark.parametrize("visible", [0, 3])
-def test_a_few_landmarks_are_none(visible: int) -> None:
+def test_too_few_landmarks_are_no_keypoints(visible: int) -> None:
     scores = np.zeros(33)
     scores[[landmark(name) for name in LIMBS[:visible]]] = 0.9
     assert person(landmarks=seen(scores)).keypoints() is None
-    # The face tells nothing that an index could be compared with.
+    # An index has no points to compare with the rest of the face.
     scores[1:7] = 0.9
     assert person(landmarks=seen(scores)).keypoints() is None
     assert person().keypoints() is None
 
 
-def test_who_shows_neither_ankle_or_no_head_is_not_whole() -> None:
+def test_person_without_visible_ankles_or_head_is_not_whole() -> None:
     assert person().whole and person(landmarks=seen(0.9)).whole
     for hidden in (("left_ankle", "right_ankle"), ("nose", "left_ear", "right_ear")):
         scores = np.full(33, 0.9)

@@ -38,12 +38,12 @@ def test_logs_are_json_with_the_request_id_and_no_content(
     assert "secret" not in caplog.text
 
 
-def test_a_request_id_that_could_forge_logs_is_replaced(client: TestClient) -> None:
+def test_a_request_id_that_could_forge_log_lines_is_replaced(client: TestClient) -> None:
     response = client.get("/healthz", headers={"X-Request-ID": 'a"} {"b'})
     assert len(response.headers["x-request-id"]) == 32
 
 
-def test_an_unhandled_error_is_a_problem_with_an_id_that_the_log_knows(
+def test_an_unhandled_error_is_a_problem_whose_id_is_in_the_log(
     serving: Serving,
     photo: Photo,
     monkeypatch: pytest.MonkeyPatch,
@@ -68,7 +68,7 @@ def test_an_unhandled_error_is_a_problem_with_an_id_that_the_log_knows(
     assert "RuntimeError: secret" in line["exception"]
 
 
-def test_an_answer_that_fails_halfway_is_broken_off(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_answer_that_fails_halfway_is_aborted(caplog: pytest.LogCaptureFixture) -> None:
     async def halfway(scope: Scope, receive: Receive, send: Send) -> None:
         await send({"type": "http.response.start", "status": 200, "headers": []})
         raise RuntimeError("halfway")

@@ -1,4 +1,4 @@
-"""What is refused before a byte of the body is read."""
+"""Requests that are refused before a byte of the body is read."""
 
 from __future__ import annotations
 
@@ -10,8 +10,17 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from app.http.admission import AdmissionMiddleware, UploadLimits
-from app.http.problems import ProblemError
+from app.http.errors import ProblemError
+from app.http.identity import Caller, Identity
 from app.scheduling.queue import OverloadedError
+
+
+def scope_of(
+    method: str = "POST", path: str = "/pose", headers: Any = (), caller: str = ""
+) -> Scope:
+    identity = Identity(Caller(None, caller), None, None, True)
+    return {"type": "http", "method": method, "path": path, "headers": headers,
+            "state": {"identity": identity}}  # fmt: skip
 
 
 async def answer(
@@ -19,7 +28,7 @@ async def answer(
     method: str = "POST",
     headers: dict[bytes, bytes] | None = None,
     path: str = "/pose",
-    caller: str | None = None,
+    caller: str = "",
 ) -> tuple[int, dict[bytes, bytes], int]:
     """Status and headers of the answer, and how many messages of the body were read."""
     sent: list[Message] = []
@@ -34,8 +43,7 @@ async def answer(
         sent.append(message)
 
     fields = list((headers or {}).items())
-    scope = {"type": "http", "method": method, "path": path, "headers": fields, "caller": caller}
-    await middleware(scope, receive, send)
+    await middleware(scope_of(method, path, fields, caller), receive, send)
     return sent[0]["status"], dict(sent[0]["headers"]), read
 
 
@@ -43,12 +51,12 @@ async def reading(scope: Scope, receive: Receive, send: Send) -> None:
     response = PlainTextResponse("done")
     try:
         await receive()
-    except ProblemError:  # As the framework does where a body cannot be read.
+    except ProblemError:  # As the framework does if a body cannot be read.
         response = PlainTextResponse("cannot be read", 400)
     await response(scope, receive, send)
 
 
-def refuse(scope: Scope) -> None:
+def refuse(scope: Scope, identity: Identity) -> None:
     raise OverloadedError("the service is working to capacity", retry_after_s=7)
 
 
@@ -57,8 +65,7 @@ def admission(
 ) -> AdmissionMiddleware:
     return AdmissionMiddleware(
         reading,
-        check=refuse if full else lambda scope: None,
-        caller_of=lambda scope: scope.get("caller"),
+        check=refuse if full else lambda scope, identity: None,
         limits=UploadLimits(100, timeout_s),
         limits_of_paths={"/sequence": UploadLimits(1000, timeout_s)},
         max_open=max_open,
@@ -82,7 +89,7 @@ def length(size: int) -> dict[bytes, bytes]:
         ({"full": True}, ("GET",), (200, None, 1)),
     ],
 )
-def test_what_is_too_much_is_refused_unread(
+def test_excess_is_refused_unread(
     options: dict[str, Any], asked: tuple[Any, ...], expected: tuple[int, bytes | None, int]
 ) -> None:
     status, headers, read = anyio.run(answer, admission(**options), *asked)
@@ -105,7 +112,7 @@ def test_one_caller_cannot_take_all_places() -> None:
 
 
 class StalledUploads:
-    """Requests whose bodies never come, where there is room for some."""
+    """Requests whose bodies never arrive, where there is room for some."""
 
     def __init__(self, max_open: int = 2) -> None:
         self.admission = admission(max_open=max_open, timeout_s=30)
@@ -116,11 +123,10 @@ class StalledUploads:
             if message["type"] == "http.response.start":
                 self.statuses.append(message["status"])
 
-        scope = {"type": "http", "method": "POST", "path": "/pose", "headers": []}
-        await self.admission(scope, anyio.sleep_forever, send)
+        await self.admission(scope_of(), anyio.sleep_forever, send)
 
 
-def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stalled_uploads_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
     stalled = StalledUploads()
 
     async def ask() -> None:
@@ -140,7 +146,7 @@ def test_stalled_uploads_give_their_places_to_others(monkeypatch: pytest.MonkeyP
     anyio.run(ask)
 
 
-def test_a_stalled_upload_is_given_up_long_before_a_slow_one(
+def test_a_stalled_upload_is_aborted_after_the_grace_period(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("app.http.admission.GRACE_S", 0.05)

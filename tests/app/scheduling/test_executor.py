@@ -1,4 +1,4 @@
-"""The executor: bounded, fair to frames, and dropping what nobody waits for."""
+"""The executor bounds concurrent work, is fair to frames, and drops abandoned ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import anyio
 import pytest
 from anyio import to_thread
 
-from app.http.request_context import request_id
+from app.http.request_state import request_id
 from app.scheduling.executor import Executor
 from app.scheduling.job import BusyError, ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import OverloadedError, Sender, ShutdownError, SupersededError
@@ -45,7 +45,7 @@ def until_cancelled(job: Job) -> None:
 
 
 class Picture:
-    """Of which a test sees whether it is kept."""
+    """An object that can be weakly referenced."""
 
 
 class TestFrames:
@@ -54,9 +54,9 @@ class TestFrames:
         assert await run(executor, lambda _: 42) == 42
         with pytest.raises(KeyError, match="lost"):
             await run(executor, lambda _: {}["lost"])
-        assert executor.line.inside == 0
+        assert executor.queue.in_flight == 0
 
-    async def test_no_more_than_allowed_are_worked_on_at_once(self) -> None:
+    async def test_the_number_of_concurrent_frames_is_bounded(self) -> None:
         executor = executor_of(2)
         lock = threading.Lock()
         running, most = 0, 0
@@ -76,7 +76,7 @@ class TestFrames:
         assert most == 2
         executor.shut_down()
 
-    async def test_a_frame_is_dropped_when_its_client_hangs_up(self) -> None:
+    async def test_a_frame_is_dropped_when_its_client_disconnects(self) -> None:
         executor = executor_of(1)
         release, done = threading.Event(), []
         async with anyio.create_task_group() as tasks:
@@ -84,13 +84,13 @@ class TestFrames:
             await anyio.wait_all_tasks_blocked()
             with pytest.raises(ClientGoneError):
                 await run(executor, lambda _: done.append(1), lambda: anyio.sleep(0.02))
-            assert executor.line.inside == 1
+            assert executor.queue.in_flight == 1
             release.set()
         assert done == []
         with anyio.fail_after(10), pytest.raises(ClientGoneError):
             await run(executor, until_cancelled, lambda: anyio.sleep(0.05))
 
-    async def test_the_deadline_holds_for_work_and_for_waiting(self) -> None:
+    async def test_the_deadline_covers_work_and_waiting(self) -> None:
         executor = executor_of(1, timeout_s=0.1)
         outcomes = []
 
@@ -104,9 +104,9 @@ class TestFrames:
                 tasks.start_soon(frame)
                 tasks.start_soon(frame)
         assert set(outcomes) == {DeadlineError, OverloadedError}
-        assert executor.line.inside == 0
+        assert executor.queue.in_flight == 0
 
-    async def test_a_superseded_frame_is_told_so(self) -> None:
+    async def test_a_newer_frame_supersedes_the_waiting_one(self) -> None:
         executor = executor_of(1)
         let_go, outcomes = threading.Event(), list[str]()
 
@@ -124,7 +124,7 @@ class TestFrames:
             let_go.set()
         assert outcomes == ["second superseded", "first", "third"]
 
-    async def test_a_request_that_is_cancelled_cancels_its_work(self) -> None:
+    async def test_a_cancelled_request_cancels_its_work(self) -> None:
         executor = executor_of(1)
         begun, cancelled = threading.Event(), threading.Event()
 
@@ -139,10 +139,10 @@ class TestFrames:
             await to_thread.run_sync(begun.wait, 10)
             tasks.cancel_scope.cancel()
         assert await to_thread.run_sync(cancelled.wait, 10)
-        assert executor.line.inside == 0
+        assert executor.queue.in_flight == 0
 
     @pytest.mark.parametrize("divided", [False, True])
-    async def test_a_frame_that_failed_keeps_nothing_of_itself(self, divided: bool) -> None:
+    async def test_a_failed_frame_is_not_kept_in_memory(self, divided: bool) -> None:
         executor = executor_of(1)
 
         def fail(picture: Picture) -> None:
@@ -169,20 +169,18 @@ class TestFrames:
 
 class TestParts:
     @pytest.mark.parametrize("frames", [1, 3])
-    def test_results_come_in_the_order_of_the_parts(self, frames: int) -> None:
+    def test_results_are_in_the_order_of_the_parts(self, frames: int) -> None:
         executor = executor_of(frames)
         assert executor.map(lambda item: item**2, range(20)) == [i**2 for i in range(20)]
         assert executor.map(str, []) == []
 
-    def test_several_are_worked_on_at_once(self) -> None:
+    def test_parts_are_worked_on_in_parallel(self) -> None:
         meeting = threading.Barrier(3, timeout=10)
-        # Each waits for the others: one after the other they would wait in vain.
+        # Each waits for the others: serial execution would deadlock.
         assert sorted(executor_of(3).map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
 
     @pytest.mark.parametrize("frames", [1, 2])
-    def test_the_first_failure_reaches_the_caller_and_no_further_part_begins(
-        self, frames: int
-    ) -> None:
+    def test_the_first_failure_is_raised_and_no_further_part_begins(self, frames: int) -> None:
         begun: list[int] = []
 
         def part(item: int) -> None:
@@ -214,7 +212,7 @@ class TestParts:
             for event in end.values():
                 event.set()
 
-    async def test_other_threads_help_every_frame_that_is_divided(self) -> None:
+    async def test_helpers_serve_every_divided_frame(self) -> None:
         executor = executor_of(3)
         helped = {name: threading.Event() for name in "ab"}
 
@@ -223,7 +221,7 @@ class TestParts:
 
             def part(_: int) -> None:
                 if threading.get_ident() == own:
-                    # The frame's own thread takes one part, so that another has to take the rest.
+                    # The frame's own thread takes one part; helpers have to take the others.
                     assert helped[name].wait(10)
                 helped[name].set()
 
@@ -233,9 +231,9 @@ class TestParts:
             for name in helped:
                 tasks.start_soon(run, executor, lambda _, name=name: frame(name))
 
-    async def test_frames_and_parts_know_the_request_they_belong_to(self) -> None:
+    async def test_frames_and_parts_inherit_the_request_id(self) -> None:
         executor = executor_of(2)
-        meeting = threading.Barrier(2, timeout=10)  # Two threads have to come.
+        meeting = threading.Barrier(2, timeout=10)  # Needs two threads.
 
         def part(_: int) -> str:
             meeting.wait()
@@ -247,9 +245,9 @@ class TestParts:
 
 
 class TestReentry:
-    """What could wait for itself raises instead."""
+    """Calls that could wait for themselves raise instead."""
 
-    async def test_a_frame_that_starts_another(self) -> None:
+    async def test_a_frame_cannot_start_another(self) -> None:
         executor = executor_of(1)
 
         def work(_: Job) -> None:
@@ -259,7 +257,7 @@ class TestReentry:
             await run(executor, work)
 
     @pytest.mark.parametrize("frames", [1, 2])
-    async def test_a_part_that_is_divided(self, frames: int) -> None:
+    async def test_a_part_cannot_be_divided(self, frames: int) -> None:
         executor = executor_of(frames)
         divide = partial(executor.map, lambda _: executor.map(str, range(2)), range(4))
         with pytest.raises(RuntimeError, match="not to be divided"):
@@ -268,7 +266,7 @@ class TestReentry:
             await run(executor, lambda _: divide())
 
 
-async def test_shutting_down_cancels_what_runs_and_drops_what_waits() -> None:
+async def test_shutting_down_cancels_running_and_drops_waiting_frames() -> None:
     executor = executor_of(2)
     begun = threading.Semaphore(0)
     outcomes: list[str] = []

@@ -1,4 +1,4 @@
-"""The line: who is admitted, whose turn is next, and that nobody starves, in simulated time."""
+"""The fair queue in simulated time: admission, order, and that no client starves."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from app.scheduling.queue import (
     ADMIT_SHARE,
-    Line,
+    FairQueue,
     OverloadedError,
     Sender,
     ShutdownError,
     SupersededError,
-    Turn,
+    Ticket,
 )
 
 pytestmark = pytest.mark.anyio
@@ -29,7 +29,7 @@ MAX_WAIT_S = 2.0
 
 
 class Clock:
-    """Seconds that pass when told to."""
+    """A clock that a test advances."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -40,9 +40,9 @@ class Clock:
 
 @dataclass
 class Client:
-    """Someone who sends a frame, waits for the answer, and sends the next.
+    """A client that sends a frame, waits for the answer, and sends the next.
 
-    Who obeys comes back when told to, others at once.
+    After a refusal, an obedient client returns at the time it was given, another one at once.
     """
 
     caller: Hashable
@@ -58,21 +58,21 @@ class Client:
 
 
 class Service:
-    """A line, two threads, and clients, moment by moment; frames take 20 % more or less."""
+    """A discrete event simulation: a queue, two threads, clients; durations vary by 20 %."""
 
     def __init__(self, clients: list[Client]) -> None:
         self.clock = Clock()
-        self.line = Line(2, MAX_WAIT_S, self.clock)
+        self.queue = FairQueue(2, MAX_WAIT_S, self.clock)
         self.busy_s = 0.0
         self._rng = np.random.default_rng(0)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = itertools.count()
-        self._waiting: dict[Turn, tuple[Client, float]] = {}
+        self._waiting: dict[Ticket, tuple[Client, float]] = {}
         for number, client in enumerate(clients):
             self._at(0.01 * number, lambda client=client: self._send(client))
 
     def run(self, seconds: float = 40) -> None:
-        """Let time pass, in which the threads are hardly ever idle."""
+        """Simulate some time, in which the threads are hardly ever idle."""
         end = self.clock.now + seconds
         while self._events and self._events[0][0] < end:
             self.clock.now, _, event = heapq.heappop(self._events)
@@ -84,39 +84,39 @@ class Service:
 
     def _send(self, client: Client) -> None:
         try:
-            self.line.check(client.sender)
+            self.queue.check(client.sender)
         except OverloadedError as error:
             self._refuse(client, error)
-            return
-        self._at(0.005, lambda: self._join(client))
+        else:
+            self._at(0.005, lambda: self._enqueue(client))
 
-    def _join(self, client: Client) -> None:
+    def _enqueue(self, client: Client) -> None:
         try:
-            turn = self.line.join(client.sender, client.kind)
+            ticket = self.queue.enqueue(client.sender, client.kind)
         except OverloadedError as error:
             self._refuse(client, error)
             return
-        self._waiting[turn] = client, self.clock.now
+        self._waiting[ticket] = client, self.clock.now
         self._begin()
-        self._at(MAX_WAIT_S, lambda: self._give_up(turn))
+        self._at(MAX_WAIT_S, lambda: self._expire(ticket))
 
     def _begin(self) -> None:
-        for turn in [turn for turn in self._waiting if turn.begun.done()]:
-            client, joined = self._waiting.pop(turn)
-            client.waits_s.append(self.clock.now - joined)
+        for ticket in [ticket for ticket in self._waiting if ticket.begun.done()]:
+            client, enqueued = self._waiting.pop(ticket)
+            client.waits_s.append(self.clock.now - enqueued)
             takes_s = client.takes_s * max(0.1, self._rng.normal(1, 0.2))
             self.busy_s += takes_s
-            self._at(takes_s, lambda turn=turn, client=client: self._end(turn, client))
+            self._at(takes_s, lambda ticket=ticket, client=client: self._end(ticket, client))
 
-    def _end(self, turn: Turn, client: Client) -> None:
-        self.line.leave(turn, worked=True)
+    def _end(self, ticket: Ticket, client: Client) -> None:
+        self.queue.release(ticket, worked=True)
         self._begin()
         self._at(0.002, lambda: self._send(client))
 
-    def _give_up(self, turn: Turn) -> None:
-        if turn in self._waiting:
-            client, _ = self._waiting.pop(turn)
-            self._refuse(client, self.line.give_up(turn))
+    def _expire(self, ticket: Ticket) -> None:
+        if ticket in self._waiting:
+            client, _ = self._waiting.pop(ticket)
+            self._refuse(client, self.queue.expire(ticket))
 
     def _refuse(self, client: Client, error: OverloadedError) -> None:
         client.refused += 1
@@ -126,7 +126,7 @@ class Service:
 
 
 def answers(clients: list[Client]) -> list[int]:
-    """How many frames of each client were answered, none after more than the longest wait."""
+    """Number of answered frames of each client; none waited longer than allowed."""
     assert max(wait for client in clients for wait in client.waits_s) <= MAX_WAIT_S
     return [len(client.waits_s) for client in clients]
 
@@ -134,7 +134,7 @@ def answers(clients: list[Client]) -> list[int]:
 class TestNobodyStarves:
     @pytest.mark.parametrize("callers", [1, 8], ids=["one address", "an address each"])
     @pytest.mark.parametrize("takes_s", [0.04, 0.3, 0.7, 1.4])
-    async def test_eight_who_wait_for_their_answers_are_served_alike(
+    async def test_eight_equal_clients_are_served_equally(
         self, takes_s: float, callers: int
     ) -> None:
         clients = [Client(number % callers, takes_s) for number in range(8)]
@@ -143,7 +143,7 @@ class TestNobodyStarves:
 
     @pytest.mark.parametrize("obeys", [True, False])
     @pytest.mark.parametrize("takes_s", [0.04, 0.7])
-    async def test_one_caller_who_sends_ten_times_as_much_takes_nothing_from_the_others(
+    async def test_a_caller_with_forty_clients_takes_nothing_from_others(
         self, takes_s: float, obeys: bool
     ) -> None:
         polite = [Client(number, takes_s) for number in range(8)]
@@ -154,12 +154,12 @@ class TestNobodyStarves:
         assert sum(counts) >= 0.8 * 8 / 9 * sum(all_counts)
 
     @pytest.mark.parametrize("obeys", [True, False])
-    async def test_behind_one_address_the_polite_are_still_served(self, obeys: bool) -> None:
+    async def test_polite_clients_behind_one_address_are_still_served(self, obeys: bool) -> None:
         polite = [Client("proxy", 0.7) for number in range(8)]
         Service(polite + [Client("proxy", 0.7, obeys=obeys) for _ in range(10)]).run()
         assert min(answers(polite)) >= 3
 
-    async def test_short_work_overtakes_the_long_work_of_others(self) -> None:
+    async def test_short_work_overtakes_long_work_of_other_callers(self) -> None:
         photographs = [Client(number, 0.7) for number in range(8)]
         masks = Client("masks", 0.04, kind="mask")
         Service([*photographs, masks]).run()
@@ -170,7 +170,7 @@ class TestNobodyStarves:
 
 operations = st.lists(
     st.tuples(
-        st.sampled_from(["join", "leave", "give_up", "wait"]),
+        st.sampled_from(["enqueue", "release", "expire", "wait"]),
         st.sampled_from(["a", "b", "c"]),
         st.sampled_from([None, "yard", "gate"]),
         st.integers(0, 9),
@@ -180,7 +180,7 @@ operations = st.lists(
 
 
 @given(operations=operations, threads=st.integers(1, 3))
-def test_whatever_happens_the_line_keeps_its_promises(
+def test_invariants_hold_after_any_operations(
     operations: list[tuple[str, str, str | None, int]], threads: int
 ) -> None:
     anyio.run(play, operations, threads)
@@ -188,148 +188,151 @@ def test_whatever_happens_the_line_keeps_its_promises(
 
 async def play(operations: list[tuple[str, str, str | None, int]], threads: int) -> None:
     clock = Clock()
-    line = Line(threads, MAX_WAIT_S, clock)
-    inside: list[Turn] = []
+    queue = FairQueue(threads, MAX_WAIT_S, clock)
+    tickets: list[Ticket] = []
     for operation, caller, camera, number in operations:
-        before = {turn for turn in inside if turn.begun.done()}
-        if operation == "join":
+        before = {ticket for ticket in tickets if ticket.begun.done()}
+        if operation == "enqueue":
             try:
-                inside.append(line.join(Sender(caller), camera, camera))
+                tickets.append(queue.enqueue(Sender(caller), camera, camera))
             except OverloadedError as error:
                 assert 1 <= (error.retry_after_s or 0) <= 30
         elif operation == "wait":
             clock.now += number / 3
-        elif inside:
-            turn = inside[number % len(inside)]
-            if operation == "leave":
-                line.leave(turn, worked=turn.begun.done())
-                inside.remove(turn)
-            elif not turn.begun.done():
-                line.give_up(turn)
-                inside.remove(turn)
-        superseded = [t for t in inside if t.begun.done() and t.begun.result() is not None]
-        assert all(turn.begun.result() is SupersededError for turn in superseded)
-        inside = [turn for turn in inside if turn not in superseded]
-        working = {turn for turn in inside if turn.begun.done()}
-        assert line.inside == len(inside)
-        assert line.working == len(working) <= threads
-        # Of a camera, one frame is worked on at a time, and one waits.
+        elif tickets:
+            ticket = tickets[number % len(tickets)]
+            if operation == "release":
+                queue.release(ticket, worked=ticket.begun.done())
+                tickets.remove(ticket)
+            elif not ticket.begun.done():
+                queue.expire(ticket)
+                tickets.remove(ticket)
+        superseded = [t for t in tickets if t.begun.done() and t.begun.result() is not None]
+        for ticket in superseded:
+            assert ticket.begun.result() is SupersededError
+            queue.release(ticket)  # Its place belongs to the newer frame.
+        tickets = [ticket for ticket in tickets if ticket not in superseded]
+        working = {ticket for ticket in tickets if ticket.begun.done()}
+        assert queue.in_flight == len(tickets)
+        assert queue.working == len(working) <= threads
+        # At most one frame of a camera is worked on at a time, and one waits.
         for name in ("yard", "gate"):
-            ours = [turn for turn in inside if turn.camera == name]
-            assert sum(turn in working for turn in ours) <= 1
-            assert sum(turn not in working for turn in ours) <= 1
-        waiting = [turn for turn in inside if turn not in working]
+            ours = [ticket for ticket in tickets if ticket.camera == name]
+            assert sum(ticket in working for ticket in ours) <= 1
+            assert sum(ticket not in working for ticket in ours) <= 1
+        waiting = [ticket for ticket in tickets if ticket not in working]
         if len(working) < threads:
-            assert {turn.camera for turn in waiting} <= {turn.camera for turn in working} - {None}
-        # One caller's frames of one kind begin in order.
-        for turn in working - before:
+            busy = {ticket.camera for ticket in working} - {None}
+            assert {ticket.camera for ticket in waiting} <= busy
+        # Frames of one kind from one caller begin in order.
+        for ticket in working - before:
             assert all(
-                other.number > turn.number
+                other.place.number > ticket.place.number
                 for other in waiting
-                if (other.sender, other.camera) == (turn.sender, turn.camera)
+                if (other.place.sender, other.camera) == (ticket.place.sender, ticket.camera)
             )
 
 
-def one_second_each() -> tuple[Line, Clock]:
-    """A line for one thread that has learned how long frames take."""
+def one_second_each() -> tuple[FairQueue, Clock]:
+    """A queue for one thread that has learned how long frames take."""
     clock = Clock()
-    line = Line(1, MAX_WAIT_S, clock)
+    queue = FairQueue(1, MAX_WAIT_S, clock)
     for _ in range(40):
-        turn = line.join(Sender("before"), "photograph")
+        ticket = queue.enqueue(Sender("before"), "photograph")
         clock.now += 1
-        line.leave(turn, worked=True)
-    return line, clock
+        queue.release(ticket, worked=True)
+    return queue, clock
 
 
 class TestAdmission:
-    async def test_the_wait_that_is_expected_decides(self) -> None:
-        line, clock = one_second_each()
-        assert line.fullness() == 0
-        line.join(Sender("a"), "photograph")
-        waiting = line.join(Sender("b"), "photograph")
-        assert line.fullness() == pytest.approx(2 / (ADMIT_SHARE * MAX_WAIT_S), rel=0.01)
+    async def test_the_expected_wait_decides(self) -> None:
+        queue, clock = one_second_each()
+        assert queue.load() == 0
+        queue.enqueue(Sender("a"), "photograph")
+        waiting = queue.enqueue(Sender("b"), "photograph")
+        assert queue.load() == pytest.approx(2 / (ADMIT_SHARE * MAX_WAIT_S), rel=0.01)
         with pytest.raises(OverloadedError) as caught:
-            line.check(Sender("c", 1))
+            queue.check(Sender("c", 1))
         assert caught.value.retry_after_s == 1
         assert not waiting.begun.done()
-        clock.now += 0.6  # Sooner than told, but there is room.
-        line.check(Sender("c", 1))
+        clock.now += 0.6  # Earlier than asked, but there is room.
+        queue.check(Sender("c", 1))
 
-    async def test_who_comes_back_has_kept_the_place(self) -> None:
-        line, clock = one_second_each()
-        first = line.join(Sender("a"), "photograph")
-        second = line.join(Sender("b"), "photograph")
+    async def test_a_returning_client_keeps_its_place(self) -> None:
+        queue, clock = one_second_each()
+        first = queue.enqueue(Sender("a"), "photograph")
+        second = queue.enqueue(Sender("b"), "photograph")
         with pytest.raises(OverloadedError):
-            line.check(Sender("c", 1))
+            queue.check(Sender("c", 1))
         clock.now += 0.9
-        line.leave(first, worked=True)
+        queue.release(first, worked=True)
         with pytest.raises(OverloadedError):
-            line.join(Sender("a"), "photograph")
+            queue.enqueue(Sender("a"), "photograph")
         clock.now += 0.1
-        third = line.join(Sender("c", 1), "photograph")
+        third = queue.enqueue(Sender("c", 1), "photograph")
         clock.now += 0.8
-        line.leave(second, worked=True)
+        queue.release(second, worked=True)
         assert third.begun.done()
 
-    async def test_the_patient_are_never_refused(self) -> None:
-        line, _ = one_second_each()
+    async def test_frames_with_an_unbounded_wait_are_never_refused(self) -> None:
+        queue, _ = one_second_each()
         for _ in range(2):
-            line.join(Sender("a"), "photograph")
+            queue.enqueue(Sender("a"), "photograph")
         with pytest.raises(OverloadedError):
-            line.join(Sender("a"), "photograph")
-        line.join(Sender("a"), "photograph", patient=True)
-        assert line.inside == 3
+            queue.enqueue(Sender("a"), "photograph")
+        queue.enqueue(Sender("a"), "photograph", unbounded_wait=True)
+        assert queue.in_flight == 3
 
-    async def test_after_thousands_of_callers_newcomers_are_served_as_before(self) -> None:
-        line, clock = one_second_each()
+    async def test_newcomers_are_served_after_thousands_of_callers(self) -> None:
+        queue, clock = one_second_each()
         for number in range(1500):
-            turn = line.join(Sender(number), "photograph", patient=True)
+            ticket = queue.enqueue(Sender(number), "photograph", unbounded_wait=True)
             clock.now += 1
-            line.leave(turn, worked=True)
-            assert turn.begun.done()
-        turns = [line.join(Sender(name), "photograph") for name in "ab"]
+            queue.release(ticket, worked=True)
+            assert ticket.begun.done()
+        tickets = [queue.enqueue(Sender(name), "photograph") for name in "ab"]
         for number in range(1500):
             with pytest.raises(OverloadedError) as caught:
-                line.check(Sender(number))
+                queue.check(Sender(number))
             assert 1 <= (caught.value.retry_after_s or 0) <= 30
         clock.now += 60
-        for turn in turns:
-            line.leave(turn)
-        line.check(Sender("a"))
-        assert line.join(Sender("newcomer"), "photograph").begun.done()
+        for ticket in tickets:
+            queue.release(ticket)
+        queue.check(Sender("a"))
+        assert queue.enqueue(Sender("newcomer"), "photograph").begun.done()
 
 
 class TestCameras:
     """Frames of live cameras, one thread."""
 
-    async def test_a_newer_frame_takes_the_place_of_the_one_that_waits(self) -> None:
-        line = Line(1, MAX_WAIT_S)
-        running, older = (line.join(Sender("a"), None, "yard") for _ in range(2))
-        other = line.join(Sender("a"), None, "gate")
-        newer = line.join(Sender("a"), None, "yard")
+    async def test_a_newer_frame_replaces_the_waiting_one(self) -> None:
+        queue = FairQueue(1, MAX_WAIT_S)
+        running, older = (queue.enqueue(Sender("a"), None, "yard") for _ in range(2))
+        other = queue.enqueue(Sender("a"), None, "gate")
+        newer = queue.enqueue(Sender("a"), None, "yard")
         refused = older.begun.result()
         assert refused is SupersededError
         assert refused().retry_after_s is None
-        # What runs is finished, and the place before the other camera is kept.
-        line.leave(running)
+        # The running frame is finished, and the place ahead of the other camera is kept.
+        queue.release(running)
         assert newer.begun.done()
         assert not other.begun.done()
 
-    async def test_where_others_are_refused_a_camera_may_still_replace_its_own(self) -> None:
-        line = Line(1, 0.15)
-        line.join(Sender("a"), None, "yard")
-        line.join(Sender("a"), None, "yard")
+    async def test_a_full_queue_still_lets_a_camera_replace_its_own_frame(self) -> None:
+        queue = FairQueue(1, 0.15)
+        queue.enqueue(Sender("a"), None, "yard")
+        queue.enqueue(Sender("a"), None, "yard")
         with pytest.raises(OverloadedError):
-            line.check(Sender("a"), "gate")
-        line.check(Sender("a"), "yard")
-        line.join(Sender("a"), None, "yard")
-        assert line.inside == 2
+            queue.check(Sender("a"), "gate")
+        queue.check(Sender("a"), "yard")
+        queue.enqueue(Sender("a"), None, "yard")
+        assert queue.in_flight == 2
 
 
-async def test_closing_drops_what_waits() -> None:
-    line = Line(1, MAX_WAIT_S)
-    running, waiting = (line.join(Sender("a"), None) for _ in range(2))
-    line.close()
+async def test_closing_drops_waiting_frames() -> None:
+    queue = FairQueue(1, MAX_WAIT_S)
+    running, waiting = (queue.enqueue(Sender("a"), None) for _ in range(2))
+    queue.close()
     assert waiting.begun.result() is ShutdownError
-    line.leave(running)
-    assert line.inside == 0
+    queue.release(running)
+    assert queue.in_flight == 0

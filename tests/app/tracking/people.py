@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import posture_of, vote_posture
+from app.estimation.posture_probability import posture_of, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.vision.geometry import Box
-from index.matching import Hypothesis
 from index.posture import Posture
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation
 from index.store import Label
@@ -49,21 +48,22 @@ def person_of(
     *,
     elevation_deg: float = 10.0,
     postures: Sequence[Posture] | None = None,
+    action: str = "walk",
 ) -> Person:
     """A person whose hypotheses are these poses, with the box about a point of the frame."""
     hypotheses = []
     for entry, (pose, confidence) in enumerate(zip(poses, confidences, strict=True)):
-        hypothesis = Hypothesis(
-            entry=entry, mirrored=False, distance=1.0, reprojection_error_px=1.0,
+        label = Label(entry, action, "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
+        hypothesis = ProjectedHypothesis(
+            entry_id=entry, mirrored=False, silhouette_distance=1.0, reprojection_error_px=1.0,
             confidence=confidence, points_3d=pose, points_normalised=np.zeros((POINTS, 2)),
-            posture=postures[entry] if postures else "standing",
+            posture=postures[entry] if postures else "standing", distance=1.0,
+            label=label, points_2d=np.array(centre) + PX_PER_M * pose[:, :2],
         )  # fmt: skip
-        label = Label(entry, "walk", "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
-        points_2d = np.array(centre) + PX_PER_M * pose[:, :2]
-        hypotheses.append(ProjectedHypothesis(hypothesis, 1.0, confidence, label, points_2d))
+        hypotheses.append(hypothesis)
     height = 1.7 * PX_PER_M
     box = Box(centre[0] - 30, centre[1] - height / 2, 60, height)
-    votes = vote_posture([placed.hypothesis.posture for placed in hypotheses], confidences)
+    votes = vote_posture([placed.posture for placed in hypotheses], confidences)
     posture = posture_of(votes)
     return Person(
         ObservedPerson(box, "detector", 0.9, None), Facing(0.5, "none"), posture, tuple(hypotheses)

@@ -10,27 +10,29 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
-from app.estimation.posture import EstimatedPosture, vote_posture
-from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
-from app.tracking.action_features import RATE_HZ, Measured, action_features
+from app.estimation.posture_probability import EstimatedPosture, vote_posture
 from app.tracking.actions import (
+    RATE_HZ,
     ActionModel,
     ActionRecogniser,
+    PoseSample,
+    action_features,
     posture_factors,
     shipped_model,
     window_features,
 )
 from app.tracking.ground_motion import STILL
+from app.tracking.parameters import DEFAULTS
 from app.tracking.results import RecognisedAction, SmoothedPose
-from app.tracking.smoothing import SURE_PX, Smoothed
+from app.tracking.smoothing import Smoothed
 from app.vision.geometry import Box
-from index.matching import Hypothesis
 from index.posture import POSTURES, Posture, camera_up
 from index.skeleton import camera_rotation, mirror_3d
-from index.store import Label
+from tests.app.tracking.people import person_of, standing_body
 from tests.conftest import stick_figure
 
 PX_PER_M = 80.0
+FULL_WEIGHT_PX = DEFAULTS.actions.full_weight_px
 UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -42,17 +44,11 @@ def swinging(seconds: float, hz: float = RATE_HZ, speed: float = 1.0) -> NDArray
     return first + share[:, None, None] * (second - first)
 
 
-def path_of(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.zeros((len(poses), 2))
-
-
-def person(action: str, confidence: float = 0.8) -> Person:
-    points = swinging(0.1)[0]
-    hypothesis = Hypothesis(0, False, 0.1, 1.0, confidence, points, points[:, :2])
-    label = Label(0, action, "clip", "subject", 0, False, 0.0, 10.0, 0.0, 5.0)
-    placed = ProjectedHypothesis(hypothesis, 0.1, confidence, label, points[:, :2])
-    observed = ObservedPerson(Box(0, 0, 50, 100), "mask", None, None)
-    return Person(observed, Facing(1.0, "none"), EstimatedPosture("standing", 1.0), (placed,))
+def features_of(
+    poses: NDArray[np.float64], up: NDArray[np.float64] = UP, m_s: float = 0.0
+) -> NDArray[np.float64]:
+    """Features of a body that moves to the right."""
+    return action_features(poses, up, np.outer(np.arange(len(poses)) / RATE_HZ, [m_s, 0.0]))
 
 
 def smoothed(points_3d: NDArray[np.float64]) -> Smoothed:
@@ -68,94 +64,82 @@ def recognise(
     rotation = camera_rotation(30.0, 10.0)
     poses = swinging(len(times) / RATE_HZ) @ rotation.T
     return [
-        recogniser.update(time, person(action), smoothed(pose))
+        recogniser.update(time, person_of([pose], [0.8], action=action), smoothed(pose))
         for time, pose in zip(times, poses, strict=True)
     ]
 
 
 @pytest.fixture(scope="module")
 def undecided() -> ActionModel:
-    """Two actions that no feature tells apart: the votes decide."""
-    size = len(action_features(swinging(2), UP, path_of(swinging(2))))
+    """Two actions with the same features: the votes decide."""
+    size = len(features_of(swinging(2)))
     return ActionModel(("run", "walk"), np.zeros((2, size)), np.zeros(2), 1.0)
 
 
-def test_features_do_not_change_with_the_camera() -> None:
+def test_features_are_the_same_from_any_camera_and_for_mirrored_and_larger_bodies() -> None:
     poses = swinging(3)
-    expected = action_features(poses, UP, path_of(poses))
+    seen = [features_of(mirror_3d(poses)), features_of(1.3 * poses)]
     for azimuth_deg, elevation_deg in ((90, 0), (200, 35)):
         rotation = camera_rotation(azimuth_deg, elevation_deg)
-        seen = action_features(poses @ rotation.T, camera_up(elevation_deg), path_of(poses))
-        np.testing.assert_allclose(seen, expected, atol=2e-5)
+        seen.append(features_of(poses @ rotation.T, camera_up(elevation_deg)))
+    for features in seen:
+        np.testing.assert_allclose(features, features_of(poses), atol=2e-5)
 
 
-def test_features_do_not_tell_left_from_right_nor_small_from_large() -> None:
-    poses = swinging(3)
-    expected = action_features(poses, UP, path_of(poses))
-    np.testing.assert_allclose(
-        action_features(mirror_3d(poses), UP, path_of(poses)), expected, atol=2e-5
-    )
-    np.testing.assert_allclose(
-        action_features(1.3 * poses, UP, path_of(poses)), expected, atol=2e-5
-    )
-
-
-def test_features_tell_tempo_and_travel() -> None:
-    poses = swinging(3)
-    slow = action_features(poses, UP, path_of(poses))
-    assert np.abs(action_features(swinging(3, speed=2.0), UP, path_of(poses)) - slow).max() > 0.3
-    going = np.outer(np.arange(len(poses)) / RATE_HZ, [1.5, 0.0])
-    changed = action_features(poses, UP, going) - slow
+def test_features_show_tempo_and_travel() -> None:
+    slow = features_of(swinging(3))
+    assert np.abs(features_of(swinging(3, speed=2.0)) - slow).max() > 0.3
+    changed = features_of(swinging(3), m_s=1.5) - slow
     assert np.isclose(np.abs(changed).max(), np.sqrt(1.5), atol=1e-6)
 
 
-def test_features_do_not_change_with_the_frame_rate() -> None:
-    def measured(hz: float) -> list[Measured]:
-        poses = swinging(3, hz, speed=0.4)
-        return [
-            Measured(number / hz, pose, np.zeros(2), PX_PER_M, 10.0)
-            for number, pose in enumerate(poses)
-        ]
-
-    coarse, fine = window_features(measured(10)), window_features(measured(30))
+def test_features_hardly_change_with_the_frame_rate() -> None:
+    coarse, fine = (
+        window_features([
+            PoseSample(number / hz, pose, np.zeros(2), PX_PER_M, 10.0)
+            for number, pose in enumerate(swinging(3, hz, speed=0.4))
+        ])
+        for hz in (10, 30)
+    )  # fmt: skip
     assert np.abs(coarse - fine).max() < 0.25
     assert np.abs(coarse - fine).mean() < 0.02
 
 
-def test_an_action_is_told_after_a_second(undecided: ActionModel) -> None:
+def test_an_action_is_recognised_after_a_second(undecided: ActionModel) -> None:
     answers = recognise(undecided, [frame / RATE_HZ for frame in range(20)])
     assert [answer is None for answer in answers] == [True] * 10 + [False] * 10
     assert answers[-1] is not None and answers[-1].label == "walk"
-    # All votes against the least share of none.
+    # All votes against the minimum for an action without any.
     assert answers[-1].probability == pytest.approx(1 / 1.02, abs=1e-3)
 
 
-def test_labels_that_the_model_does_not_know_leave_it_undecided(undecided: ActionModel) -> None:
+def test_unknown_labels_leave_the_model_undecided(undecided: ActionModel) -> None:
     answer = recognise(undecided, [frame / RATE_HZ for frame in range(20)], "swordplay")[-1]
     assert answer is not None and answer.probability == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
-    ("height", "best"), [(2 * SURE_PX, "punch"), (SURE_PX, "punch"), (SURE_PX / 8, "stand")]
+    ("height", "best"),
+    [(2 * FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX / 8, "stand")],
 )
-def test_limbs_of_small_people_tell_little(
+def test_limbs_of_small_people_count_little(
     undecided: ActionModel, height: float, best: str
 ) -> None:
-    """Of them posture decides, and what people mostly do."""
+    """Posture decides instead, and how common an action is."""
     size = undecided.weights.shape[1]
     model = ActionModel(
         ("punch", "stand", "walk"), np.zeros((3, size)), np.array([3.0, 0.0, 0.0]), 0.0
     )
-    recogniser, told = ActionRecogniser(model), None
+    recogniser, result = ActionRecogniser(model), None
     box = Box(0, 0, height / 2, height)
     for step, pose in enumerate(swinging(2)):
-        one = person("walk")
+        one = person_of([pose], [0.8])
         one = replace(one, observed=replace(one.observed, box=box))
-        told = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
-    assert told is not None and told.label == best
+        result = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
+    assert result is not None and result.label == best
 
 
-def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:
+def test_after_a_gap_the_window_starts_afresh(undecided: ActionModel) -> None:
     times = [frame / RATE_HZ for frame in range(15)]
     times += [10 + frame / RATE_HZ for frame in range(15)]
     answers = recognise(undecided, times)
@@ -163,16 +147,9 @@ def test_after_a_gap_the_motion_begins_anew(undecided: ActionModel) -> None:
     assert all(answer is None for answer in answers[15:25]) and answers[-1] is not None
 
 
-def test_the_shipped_model_knows_a_body_that_stands_still() -> None:
-    pose = np.repeat(swinging(0.1), 30, axis=0)
-    pose[:, 6:8] = pose[:, 5:6] + np.array([[0.02, -0.28, 0], [0.02, -0.54, 0]])
-    pose[:, 9:11] = pose[:, 8:9] + np.array([[-0.02, -0.28, 0], [-0.02, -0.54, 0]])
-    for hip in (11, 15):
-        for row, height in ((1, -0.42), (2, -0.84)):
-            pose[:, hip + row] = pose[:, hip] + np.array([0.0, height, 0.0])
-        pose[:, hip + 3] = pose[:, hip] + np.array([0.0, -0.87, 0.16])
+def test_the_shipped_model_recognises_standing() -> None:
     model = shipped_model()
-    features = action_features(pose, UP, path_of(pose))
+    features = features_of(np.repeat(standing_body()[None], 30, axis=0))
     even = np.full(len(model.actions), 1 / len(model.actions))
     assert model.actions[int(model.probabilities(features, even).argmax())] == "stand"
 
@@ -196,7 +173,7 @@ def one_hot(posture: Posture) -> EstimatedPosture:
     return EstimatedPosture(posture, 1.0, shares)
 
 
-def test_no_action_is_told_that_is_less_likely_than_not(undecided: ActionModel) -> None:
+def test_no_action_is_less_likely_than_not(undecided: ActionModel) -> None:
     size = undecided.weights.shape[1]
     model = ActionModel(("walk", "sit", "lie"), np.zeros((3, size)), np.zeros(3), 0.0)
     assert set(recognise(model, [0.1 * step for step in range(20)])) == {None}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.tracking.ground_motion import STILL, GroundMotion, GroundVelocity
+from app.tracking.ground_motion import STILL, GroundMotion, GroundVelocity, ground_path
 from app.vision.geometry import Box
 from index.skeleton import camera_rotation
 
@@ -15,7 +15,7 @@ DISTANCE_M, FOCAL_PX = 12.0, 1200.0
 def walk(
     elevation_deg: float, velocity: tuple[float, float], seconds: float = 1.0
 ) -> GroundVelocity:
-    """What is found for somebody who moves right and away, as a camera projects their middle."""
+    """The velocity measured of a person who moves right and away, by their projected centre."""
     rotation = camera_rotation(0.0, elevation_deg)
     motion, found = GroundMotion(), STILL
     for timestamp in np.arange(0, seconds + 1e-9, 0.1):
@@ -39,22 +39,31 @@ def test_recovers_the_velocity(elevation_deg: float, velocity: tuple[float, floa
     assert found.away == pytest.approx(velocity[1], abs=0.25)
 
 
-def test_who_stands_still_has_no_speed() -> None:
+def test_standing_still_has_no_speed() -> None:
     assert walk(20.0, (0.0, 0.0)).speed == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_camera_below_sees_people_sink_who_move_away() -> None:
+def test_seen_from_below_people_sink_as_they_move_away() -> None:
     found = walk(-20.0, (0.0, 1.0))
     assert found.away == pytest.approx(1.0, abs=0.25)
 
 
-def test_two_frames_tell_nothing() -> None:
+def test_two_frames_give_no_velocity() -> None:
     assert walk(20.0, (5.0, 0.0), seconds=0.1) == STILL
 
 
-def test_what_was_longer_ago_than_a_second_counts_no_more() -> None:
+def test_only_the_last_second_counts() -> None:
     motion = GroundMotion()
     for frame in range(60):
         x = 20.0 * frame if frame < 30 else 600.0
         found = motion.update(frame / 10, Box(x, 0, 40, 160), 100.0, 20.0)
     assert found.speed == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("elevation_deg", "metres"), [(30.0, 1.0), (0.0, 0.5 / 0.35)])
+def test_a_path_goes_down_the_picture_towards_the_camera(
+    elevation_deg: float, metres: float
+) -> None:
+    """Seen from low, no farther than the floor of the sine allows."""
+    path = ground_path(np.array([[0.0, 0.0], [80.0, 40.0]]), 80.0, elevation_deg)
+    np.testing.assert_allclose(path[1], [1.0, metres])

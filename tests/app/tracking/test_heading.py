@@ -1,4 +1,4 @@
-"""Which way people are turned: single frames are doubted, steady evidence is believed."""
+"""Headings: single frames are doubted, steady evidence is believed."""
 
 from __future__ import annotations
 
@@ -8,26 +8,28 @@ import numpy as np
 import pytest
 
 from app.tracking.ground_motion import STILL, GroundVelocity
-from app.tracking.heading import BESIDE_DEG, HeadingFilter, Turn
+from app.tracking.heading import Heading, HeadingFilter
+from app.tracking.parameters import DEFAULTS
 
+BESIDE_DEG = DEFAULTS.heading.min_turned_deg
 TO_THE_LEFT = GroundVelocity(-1.2, 0.0, 1.2)
 
 
 def follow(
     azimuths_deg: Sequence[float], velocity: GroundVelocity = STILL, step_s: float = 0.1
-) -> list[Turn]:
-    turns = HeadingFilter()
+) -> list[Heading]:
+    headings = HeadingFilter()
     return [
-        turns.update(step_s * number, np.array([azimuth]), np.ones(1), 0.0, velocity)
+        headings.update(step_s * number, np.array([azimuth]), np.ones(1), 0.0, velocity)
         for number, azimuth in enumerate(azimuths_deg)
     ]
 
 
-def test_a_single_frame_turns_nobody() -> None:
+def test_a_single_frame_turns_no_one() -> None:
     assert all(turn.front for turn in follow([30.0] * 10 + [150.0] + [30.0] * 10))
 
 
-def test_who_is_seen_from_the_side_stays_on_one_side() -> None:
+def test_a_person_seen_from_the_side_stays_on_one_side() -> None:
     noise = np.random.default_rng(3).normal(0, 25, 100)
     sides = [turn.front for turn in follow((80 + noise).tolist())]
     frames = [abs(80 + error) < 90 for error in noise]
@@ -36,7 +38,7 @@ def test_who_is_seen_from_the_side_stays_on_one_side() -> None:
 
 
 @pytest.mark.parametrize("step_s", [1 / 30, 0.1, 0.5])
-def test_who_turns_round_is_seen_to(step_s: float) -> None:
+def test_turning_round_is_followed(step_s: float) -> None:
     frames = round(1 / step_s)
     turns = follow([20.0] * frames + [160.0] * frames, step_s=step_s)
     assert turns[frames - 1].front_probability > 0.9
@@ -45,13 +47,13 @@ def test_who_turns_round_is_seen_to(step_s: float) -> None:
 
 
 def test_people_go_where_they_face() -> None:
-    """Of two equal readings, that counts which faces the way the person goes."""
-    turns = HeadingFilter()
+    """Of two equal readings, the one counts that faces where the person walks."""
+    headings = HeadingFilter()
     for number in range(20):
-        turn = turns.update(
+        heading = headings.update(
             0.1 * number, np.array([90.0, -90.0]), np.full(2, 0.5), 0.0, TO_THE_LEFT
         )
-    ahead, behind = turn.log_likelihood(np.array([90.0, -90.0]))
+    ahead, behind = heading.log_likelihood(np.array([90.0, -90.0]), 20.0)
     assert ahead > behind + 1
 
 
@@ -65,5 +67,5 @@ def test_people_go_where_they_face() -> None:
 def test_the_nearest_azimuth_of_a_side(
     front: bool, azimuth_deg: float, expected_deg: float
 ) -> None:
-    turn = Turn(np.full(36, 1 / 36), front)
-    assert turn.on_its_side(azimuth_deg) == pytest.approx(expected_deg)
+    heading = Heading(np.full(36, 1 / 36), front)
+    assert heading.on_visible_side(azimuth_deg, BESIDE_DEG) == pytest.approx(expected_deg)

@@ -32,6 +32,7 @@ class FakeSession:
         n: int,
         job: Job,
         evidence: str,
+        zones: object,
     ) -> TrackedFrame:
         job.checkpoint()
         self.while_working()
@@ -83,7 +84,7 @@ class Registry(CameraSessions):
         return [summary.camera_id for summary in self.summaries(caller)]
 
 
-def test_a_summary_tells_of_the_last_frame() -> None:
+def test_a_summary_describes_the_last_frame() -> None:
     registry = Registry()
     registry.send("yard")
     registry.send("yard", n=7)
@@ -129,7 +130,7 @@ def test_idle_sessions_end() -> None:
     assert registry.send("gate") == "new"
 
 
-def test_who_has_most_sessions_makes_room() -> None:
+def test_the_caller_with_the_most_sessions_makes_room() -> None:
     registry = Registry(max_sessions=3)
     registry.send("yard", caller=1)
     for number in range(5):
@@ -138,7 +139,7 @@ def test_who_has_most_sessions_makes_room() -> None:
     assert registry.cameras(0) == ["camera-3", "camera-4"]
 
 
-def test_a_session_at_work_stays() -> None:
+def test_a_busy_session_stays() -> None:
     registry = Registry(max_sessions=1)
     registry.send("yard")
 
@@ -154,7 +155,7 @@ def test_a_session_at_work_stays() -> None:
     assert registry.ended == ["number"]
 
 
-def test_rubbish_displaces_nobody() -> None:
+def test_an_unusable_frame_displaces_no_session() -> None:
     registry = Registry(max_sessions=1)
     registry.send("yard")
     with pytest.raises(UploadError):
@@ -163,7 +164,7 @@ def test_rubbish_displaces_nobody() -> None:
     assert registry.began == 1
 
 
-def test_what_is_forgotten_starts_afresh_even_if_at_work() -> None:
+def test_a_forgotten_camera_starts_afresh_even_if_busy() -> None:
     registry = Registry()
     registry.send("yard")
     registry.while_working = lambda: registry.forget(CameraKey(0, "yard"))

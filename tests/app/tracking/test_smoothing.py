@@ -1,4 +1,4 @@
-"""Smooth poses of tracks: ambiguities resolved by motion, bones of constant length."""
+"""Smooth poses: ambiguities resolved by motion, bones of constant length."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ import pytest
 
 from app.estimation.facing import azimuth_deg
 from app.estimation.results import Person
-from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
-from app.vision.geometry import Silhouette
+from app.tracking.parameters import DEFAULTS
+from app.tracking.smoothing import PoseSmoother, Smoothed
+from app.vision.people import Silhouette
 from index.posture import POSTURES
-from index.skeleton import NATIVE, POINTS, wrap_degrees
+from index.skeleton import POINTS, bone_lengths, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
 ELEVATION_DEG = 20.0
+EXTRAPOLATED_S = DEFAULTS.smoothing.extrapolated_s
 
 
-def follow(people: list[Person], step_s: float = 0.1) -> list[Smoothed]:
+def follow(people: list[Person]) -> list[Smoothed]:
     smoother = PoseSmoother()
-    updates = [smoother.update(person, step_s * frame) for frame, person in enumerate(people)]
+    updates = [smoother.update(person, 0.1 * frame) for frame, person in enumerate(people)]
     assert all(update is not None for update in updates)
     return [update for update in updates if update is not None]
 
@@ -30,7 +32,7 @@ def likeliest(smoothed: Smoothed) -> str:
 
 
 def walkers(right_m_s: float, away_m_s: float, azimuths_deg: list[float]) -> list[Person]:
-    """Frames of somebody who walks, each with the same equally confident hypotheses."""
+    """Frames of a person who walks, each with the same equally confident hypotheses."""
     poses = [seen_from(azimuth, ELEVATION_DEG) for azimuth in azimuths_deg]
     rise = np.sin(np.deg2rad(ELEVATION_DEG))
     return [
@@ -48,7 +50,7 @@ def walkers(right_m_s: float, away_m_s: float, azimuths_deg: list[float]) -> lis
     ("right_m_s", "away_m_s", "facing_deg"),
     [(0.0, -1.2, 0.0), (0.0, 1.2, 180.0), (1.2, 0.0, -90.0), (-1.2, 0.0, 90.0), (0.9, 0.9, -135.0)],
 )
-def test_people_face_where_they_go(right_m_s: float, away_m_s: float, facing_deg: float) -> None:
+def test_people_face_where_they_walk(right_m_s: float, away_m_s: float, facing_deg: float) -> None:
     candidates = [facing_deg, facing_deg + 180.0, 180.0 - facing_deg + 1e-3]
     last = follow(walkers(right_m_s, away_m_s, candidates))[-1]
     turned = wrap_degrees(azimuth_deg(last.pose.points_3d[None])[0] - facing_deg)
@@ -56,13 +58,13 @@ def test_people_face_where_they_go(right_m_s: float, away_m_s: float, facing_deg
     assert last.facing.evidence == "motion"
 
 
-def test_who_stands_is_no_evidence_of_facing() -> None:
+def test_standing_is_no_evidence_of_facing() -> None:
     last = follow(walkers(0.0, 0.0, [0.0, 180.0]))[-1]
     assert last.facing.evidence == "none"
     assert last.facing.front_probability == pytest.approx(0.5)
 
 
-def test_a_single_frame_flipped_by_mistake_changes_nothing() -> None:
+def test_a_single_flipped_frame_changes_nothing() -> None:
     front, back = seen_from(0.0), seen_from(180.0)
     people = [person_of([front, back], [0.7, 0.4]) for _ in range(10)]
     people[6] = person_of([back, front], [0.75, 0.4])
@@ -87,17 +89,14 @@ def test_a_steady_pose_stays_as_it_is() -> None:
 
 def test_bones_keep_their_lengths() -> None:
     """Averages of turned bodies would shrink."""
-    parents, children = np.array(NATIVE.bones).T
     people = [
         person_of([seen_from(azimuth), seen_from(azimuth + 15)], [0.6, 0.5])
         for azimuth in np.linspace(0, 80, 20)
     ]
-
-    def lengths(points: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.norm(points[children] - points[parents], axis=-1))
-
     for update in follow(people):
-        np.testing.assert_allclose(lengths(update.pose.points_3d), lengths(seen_from(0)), rtol=1e-6)
+        np.testing.assert_allclose(
+            bone_lengths(update.pose.points_3d), bone_lengths(seen_from(0)), rtol=1e-6
+        )
 
 
 def test_noise_is_smoothed_away() -> None:
@@ -132,7 +131,7 @@ def test_a_pose_is_extrapolated_along_with_the_person_for_a_second() -> None:
     assert extrapolated is not None
     np.testing.assert_allclose(extrapolated.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
     np.testing.assert_array_equal(extrapolated.points_3d, before.pose.points_3d)
-    assert extrapolated.confidence < before.pose.confidence  # It may have changed meanwhile.
+    assert extrapolated.confidence < before.pose.confidence
     assert smoother.extrapolate(person.observed, EXTRAPOLATED_S + 0.1) is None
 
 
@@ -158,13 +157,11 @@ def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box
 @pytest.mark.parametrize(
     ("speed_m_s", "posture"), [(0.0, "standing"), (1.2, "walking"), (3.5, "running")]
 )
-def test_how_fast_somebody_goes_is_seen_rather_than_taken_from_a_clip(
-    speed_m_s: float, posture: str
-) -> None:
+def test_walking_and_running_follow_the_measured_speed(speed_m_s: float, posture: str) -> None:
     assert likeliest(follow(walkers(speed_m_s, 0.0, [-90.0]))[-1]) == posture
 
 
-def test_who_sits_does_not_walk_however_fast_the_chair() -> None:
+def test_a_sitting_person_does_not_walk_however_fast_the_chair() -> None:
     people = [
         person_of([seen_from(-90.0)], [0.5], (200 + 20 * frame, 200.0), postures=["sitting"])
         for frame in range(20)

@@ -1,14 +1,15 @@
-"""What a whole video tells of a person."""
+"""The summary of a whole video."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from app.estimation.posture import EstimatedPosture
+from app.estimation.posture_probability import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
+from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.tracking.summary import LONGEST_GAP_S, SequenceSummary
+from app.tracking.summary import VideoSummary
 from app.vision.geometry import Box
 from index.posture import Posture
 
@@ -21,8 +22,8 @@ def person(
     return TrackedPerson(Person(observed, None, voted, ()), track_id, 1, None, action)
 
 
-def summarised(*frames: tuple[float, list[TrackedPerson]]) -> SequenceSummary:
-    summary = SequenceSummary()
+def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
+    summary = VideoSummary()
     for index, (timestamp, persons) in enumerate(frames):
         event = Event("entered", index + 1, "instant", timestamp, 1.0)
         summary.add(
@@ -67,14 +68,14 @@ def test_a_posture_lasts_until_the_next_frame() -> None:
     assert summary.tracks[1].postures() == [("lying", 2.5), ("walking", 1.0), ("standing", 0.0)]
 
 
-def test_nobody_keeps_a_posture_while_unseen_for_long() -> None:
+def test_no_posture_is_kept_while_unseen_for_long() -> None:
     summary = summarised(
-        (0.0, [person(1, "walking")]), (LONGEST_GAP_S + 0.1, [person(1, "walking")])
+        (0.0, [person(1, "walking")]), (DEFAULTS.summary.max_gap_s + 0.1, [person(1, "walking")])
     )
     assert summary.tracks[1].postures() == [("walking", 0.0)]
 
 
-def test_the_surest_action_wins() -> None:
+def test_the_action_with_the_largest_sum_wins() -> None:
     walk, jump = RecognisedAction("walk", 0.4), RecognisedAction("jump", 0.9)
     summary = summarised(
         (0.0, [person(1, None)]),

@@ -1,4 +1,4 @@
-"""Zones: who is in them, and by which part of the body."""
+"""Zones: which of them a person is in, by which part of the body."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from app.tracking.zones import Zone, ZoneKind, contains, place, zones_of
 from app.vision.geometry import Box
-from index.posture import POSTURES, Posture
+from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 SQUARE = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])
 # An L: the upper right quarter of the square is missing.
@@ -21,7 +21,7 @@ def zone(name: str, left: float, right: float, kind: ZoneKind = "watch") -> Zone
 
 
 @given(x=st.floats(0, 60), y=st.floats(0, 60))
-def test_a_square_holds_what_is_between_its_sides(x: float, y: float) -> None:
+def test_a_square_contains_the_points_between_its_sides(x: float, y: float) -> None:
     if 10 not in (x, y) and 50 not in (x, y):
         assert contains(SQUARE, np.array([x, y])) == (10 < x < 50 and 10 < y < 50)
 
@@ -48,9 +48,11 @@ def test_of_two_halves_a_point_is_in_exactly_one(split: float, x: float, y: floa
 
 
 @pytest.mark.parametrize("posture", [*POSTURES, None])
-def test_people_stand_on_their_feet_and_lie_on_their_middle(posture: Posture | None) -> None:
+def test_people_are_where_their_feet_are_or_on_the_ground_their_centre(
+    posture: Posture | None,
+) -> None:
     box = Box(10.0, 20.0, 30.0, 60.0)
-    lies = posture in ("lying", "crawling")
+    lies = posture in ON_THE_GROUND
     assert place(box, posture).tolist() == [25.0, 50.0 if lies else 80.0]
 
 
@@ -62,6 +64,6 @@ def test_zones_come_in_the_order_given() -> None:
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (4, 3), (8,)])
-def test_what_is_no_polygon_is_refused(shape: tuple[int, ...]) -> None:
+def test_wrong_shapes_of_polygons_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="expected a polygon"):
         Zone("bed", "rest", np.zeros(shape))

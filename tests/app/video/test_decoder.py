@@ -1,4 +1,4 @@
-"""What the process that decodes a video writes."""
+"""What the decoder of a video writes."""
 
 from __future__ import annotations
 
@@ -34,24 +34,20 @@ def decode(path: Path, stride: int = 1, max_pixels: int = 10_000) -> list[tuple[
 @pytest.mark.parametrize(
     ("name", "codec"), [("v.avi", "MJPG"), ("v.mp4", "mp4v"), ("v.webm", "VP80")]
 )
-def test_frames_come_with_their_times(tmp_path: Path, name: str, codec: str) -> None:
+def test_frames_have_their_numbers_and_times(tmp_path: Path, name: str, codec: str) -> None:
     write_video(tmp_path / name, numbered_frames(8), codec)
     frames = decode(tmp_path / name)
     assert frames[:-1] == [(n, n / 10, 10 * n) for n in range(8)]
     assert frames[-1][:2] == (END, 8)
 
 
-def test_a_stride_skips_frames(tmp_path: Path) -> None:
+def test_stride_skips_frames(tmp_path: Path) -> None:
     write_video(tmp_path / "v.avi", numbered_frames(8))
-    assert decode(tmp_path / "v.avi", stride=3) == [
-        (0, 0.0, 0),
-        (3, 0.3, 30),
-        (6, 0.6, 60),
-        (END, 8, 8, 0),
-    ]
+    frames = decode(tmp_path / "v.avi", stride=3)
+    assert frames == [(0, 0.0, 0), (3, 0.3, 30), (6, 0.6, 60), (END, 8, 8, 0)]
 
 
-def test_a_truncated_file_ends_early(tmp_path: Path) -> None:
+def test_truncated_file_ends_early(tmp_path: Path) -> None:
     path = tmp_path / "v.avi"
     data = write_video(path, noisy_frames(20))
     path.write_bytes(data[: len(data) // 2])
@@ -66,7 +62,7 @@ def test_frames_of_too_many_pixels_are_not_decoded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"?", b"RIFF\xff\xff\xff\xffAVI LIST", b"\x00" * 5000])
-def test_rubbish_has_no_frames(tmp_path: Path, data: bytes) -> None:
+def test_other_bytes_have_no_frames(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "v.avi").write_bytes(data)
     assert decode(tmp_path / "v.avi")[-1][:2] == (END, 0)
 
@@ -77,7 +73,7 @@ def test_no_other_file_is_opened(tmp_path: Path) -> None:
     assert decode(tmp_path / "v.avi") == [(END, 0, 0, 0)]
 
 
-def test_a_process_that_nobody_reads_from_ends_quietly(tmp_path: Path) -> None:
+def test_decoder_ends_quietly_when_its_output_is_closed(tmp_path: Path) -> None:
     write_video(tmp_path / "v.avi", numbered_frames(20, 480, 640))
     command = [sys.executable, "-m", "app.video.decoder", str(tmp_path / "v.avi")]
     command += ["--max-pixels", "1000000", "--max-seconds", "20"]

@@ -1,4 +1,4 @@
-"""Videos from the service's side: frames, and processes that misbehave."""
+"""Frames of a video, and decoders that misbehave."""
 
 from __future__ import annotations
 
@@ -20,24 +20,20 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-async def test_frames_of_a_file_without_a_name(tmp_path: Path) -> None:
+async def test_frames_of_an_unnamed_file_are_read(tmp_path: Path) -> None:
     with new_file() as file:
         file.write(write_video(tmp_path / "v.avi", numbered_frames(5)))
         async with open_video(file, stride=2, max_pixels=10_000, max_seconds=20) as video:
             frames = []
             while (frame := await video.next()) is not None:
                 frames.append(frame)
-    assert [(frame.number, round(frame.timestamp, 3)) for frame in frames] == [
-        (0, 0.0),
-        (2, 0.2),
-        (4, 0.4),
-    ]
+    assert [(one.number, round(one.timestamp, 3)) for one in frames] == [(0, 0), (2, 0.2), (4, 0.4)]
     assert frames[2].pixels.shape == (48, 64, 3)
     assert abs(float(frames[2].pixels.mean()) - 40) < 3
 
 
 def reading(*parts: bytes, ended: bool = True, timeout_s: float = 5) -> VideoReader:
-    """A reader of what a process has written."""
+    """A reader of what a decoder has written."""
     stream = asyncio.StreamReader()
     for part in parts:
         stream.feed_data(part)
@@ -49,7 +45,7 @@ def reading(*parts: bytes, ended: bool = True, timeout_s: float = 5) -> VideoRea
 PICTURE = HEADER.pack(FRAME, 0, 2, 1, 0.0) + bytes(range(6))
 
 
-async def test_a_process_that_stops_is_told() -> None:
+async def test_decoder_that_stops_is_reported() -> None:
     with pytest.raises(VideoError, match=r"a video that FFmpeg can read, got .* gave up"):
         await reading().next()
     reader = reading(PICTURE, PICTURE[:-1])
@@ -58,7 +54,7 @@ async def test_a_process_that_stops_is_told() -> None:
         await reader.next()
 
 
-async def test_the_decoders_last_words_are_told() -> None:
+async def test_last_line_of_the_decoder_is_reported() -> None:
     with new_file() as file:
         file.write(b"\x00\x00\x00\x20ftypisom" + bytes(500))
         async with open_video(file, stride=1, max_pixels=10_000, max_seconds=20) as video:
@@ -70,7 +66,7 @@ async def test_the_decoders_last_words_are_told() -> None:
     assert "\n" not in str(raised.value)
 
 
-async def test_a_process_that_hangs_is_told() -> None:
+async def test_decoder_that_hangs_is_reported() -> None:
     reader = reading(PICTURE, ended=False, timeout_s=0.05)
     frame = await reader.next()
     assert frame is not None
@@ -79,7 +75,7 @@ async def test_a_process_that_hangs_is_told() -> None:
         await reader.next()
 
 
-async def test_ends_are_told_apart() -> None:
+async def test_ends_of_a_video_are_distinguished() -> None:
     assert await reading(HEADER.pack(END, 97, 100, 0, 0.0)).next() is None
     with pytest.raises(VideoError, match="got 40 of 100 frames"):
         await reading(HEADER.pack(END, 40, 100, 0, 0.0)).next()

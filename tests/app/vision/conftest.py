@@ -5,20 +5,28 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, PoseDetection
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
 from app.vision.detector import NetworkDetector
-from app.vision.geometry import Box
+from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.person_reader import PersonReader
 from tests.conftest import WALKERS
 
+PLACES, SIDES, ROLLS = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
+PERSON_WINDOWS = st.builds(PersonWindow, PLACES, PLACES, SIDES, ROLLS)
+
+
+def moved(box: Box, x: float, y: float) -> Box:
+    return Box(box.x + x, box.y + y, box.width, box.height)
+
 
 @pytest.fixture(scope="session")
 def street() -> NDArray[np.uint8]:
-    """298x320 cut of a street scene with three walkers and two people far away."""
+    """298x320 crop of a street scene with three walkers and two people far away."""
     return cv2.imread(str(WALKERS))
 
 
@@ -50,15 +58,15 @@ def landmark_network() -> LandmarkNetwork:
 
 
 @pytest.fixture(scope="session")
-def pose_detection() -> PoseDetection:
-    return PoseDetection(network_path("pose_detection"))
+def body_detector() -> BlazePoseDetector:
+    return BlazePoseDetector(network_path("pose_detection"))
 
 
 @pytest.fixture(scope="session")
 def detector(
-    movenet: MoveNet, pose_detection: PoseDetection, landmark_network: LandmarkNetwork
+    movenet: MoveNet, body_detector: BlazePoseDetector, landmark_network: LandmarkNetwork
 ) -> NetworkDetector:
-    return NetworkDetector(movenet, pose_detection, landmark_network)
+    return NetworkDetector(movenet, body_detector, landmark_network)
 
 
 @pytest.fixture(scope="session")

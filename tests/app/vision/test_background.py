@@ -1,4 +1,4 @@
-"""Differencing against the empty scene."""
+"""People as differences from the empty scene."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision.background import BackgroundSegmenter, foreground
+from app.vision.geometry import Box
+from app.vision.parameters import BackgroundParameters
 
 
 def figure(frame: NDArray[np.uint8], left: int, colour: tuple[int, int, int]) -> np.ndarray:
@@ -51,19 +53,16 @@ def test_exposure_and_noise_are_no_change(
     assert iou(foreground(frame, empty), person) > 0.85
 
 
-def test_large_frames_are_compared_smaller(
-    empty: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_frames_are_compared_at_reduced_size(empty: np.ndarray) -> None:
     frame, person = with_person(empty)
     exact = foreground(frame, empty)
-    monkeypatch.setattr("app.vision.background._MOST_PIXELS", frame[..., 0].size // 3)
-    smaller = foreground(frame, empty)
+    smaller = foreground(frame, empty, BackgroundParameters(max_px=frame[..., 0].size // 3))
     assert smaller.shape == exact.shape and smaller.dtype == bool
     assert (smaller != exact).any()
     assert iou(smaller, person) > 0.8
 
 
-def test_a_shadow_is_no_change(empty: np.ndarray) -> None:
+def test_shadow_is_no_change(empty: np.ndarray) -> None:
     frame, person = with_person(empty)
     shadow = np.zeros(frame.shape[:2], bool)
     shadow[100:130, 95:140] = True
@@ -74,7 +73,7 @@ def test_a_shadow_is_no_change(empty: np.ndarray) -> None:
     assert iou(changed, person) > 0.7
 
 
-def test_people_are_found_and_cut_out(empty: np.ndarray) -> None:
+def test_person_is_detected_and_cut_out(empty: np.ndarray) -> None:
     frame, person = with_person(empty)
     segmenter = BackgroundSegmenter(empty)
     found = segmenter.detect(frame)
@@ -84,20 +83,20 @@ def test_people_are_found_and_cut_out(empty: np.ndarray) -> None:
     assert iou(one.mask(frame.shape), person) > 0.85
 
 
-def test_an_unchanged_scene_is_empty(empty: np.ndarray) -> None:
+def test_unchanged_scene_is_empty(empty: np.ndarray) -> None:
     assert not foreground(empty, empty).any()
     assert BackgroundSegmenter(empty).detect(empty) == []
     black = np.zeros_like(empty)
     assert not foreground(black, black).any()
 
 
-def test_sizes_must_agree(empty: np.ndarray) -> None:
+def test_background_of_another_size_is_refused(empty: np.ndarray) -> None:
     with pytest.raises(ValueError, match="background of shape"):
         foreground(empty[:-1], empty)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(39, 400), (400, 5)])
-def test_thin_frames_are_not_even_compared(
+def test_thin_frames_are_not_compared(
     rows: int, columns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = np.full((rows, columns, 3), 90, np.uint8)
@@ -106,9 +105,21 @@ def test_thin_frames_are_not_even_compared(
     assert segmenter.detect(255 - scene) == []
 
 
-def test_the_smallest_wanted_person_is_found_in_a_frame_of_that_height() -> None:
+def test_smallest_wanted_person_is_detected_in_a_frame_of_that_height() -> None:
     scene = np.full((40, 60, 3), 90, np.uint8)
     frame = scene.copy()
     frame[:, 20:32] = 200
     (found,) = BackgroundSegmenter(scene, min_person_px=50).detect(frame)
     assert found.box.height == 40
+
+
+def test_pixels_of_overlapping_boxes_go_to_the_nearer_middle(empty: np.ndarray) -> None:
+    """Two people side by side, and a box outside the frame."""
+    frame = empty.copy()
+    people = [figure(frame, left, (30, 40, 150)) for left in (40, 78)]
+    boxes = [Box(35, 18, 60, 104), Box(60, 18, 60, 104), Box(500, 0, 10, 10)]
+    *found, outside = BackgroundSegmenter(empty).segment(frame, boxes)
+    assert outside is None
+    for one, person in zip(found, people, strict=True):
+        assert one is not None
+        assert iou(one.mask(frame.shape), person) > 0.8

@@ -1,33 +1,27 @@
-"""Boxes and silhouettes as values."""
+"""Boxes, alone and in arrays, and windows about people."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from app.vision.geometry import (
-    COCO_NAMES,
-    LANDMARK_NAMES,
+    WINDOW_SCALE,
     Box,
-    Detection,
-    Landmarks,
-    ObservedKeypoints,
     PersonWindow,
-    Silhouette,
-    silhouette_from_mask,
+    box_array,
+    intersections,
+    iou_matrix,
+    non_max_suppression,
+    transform_points,
 )
+from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, ROLLS, SIDES
 
-numbers = st.floats(-50, 50)
-sizes = st.floats(0.5, 60)
-boxes = st.builds(Box, numbers, numbers, sizes, sizes)
-
-
-def parse(drawing: str) -> np.ndarray:
-    return np.array([[c == "#" for c in line.strip()] for line in drawing.strip().splitlines()])
+boxes = st.builds(Box, *[st.floats(-50, 50)] * 2, *[st.floats(0.5, 60)] * 2)
+box_arrays = st.lists(boxes, min_size=1, max_size=9).map(box_array)
 
 
 @given(boxes, boxes)
@@ -38,7 +32,7 @@ def test_iou_is_symmetric_and_bounded(a: Box, b: Box) -> None:
 
 
 @given(boxes)
-def test_clipping_stays_inside_and_is_idempotent(box: Box) -> None:
+def test_clipped_box_lies_inside_the_frame(box: Box) -> None:
     clipped = box.clip(40, 30)
     if clipped is None:
         assert Box(-0.5, -0.5, 40, 30).intersection(box) == 0
@@ -48,68 +42,89 @@ def test_clipping_stays_inside_and_is_idempotent(box: Box) -> None:
 
 
 @given(boxes, st.floats(0.2, 5))
-def test_scaling_there_and_back(box: Box, factor: float) -> None:
-    again = box.scaled(factor).scaled(1 / factor)
-    assert (again.x, again.y, again.width) == pytest.approx((box.x, box.y, box.width), abs=1e-6)
-
-
-def test_a_silhouette_is_a_tight_crop() -> None:
-    mask = parse("""
-        ......
-        ..##..
-        ..#...
-        ......
-    """)
-    one = silhouette_from_mask(mask, segmenter="mask", truncated=False)
-    assert one is not None
-    assert (one.left, one.top, one.area_px) == (2, 1, 3)
-    rows, columns = np.nonzero(one.crop)
-    np.testing.assert_allclose(one.centroid, [columns.mean() + 2, rows.mean() + 1])
-    assert one.box == Box(1.5, 0.5, 2, 2)
-    assert (one.mask(mask.shape) == mask).all()
-    assert silhouette_from_mask(mask & False, segmenter="mask", truncated=False) is None
-    with pytest.raises(ValueError, match="tight crop"):
-        Silhouette(mask, 0, 0, "mask", False)
-    with pytest.raises(ValueError, match="dtype bool"):
-        Silhouette(mask.astype(np.uint8), 0, 0, "mask", False)
-
-
-@given(factor=st.floats(0.1, 9), x=numbers, y=numbers)
-def test_keypoints_follow_a_box_wherever_it_goes(factor: float, x: float, y: float) -> None:
-    """A keypoint in a corner of a box stays there."""
-    box = Box(x, y, 20, 30)
-    corner = ObservedKeypoints(np.tile([box.right, box.y], (17, 1)), np.ones(17))
-    moved = corner.scaled(factor).moved(x, y)
-    scaled = box.scaled(factor)
-    assert moved.positions[3] == pytest.approx([scaled.right + x, scaled.y + y], abs=1e-6)
-    again = moved.moved(-x, -y).scaled(1 / factor)
-    assert again.positions == pytest.approx(corner.positions, abs=1e-6)
-    assert again.scores is corner.scores
-
-
-def test_the_keypoints_among_landmarks_have_their_names() -> None:
-    positions = np.stack([np.arange(33.0), np.zeros(33)], axis=1)
-    found = Landmarks(positions, np.arange(33) / 33, np.zeros((33, 3))).keypoints()
-    rows = found.positions[:, 0].astype(int)
-    assert tuple(LANDMARK_NAMES[row] for row in rows) == COCO_NAMES
-    assert found.scores == pytest.approx(rows / 33)
+def test_scaling_can_be_undone(box: Box, factor: float) -> None:
+    assert_allclose(box_array([box.scaled(factor).scaled(1 / factor)]), box_array([box]), atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("make", "arguments", "said"),
-    [
-        *((Box, bad, "positive finite size")
-          for bad in ((0, 0, 0, 1), (0, 0, 1, -1), (np.nan, 0, 1, 1), (0, 0, np.inf, 1))),
-        *((PersonWindow, bad, "positive finite size")
-          for bad in ((0, 0, 0, 0), (0, 0, -1, 0), (np.nan, 0, 1, 0), (0, 0, 1, np.inf))),
-        (Detection, (Box(0, 0, 1, 1), 1.5), "0 to 1"),
-        *((ObservedKeypoints, (np.zeros((rows, 2)), np.zeros(scores)), "positions of shape")
-          for rows, scores in ((16, 17), (17, 16), (0, 0))),
-        *((Landmarks, (np.zeros((rows, 2)), np.zeros(scores), np.zeros((depths, 3))),
-           "expected arrays of shapes")
-          for rows, scores, depths in ((32, 33, 33), (33, 32, 33), (33, 33, 32))),
-    ],
-)  # fmt: skip
-def test_what_makes_no_sense_is_refused(make: type, arguments: tuple[Any, ...], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        make(*arguments)
+    "make", [Box, lambda *values: PersonWindow(values[0], values[1], values[3], values[2])]
+)
+@pytest.mark.parametrize("values", [(0, 0, np.inf, 0), (0, 0, 1, -1), (np.nan, 0, 1, 1)])
+def test_boxes_and_windows_must_be_finite_and_positive(make: type, values: tuple) -> None:
+    with pytest.raises(ValueError, match="positive finite size"):
+        make(*values)
+
+
+@given(box_arrays, box_arrays)
+def test_matrices_hold_the_overlap_of_each_pair(first: np.ndarray, second: np.ndarray) -> None:
+    pairs = [[(Box(*one), Box(*other)) for other in second] for one in first]
+    assert_allclose(iou_matrix(first, second), [[a.iou(b) for a, b in row] for row in pairs],
+                    atol=1e-9)  # fmt: skip
+    assert_allclose(intersections(first, second),
+                    [[a.intersection(b) for a, b in row] for row in pairs], atol=1e-6)  # fmt: skip
+
+
+@given(boxes=box_arrays, seed=st.integers(0, 999), max_iou=st.floats(0.05, 0.95))
+def test_suppression_keeps_boxes_better_than_all_nearby(
+    boxes: np.ndarray, seed: int, max_iou: float
+) -> None:
+    scores = np.random.default_rng(seed).uniform(0, 1, len(boxes))
+    kept = non_max_suppression(boxes, scores, max_iou)
+    overlaps = iou_matrix(boxes, boxes)
+    assert scores[kept[0]] == scores.max()
+    assert (np.diff(scores[kept]) <= 0).all()
+    for position, row in enumerate(kept):
+        assert all(overlaps[row, other] < max_iou for other in kept[:position])
+    for row in set(range(len(boxes))) - set(kept):
+        assert any(overlaps[row, o] >= max_iou and scores[o] >= scores[row] for o in kept)
+
+
+def test_suppression_of_no_boxes_keeps_none() -> None:
+    assert non_max_suppression(box_array([]), np.zeros(0), 0.4) == []
+
+
+@given(window=PERSON_WINDOWS, pixels=st.integers(2, 300))
+def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
+    window: PersonWindow, pixels: int
+) -> None:
+    middle = np.full(2, (pixels - 1) / 2)
+    assert_allclose(
+        transform_points(window.to_frame(pixels), middle), [window.x, window.y], atol=1e-9
+    )
+    linear = window.to_frame(pixels)[:, :2]
+    assert_allclose(linear.T @ linear, (window.side / pixels) ** 2 * np.eye(2), atol=1e-6)
+    assert np.linalg.det(linear) > 0
+    # Up in the window is `roll_deg` clockwise from up in the frame.
+    right, down = transform_points(window.to_frame(pixels), middle - [0, 1]) - [window.x, window.y]
+    angle = np.rad2deg(np.arctan2(right, -down))
+    assert (angle - window.roll_deg + 180) % 360 == pytest.approx(180, abs=1e-6)
+
+
+@given(x=PLACES, y=PLACES, side=SIDES, roll_deg=ROLLS, quarter_turns=st.integers(0, 3))
+def test_rotated_window_shows_the_same_of_a_rotated_frame(
+    x: float, y: float, side: float, roll_deg: float, quarter_turns: int
+) -> None:
+    """Clockwise about the frame's origin."""
+    turn = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarter_turns)
+    rotated = PersonWindow(*(turn @ [x, y]).tolist(), side, roll_deg + 90 * quarter_turns)
+    points = np.array([[0.0, 0.0], [63, 0], [63, 63], [12, 40]])
+    here = transform_points(PersonWindow(x, y, side, roll_deg).to_frame(64), points)
+    assert_allclose(transform_points(rotated.to_frame(64), points), here @ turn.T, atol=1e-6)
+
+
+@given(x=PLACES, y=PLACES, radius=SIDES, roll_deg=st.floats(-179, 179))
+def test_window_about_a_circle_has_its_top_point_above_the_middle(
+    x: float, y: float, radius: float, roll_deg: float
+) -> None:
+    angle = np.deg2rad(roll_deg)
+    top = np.array([x + radius * np.sin(angle), y - radius * np.cos(angle)])
+    window = PersonWindow.about_circle(np.array([x, y]), top)
+    assert (window.x, window.y) == (x, y)
+    assert window.side == pytest.approx(2 * WINDOW_SCALE * radius)
+    assert window.roll_deg == pytest.approx(roll_deg, abs=1e-6)
+
+
+def test_drift_is_the_distance_of_corners_in_sides() -> None:
+    window = PersonWindow(10, 20, 40)
+    assert window.drift(window) == 0
+    assert window.drift(PersonWindow(34, 52, 40)) == pytest.approx(1)

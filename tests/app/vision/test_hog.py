@@ -1,4 +1,4 @@
-"""HOG: how much like a person a box looks, alone and among all windows."""
+"""HOG: scores of single boxes and of all windows, and one box for each person."""
 
 from __future__ import annotations
 
@@ -8,32 +8,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.geometry import Box
-from app.vision.hog import person_margin, person_windows
-from app.vision.windows import resize
+from app.vision.crops import resize
+from app.vision.geometry import Box, non_max_suppression
+from app.vision.hog import drop_parts, hog_margin, hog_people, hog_windows, mean_boxes
+from app.vision.parameters import DEFAULTS
 
+HOG = DEFAULTS.hog
 EMPTY = [Box(100, 200, 30, 80), Box(20, 200, 40, 100), Box(60, 30, 30, 80)]
 """Asphalt and grass of `street`."""
 
 
-def test_people_look_more_like_people_than_asphalt_does(
+def test_people_have_higher_margins_than_asphalt(
     street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
 ) -> None:
-    people = [person_margin(street, box) for box in (*walkers, *far_walkers)]
-    empty = [person_margin(street, box) for box in EMPTY]
+    people = [hog_margin(street, box, HOG) for box in (*walkers, *far_walkers)]
+    empty = [hog_margin(street, box, HOG) for box in EMPTY]
     assert min(people) > max(empty) + 1
     assert min(people[:3]) > 0 > max(empty)
 
 
 @pytest.mark.parametrize("factor", [1.5, 2, 4])
-def test_a_margin_hardly_depends_on_the_size(
+def test_margin_hardly_depends_on_the_size(
     street: NDArray[np.uint8], walkers: list[Box], factor: float
 ) -> None:
     large = resize(street, round(factor * street.shape[1]), round(factor * street.shape[0]))
     for box in walkers:
-        assert person_margin(large, box.scaled(factor)) == pytest.approx(
-            person_margin(street, box), abs=0.7
-        )
+        margin = hog_margin(large, box.scaled(factor), HOG)
+        assert margin == pytest.approx(hog_margin(street, box, HOG), abs=0.7)
 
 
 @given(
@@ -42,13 +43,36 @@ def test_a_margin_hardly_depends_on_the_size(
 )  # fmt: skip
 def test_any_box_has_a_finite_margin(x: float, y: float, width: float, height: float) -> None:
     frame = np.random.default_rng(0).integers(0, 256, (120, 90, 3)).astype(np.uint8)
-    assert -5 <= person_margin(frame, Box(x, y, width, height)) < 20
+    assert -5 <= hog_margin(frame, Box(x, y, width, height), HOG) < 20
 
 
-def test_windows_of_higher_margins_are_among_those_of_lower(street: NDArray[np.uint8]) -> None:
-    all_boxes, all_margins = person_windows(street, 50, -0.5)
-    boxes, margins = person_windows(street, 50, 0.5)
+def test_higher_threshold_finds_a_subset_of_windows(street: NDArray[np.uint8]) -> None:
+    all_boxes, all_margins = hog_windows(street, 50, -0.5, HOG)
+    boxes, margins = hog_windows(street, 50, 0.5, HOG)
     assert 0 < len(boxes) < len(all_boxes)
     assert (margins >= 0.5).all() and (all_margins >= -0.5).all()
     every = {tuple(box) for box in all_boxes.round(3).tolist()}
     assert {tuple(box) for box in boxes.round(3).tolist()} <= every
+
+
+def test_each_person_has_one_box(street: NDArray[np.uint8], walkers: list[Box]) -> None:
+    boxes, margins = hog_people(street, 50, HOG)
+    assert len(boxes) == len(margins) >= len(walkers)
+    assert (margins > 0).all()
+    for walker in walkers:
+        assert sum(walker.iou(Box(*box)) > 0.3 for box in boxes.tolist()) == 1
+
+
+BOXES = np.array([[0, 0, 10, 30], [1, 1, 10, 30], [7, 0, 10, 30], [1, 0, 8, 14]], float)
+MARGINS = np.array([0.9, 0.8, 0.7, 0.6])
+
+
+def test_two_people_side_by_side_stay_two() -> None:
+    kept = non_max_suppression(BOXES, MARGINS, 0.4)
+    assert kept == [0, 2, 3]
+    assert drop_parts(BOXES, kept, HOG) == [0, 2]
+
+
+def test_mean_box_leans_to_the_better() -> None:
+    (mean,) = mean_boxes(BOXES, MARGINS, [0], HOG)
+    assert 0 < mean[0] < 0.5 and mean[2] == pytest.approx(10)

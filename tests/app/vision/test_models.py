@@ -1,4 +1,4 @@
-"""The networks that ship: what the folder holds is what is written of it, or nothing starts."""
+"""The networks that ship: the files are those of models.json, or the service does not start."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from app.vision.models import (
     FOLDER,
     MODELS,
     check_networks,
-    fitted,
+    fitted_constants,
     network_path,
     write_fitted,
 )
 from app.vision.tflite import NetworkError
-from scripts.load.server import free_ports
 from tests.conftest import ROOT
+from tests.support.ports import free_ports
 
 DOCUMENT = json.loads(MODELS.read_text())
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A copy of the folder, which is used instead of it."""
-    copy = tmp_path / "weights"
+    """A copy of the folder, used in its place."""
+    copy = tmp_path / "models"
     shutil.copytree(FOLDER, copy, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(models, "FOLDER", copy)
     monkeypatch.setattr(models, "MODELS", copy / MODELS.name)
     monkeypatch.setattr(models, "FITTED", copy / FITTED.name)
-    fitted.cache_clear()
+    fitted_constants.cache_clear()
     yield copy
-    fitted.cache_clear()
+    fitted_constants.cache_clear()
 
 
-def test_every_file_is_named_with_its_content() -> None:
+def test_every_file_is_listed_with_its_hash() -> None:
     shipped = {path.name for path in FOLDER.iterdir() if path.suffix not in (".py", ".json", "")}
     assert shipped == {model["file"] for model in DOCUMENT.values()}
     for model in DOCUMENT.values():
@@ -52,7 +52,7 @@ def test_every_file_is_named_with_its_content() -> None:
 
 
 @pytest.mark.parametrize("name", DOCUMENT)
-def test_whence_a_network_comes_and_how_it_was_made_is_told(name: str) -> None:
+def test_origin_and_conversion_of_a_network_are_given(name: str) -> None:
     model = DOCUMENT[name]
     assert set(model) == {"file", "sha256", "what", "source", "license", "made_by"}
     assert model["license"] == "Apache-2.0"
@@ -72,9 +72,7 @@ def spoil(file: Path, how: str) -> None:
 
 @pytest.mark.parametrize("how", ["missing", "altered", "truncated"])
 @pytest.mark.parametrize("name", DOCUMENT)
-def test_a_file_that_is_not_the_one_is_told_in_a_sentence(
-    folder: Path, name: str, how: str
-) -> None:
+def test_altered_file_is_refused_in_one_sentence(folder: Path, name: str, how: str) -> None:
     check_networks()
     spoil(folder / DOCUMENT[name]["file"], how)
     for check in (check_networks, lambda: network_path(name)):
@@ -85,7 +83,7 @@ def test_a_file_that_is_not_the_one_is_told_in_a_sentence(
 
 
 @pytest.mark.parametrize("how", ["missing", "altered"])
-def test_the_start_ends_with_that_sentence_alone(tmp_path: Path, how: str) -> None:
+def test_service_does_not_start_with_an_altered_file(tmp_path: Path, how: str) -> None:
     for package in ("app", "descriptor", "index"):
         ignored = shutil.ignore_patterns("__pycache__", "data", "build")
         shutil.copytree(ROOT / package, tmp_path / package, ignore=ignored)
@@ -106,12 +104,12 @@ def test_the_start_ends_with_that_sentence_alone(tmp_path: Path, how: str) -> No
     assert ended.stderr.count("\n") == 1
 
 
-def test_fitted_constants_say_what_fits_them(folder: Path) -> None:
+def test_fitted_constants_are_replaced_by_part(folder: Path) -> None:
     for part in json.loads(FITTED.read_text()).values():
         assert set(part) == {"command", "data", "constants"}
-    before = fitted("confidence")
+    before = fitted_constants("confidence")
     write_fitted("detection", "a command", "some data", {"network": 1.5})
-    assert fitted("detection") == {"network": 1.5}
-    assert fitted("confidence") == before
+    assert fitted_constants("detection") == {"network": 1.5}
+    assert fitted_constants("confidence") == before
     written = json.loads((folder / FITTED.name).read_text())
     assert written["detection"]["command"] == "a command"

@@ -1,4 +1,4 @@
-"""MoveNet: the people of the published graph, any number of them, wherever they are."""
+"""MoveNet: the people that Google's graph finds and more, and the keypoints of one in a box."""
 
 from __future__ import annotations
 
@@ -16,11 +16,16 @@ from app.vision.geometry import Box
 from app.vision.movenet import (
     CELL_PX,
     KEYPOINTS,
-    LEAST_KEYPOINT_SCORE,
+    MIN_KEYPOINT_SCORE,
+    KeypointReader,
     MoveNet,
     MoveNetDetection,
-    decode,
+    decode_heads,
+    keypoint_window,
 )
+from app.vision.parameters import DEFAULTS, KeypointParameters
+from app.vision.people import COCO_NAMES
+from tests.app.vision.conftest import moved
 from tests.conftest import ROOT
 
 
@@ -28,15 +33,14 @@ def corners(box: Box) -> list[float]:
     return [box.x, box.y, box.right, box.bottom]
 
 
-def about(people: list[MoveNetDetection], box: Box) -> MoveNetDetection:
-    """Who is in a box: at least half of both is shared."""
+def person_in(box: Box, people: list[MoveNetDetection]) -> MoveNetDetection:
     best = max(people, key=lambda one: one.box.iou(box))
-    assert best.box.iou(box) > 0.5, f"expected somebody in {box}, got {best.box} at most"
+    assert best.box.iou(box) > 0.5, f"expected a person in {box}, the nearest is in {best.box}"
     return best
 
 
 SIZE = 320
-"""Sides of the picture that the published graph was shown."""
+"""Sides of the image that Google's graph was given."""
 
 
 @pytest.fixture(scope="module")
@@ -46,82 +50,68 @@ def published() -> NDArray[np.float64]:
 
 @pytest.fixture(scope="module")
 def ours(movenet: MoveNet, street: NDArray[np.uint8]) -> list[MoveNetDetection]:
-    return movenet.people(cv2.resize(street, (SIZE, SIZE), interpolation=cv2.INTER_AREA))
+    return movenet.detect(cv2.resize(street, (SIZE, SIZE), interpolation=cv2.INTER_AREA))
 
 
-class TestPublishedGraph:
-    """What the graph as Google published it gives for the same picture; see tests/data."""
+def test_people_are_those_of_the_published_graph(
+    published: NDArray[np.float64], ours: list[MoveNetDetection]
+) -> None:
+    """What Google's graph gives for the same image; see tests/data.
 
-    def test_finds_the_same_people(
-        self, published: NDArray[np.float64], ours: list[MoveNetDetection]
-    ) -> None:
-        # Weights are the same float16 numbers: sums in another order are all that differs, which
-        # moved nothing by more than 1e-4 px here. A tenth of a pixel is far below what
-        # any slip of half a pixel, a cell or a side would move.
-        assert len(ours) >= len(published) == 6
-        for row, person in zip(published, ours, strict=False):
-            top, left, bottom, right = SIZE * row[51:55] - 0.5
-            assert_allclose(corners(person.box), [left, top, right, bottom], atol=0.1)
-            # Where two people claim one keypoint, the published graph gives both the higher score.
-            assert person.score == pytest.approx(row[55], abs=0.01)
-        assert [one.score for one in ours[:4]] == pytest.approx(published[:4, 55], abs=1e-3)
-
-    def test_sees_the_same_keypoints(
-        self, published: NDArray[np.float64], ours: list[MoveNetDetection]
-    ) -> None:
-        for number, (row, person) in enumerate(zip(published, ours, strict=False)):
-            y, x, scores = row[:51].reshape(KEYPOINTS, 3).T
-            places = SIZE * np.stack([x, y], axis=-1) - 0.5
-            assert_allclose(person.keypoints.positions, places, atol=0.1)
-            atol = 1e-3 if number < 4 else 0.05  # As above.
-            assert_allclose(person.keypoints.scores, scores, atol=atol)
+    The weights are the same float16 numbers. Sums in another order are all that differs, which
+    moved nothing by more than 1e-4 px here. A tenth of a pixel is far below what any slip of half a
+    pixel, a cell or a side would move.
+    """
+    assert len(ours) >= len(published) == 6
+    for number, (row, person) in enumerate(zip(published, ours, strict=False)):
+        top, left, bottom, right = SIZE * row[51:55] - 0.5
+        assert_allclose(corners(person.box), [left, top, right, bottom], atol=0.1)
+        y, x, scores = row[:51].reshape(KEYPOINTS, 3).T
+        positions = SIZE * np.stack([x, y], axis=-1) - 0.5
+        assert_allclose(person.keypoints.positions, positions, atol=0.1)
+        # Where two people claim one keypoint, Google's graph gives both the higher score.
+        alone = number < 4
+        assert person.score == pytest.approx(row[55], abs=1e-3 if alone else 0.01)
+        assert_allclose(person.keypoints.scores, scores, atol=1e-3 if alone else 0.05)
 
 
-def test_more_people_than_the_published_graph_gives(
+def test_more_than_six_people_are_detected(
     movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
     height, width = street.shape[:2]
-    found = movenet.people(np.tile(street, (2, 2, 1)))
-    seen = {
-        id(about(found, Box(box.x + x, box.y + y, box.width, box.height)))
-        for x in (0, width)
-        for y in (0, height)
-        for box in walkers
-    }
-    assert len(seen) == 12
+    found = movenet.detect(np.tile(street, (2, 2, 1)))
+    people = [moved(box, x, y) for x in (0, width) for y in (0, height) for box in walkers]
+    assert len({id(person_in(box, found)) for box in people}) == 12
     assert sum(one.score > 0.3 for one in found) >= 12
 
 
 @pytest.mark.parametrize(("x", "y"), [(32, 0), (0, 32), (16, 8), (5, 3)])
-def test_people_move_with_the_picture(
+def test_people_move_with_the_image(
     movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], x: int, y: int
 ) -> None:
     here, there = (
-        movenet.people(cv2.copyMakeBorder(street, *sides, cv2.BORDER_REPLICATE))
+        movenet.detect(cv2.copyMakeBorder(street, *sides, cv2.BORDER_REPLICATE))
         for sides in ((0, y, 0, x), (y, 0, x, 0))
     )
     whole = x % 32 == y % 32 == 0
     for walker in walkers:
-        one = about(here, walker)
-        other = about(there, Box(walker.x + x, walker.y + y, walker.width, walker.height))
-        moved = np.add(corners(one.box), (x, y, x, y))
+        one, other = person_in(walker, here), person_in(moved(walker, x, y), there)
         # By whole steps of the network all stays; else it sees another sampling: half a cell.
-        assert_allclose(corners(other.box), moved, atol=0.5 if whole else 2)
-        apart = other.keypoints.positions - one.keypoints.positions - (x, y)
-        assert np.median(np.linalg.norm(apart, axis=1)) < (0.5 if whole else 1.5)
+        expected = corners(moved(one.box, x, y))
+        assert_allclose(corners(other.box), expected, atol=0.5 if whole else 2)
+        offsets = other.keypoints.positions - one.keypoints.positions - (x, y)
+        assert np.median(np.linalg.norm(offsets, axis=1)) < (0.5 if whole else 1.5)
 
 
-@pytest.mark.parametrize("cut", [1, 7, 31])
+@pytest.mark.parametrize("rows", [1, 7, 31])
 def test_sides_that_are_no_multiples_of_32_change_nothing(
-    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], cut: int
+    movenet: MoveNet, street: NDArray[np.uint8], rows: int
 ) -> None:
     """Rows of asphalt below the walkers, cut off or black."""
     assert street.shape[0] % 32 == 0
     black = street.copy()
-    black[-cut:] = 0
-    padded, whole = movenet.people(street[:-cut]), movenet.people(black)
-    assert len(padded) == len(whole)
-    for one, other in zip(padded, whole, strict=True):
+    black[-rows:] = 0
+    for one, other in zip(movenet.detect(street[:-rows]), movenet.detect(black), strict=True):
         assert_array_equal(one.keypoints.positions, other.keypoints.positions)
         assert one.box == other.box
 
@@ -141,7 +131,7 @@ def heads_of(people: list[tuple[Box, NDArray[np.float64], float]]) -> list[NDArr
         centres[row, column] = score
         sizes[row, column] = np.array([box.height, box.width]) / CELL_PX
         offsets[row, column] = middle - (row, column)
-        # The guess is good to a cell; the heatmap's peak and the place in its cell tell exactly.
+        # The guess is good to a cell; the heatmap's peak and the position in its cell are exact.
         guesses[row, column] = (cells - (row, column) + 0.7).ravel()
         for number, (y, x) in enumerate(np.floor(cells).astype(int)):
             heatmaps[y, x, number] = 0.9
@@ -150,7 +140,7 @@ def heads_of(people: list[tuple[Box, NDArray[np.float64], float]]) -> list[NDArr
 
 
 @given(seed=st.integers(0, 9999), count=st.integers(0, 12))
-def test_what_heads_show_is_decoded(seed: int, count: int) -> None:
+def test_heads_are_decoded(seed: int, count: int) -> None:
     """Boxes and keypoints of any number of people, each in a field of its own."""
     rng = np.random.default_rng(seed)
     people = []
@@ -161,7 +151,7 @@ def test_what_heads_show_is_decoded(seed: int, count: int) -> None:
         # As in the published graph, the first cell that a box cuts is not searched.
         points = np.array([left + 3, top + 3]) + rng.uniform(CELL_PX, size - 1, (KEYPOINTS, 2))
         people.append((box, points, float(rng.uniform(0.1, 1))))
-    found = decode(heads_of(people), 0.05)
+    found = decode_heads(heads_of(people))
     assert [one.centre_score for one in found] == sorted(
         (one.centre_score for one in found), reverse=True
     )
@@ -172,15 +162,82 @@ def test_what_heads_show_is_decoded(seed: int, count: int) -> None:
         assert one.centre_score == pytest.approx(score)
         assert_allclose(corners(one.box), corners(box), atol=1e-3)
         assert_allclose(one.keypoints.positions, points, atol=1e-3)
-        seen = one.keypoints.scores > LEAST_KEYPOINT_SCORE
-        assert one.score == pytest.approx(score * one.keypoints.scores[seen].mean(), rel=1e-4)
-    assert len(decode(heads_of(people), 1.01)) == 0
+        visible = one.keypoints.scores > MIN_KEYPOINT_SCORE
+        assert one.score == pytest.approx(score * one.keypoints.scores[visible].mean(), rel=1e-4)
+    assert decode_heads(heads_of(people), KeypointParameters(min_centre_score=1.01)) == []
 
 
-def test_a_keypoint_that_another_claims_is_taken_by_who_is_nearer() -> None:
+def test_keypoint_claimed_by_two_goes_to_the_nearer_person() -> None:
     """Two shoulder to shoulder: each heatmap has both peaks within both boxes."""
     left, right = Box(10, 10, 80, 100), Box(40, 10, 80, 100)
     people = [(left, np.full((17, 2), 42.0), 0.8), (right, np.full((17, 2), 86.0), 0.9)]
-    found = decode(heads_of(people), 0.05)
+    found = decode_heads(heads_of(people))
     for one, (_, points, _) in zip(found, people[::-1], strict=True):
         assert_allclose(one.keypoints.positions, points, atol=1e-3)
+
+
+sides, places = st.floats(1, 900), st.floats(-300, 900)
+
+
+@given(places, places, sides, sides)
+def test_person_is_in_the_middle_of_the_keypoint_window(
+    x: float, y: float, width: float, height: float
+) -> None:
+    box, parameters = Box(x, y, width, height), DEFAULTS.keypoints
+    (left, top, columns, rows), *shown = keypoint_window(box)
+    # Whole pixels: up to one and a half of them on each side.
+    assert left - 1.5 <= box.x and box.right <= left + columns + 0.5
+    assert top - 1.5 <= box.y and box.bottom <= top + rows + 0.5
+    assert abs(left - 0.5 + columns / 2 - (x + width / 2)) <= 1
+    assert abs(top - 0.5 + rows / 2 - (y + height / 2)) <= 1
+    share = max(width / columns, height / rows)
+    assert share == pytest.approx(1 / parameters.window_scale, rel=0.6 / min(columns, 1))
+    # The long side is along the person, and nothing is squeezed.
+    assert tuple(shown) == parameters.input_px[:: 1 if width > height else -1]
+    assert abs(columns * shown[1] - rows * shown[0]) <= max(shown)
+
+
+def test_keypoints_lie_in_the_box_from_head_to_feet(
+    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
+) -> None:
+    for box in (*walkers, *far_walkers):
+        seen = reader.read(street, box)
+        assert seen is not None
+        margin = 0.1 * box.height
+        assert (seen.positions > [box.x - margin, box.y - margin]).all()
+        assert (seen.positions < [box.right + margin, box.bottom + margin]).all()
+        rows = dict(zip(COCO_NAMES, seen.positions[:, 1], strict=True))
+        for side in ("left", "right"):
+            order = [rows[f"{side}_{name}"] for name in ("ear", "shoulder", "hip", "knee", "ankle")]
+            assert order == sorted(order)
+
+
+def test_right_one_of_two_neighbours_is_read(
+    reader: KeypointReader, street: NDArray[np.uint8], far_walkers: list[Box]
+) -> None:
+    """They stand a body's width apart: each is in the window of the other."""
+    (x, _, columns, _), _, _ = keypoint_window(far_walkers[0])
+    assert far_walkers[1].x < x + columns
+    for box in far_walkers:
+        seen = reader.read(street, box)
+        assert seen is not None
+        assert box.x < np.median(seen.positions[:, 0]) < box.right
+
+
+def test_boxes_without_a_person_have_no_keypoints(
+    reader: KeypointReader, street: NDArray[np.uint8]
+) -> None:
+    """On blank walls, and beside people."""
+    for level in (0, 127, 255):
+        blank = np.full((240, 320, 3), level, np.uint8)
+        assert reader.read(blank, Box(100, 40, 60, 150)) is None
+    for box in (Box(-40, -30, 20, 60), Box(60, 200, 30, 80)):
+        assert reader.read(street, box) is None
+
+
+@pytest.mark.parametrize("box", [Box(5, 5, 1, 1), Box(0, 0, 298, 2), Box(-500, 20, 2000, 100)])
+def test_keypoints_in_odd_boxes_are_finite(
+    reader: KeypointReader, street: NDArray[np.uint8], box: Box
+) -> None:
+    seen = reader.read(street, box)
+    assert seen is None or np.isfinite(seen.positions).all()

@@ -1,4 +1,4 @@
-"""Networks run by LiteRT: the same numbers for all threads, and a clear word on other files."""
+"""Networks run by LiteRT: the same numbers in all threads, and clear errors for other files."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ def path() -> Path:
     return network_path("pose_detection")
 
 
-def images(count: int, *shape: int) -> list[np.ndarray]:
-    return list(np.random.default_rng(0).random((count, *shape), np.float32))
+def images(count: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(0).random((count, *shape), np.float32)
 
 
 @pytest.mark.parametrize("copies", [1, 3])
 def test_threads_agree(path: Path, copies: int) -> None:
     network = TfliteNetwork(path, INPUT, OUTPUTS, copies=copies)
-    shown = images(8, *INPUT)
-    expected = [network.run(image)[0] for image in shown]
+    inputs = images(8, *INPUT)
+    expected = [network.run(image)[0] for image in inputs]
     with ThreadPoolExecutor(4) as pool:
-        for found, wanted in zip(pool.map(network.run, shown), expected, strict=True):
-            assert_array_equal(found[0], wanted)
+        assert_array_equal([found[0] for found in pool.map(network.run, inputs)], expected)
 
 
-def test_a_pass_shared_by_two_threads_gives_the_same(path: Path) -> None:
+def test_pass_shared_by_two_threads_gives_the_same(path: Path) -> None:
     (image,) = images(1, *INPUT)
     alone, shared = (
         TfliteNetwork(path, INPUT, OUTPUTS, threads=threads).run(image)[0] for threads in (1, 2)
@@ -44,16 +43,16 @@ def test_a_pass_shared_by_two_threads_gives_the_same(path: Path) -> None:
     assert_allclose(shared, alone, atol=1e-3)
 
 
-def test_what_it_gave_stays_when_it_runs_again(path: Path) -> None:
+def test_outputs_survive_the_next_run(path: Path) -> None:
     network = TfliteNetwork(path, INPUT, OUTPUTS)
     first, second = images(2, *INPUT)
-    given = network.run(first)[0]
-    kept = given.copy()
+    output = network.run(first)[0]
+    kept = output.copy()
     network.run(second)
-    assert_array_equal(given, kept)
+    assert_array_equal(output, kept)
 
 
-def test_a_call_that_fails_leaves_the_network_usable(path: Path) -> None:
+def test_failed_call_leaves_the_network_usable(path: Path) -> None:
     network = TfliteNetwork(path, INPUT, OUTPUTS, copies=1)
     (image,) = images(1, *INPUT)
     expected = network.run(image)[0]
@@ -63,18 +62,18 @@ def test_a_call_that_fails_leaves_the_network_usable(path: Path) -> None:
     assert_array_equal(network.run(image)[0], expected)
 
 
-def test_where_sizes_are_open_any_size_after_any_other_gives_the_same() -> None:
+def test_open_sizes_may_change_between_calls() -> None:
     path = network_path("movenet")
     network = TfliteNetwork(path, (None, None, 3), HEADS)
     for height, width in ((64, 96), (128, 32), (64, 96), (32, 32)):
-        (image,) = images(1, height, width, 3)
+        (image,) = 255 * images(1, height, width, 3)
         fresh = TfliteNetwork(path, (None, None, 3), HEADS)
-        for ours, theirs in zip(network.run(255 * image), fresh.run(255 * image), strict=True):
+        for ours, theirs in zip(network.run(image), fresh.run(image), strict=True):
             assert ours.shape[:2] == (height // 4, width // 4)
             assert_array_equal(ours, theirs)
 
 
-def test_a_missing_or_broken_file_is_told(path: Path, tmp_path: Path) -> None:
+def test_missing_and_broken_files_are_refused(path: Path, tmp_path: Path) -> None:
     with pytest.raises(NetworkError, match="cannot read"):
         TfliteNetwork(tmp_path / "missing.tflite", INPUT, OUTPUTS)
     broken = tmp_path / "broken.tflite"
@@ -85,7 +84,7 @@ def test_a_missing_or_broken_file_is_told(path: Path, tmp_path: Path) -> None:
             TfliteNetwork(broken, INPUT, OUTPUTS)
 
 
-def test_another_network_is_told(path: Path) -> None:
+def test_another_network_is_refused(path: Path) -> None:
     with pytest.raises(NetworkError, match=r"outputs \[\(2254, 2\)\], got .*2254, 12"):
         TfliteNetwork(path, INPUT, [(2254, 2)])
     with pytest.raises(NetworkError, match="one input"):

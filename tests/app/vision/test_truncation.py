@@ -1,4 +1,4 @@
-"""Bodies that are seen whole, and those that the frame or somebody nearer cuts."""
+"""Bodies that are seen whole, and those that the frame or a nearer person cuts."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.vision.geometry import COCO_NAMES, Box, ObservedKeypoints, Silhouette
+from app.vision.geometry import Box
+from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette
 from app.vision.truncation import (
     end_beyond_border,
     hidden_by_others,
     touches_border,
     with_truncation,
 )
-from scripts.experiments.rotation import rotate_box, rotate_points
+from tests.support.rotation import rotate_box, rotate_points
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:
@@ -24,7 +25,7 @@ def block(left: int, top: int, width: int, height: int) -> Silhouette:
 
 
 def keypoints_but(*unseen: str) -> ObservedKeypoints:
-    """Keypoints that are seen well, those of some parts aside."""
+    """Keypoints that are seen, except those of some parts."""
     missing = [any(part in name for part in unseen) for name in COCO_NAMES]
     return ObservedKeypoints(np.full((17, 2), 50.0), np.where(missing, 0.05, 0.8))
 
@@ -32,16 +33,14 @@ def keypoints_but(*unseen: str) -> ObservedKeypoints:
 HEAD, FEET = ("nose", "eye", "ear"), ("ankle",)
 
 
-def test_a_body_at_the_border_is_cut() -> None:
+def test_silhouette_at_the_border_is_cut() -> None:
     assert touches_border(block(0, 5, 10, 20), (40, 40))
     assert touches_border(block(5, 20, 10, 20), (40, 40))
     assert not touches_border(block(5, 5, 10, 20), (40, 40))
 
 
 @pytest.mark.parametrize(("left", "top"), [(1, 100), (100, 1), (259, 100), (100, 199)], ids=str)
-def test_silhouettes_that_end_just_short_of_the_edge_are_cut_but_masks_are_exact(
-    left: int, top: int
-) -> None:
+def test_silhouette_just_short_of_the_edge_is_cut_unless_from_a_mask(left: int, top: int) -> None:
     person = replace(block(left, top, 40, 100), segmenter="network")
     assert touches_border(person, (300, 300))
     assert not touches_border(replace(person, segmenter="mask"), (300, 300))
@@ -50,7 +49,7 @@ def test_silhouettes_that_end_just_short_of_the_edge_are_cut_but_masks_are_exact
 
 
 @given(left=st.integers(0, 260), top=st.integers(0, 200), name=st.sampled_from(["mask", "network"]))
-def test_a_silhouette_and_its_mirror_image_are_cut_alike(left: int, top: int, name: str) -> None:
+def test_mirrored_silhouette_is_cut_alike(left: int, top: int, name: str) -> None:
     one = replace(block(left, top, 40, 100), segmenter=name)  # type: ignore[arg-type]
     mirrored = [replace(one, left=260 - left), replace(one, top=200 - top)]
     assert {touches_border(other, (300, 300)) for other in mirrored} == {
@@ -58,7 +57,7 @@ def test_a_silhouette_and_its_mirror_image_are_cut_alike(left: int, top: int, na
     }
 
 
-def test_a_head_or_feet_that_are_not_seen_lie_beyond_the_edge() -> None:
+def test_unseen_head_or_feet_lie_beyond_the_edge() -> None:
     above, below, inside = (Box(50, y, 40, 100) for y in (3, 198, 100))
     for box, gone in ((above, HEAD), (below, FEET)):
         assert end_beyond_border(box, keypoints_but(*gone), (300, 300))
@@ -67,7 +66,7 @@ def test_a_head_or_feet_that_are_not_seen_lie_beyond_the_edge() -> None:
 
 
 def test_keypoints_beyond_the_edge_are_not_seen() -> None:
-    """However sure of them the network is."""
+    """Whatever their score."""
     keypoints = keypoints_but()
     for i, name in enumerate(COCO_NAMES):
         if name.endswith(FEET):
@@ -78,9 +77,7 @@ def test_keypoints_beyond_the_edge_are_not_seen() -> None:
 
 @pytest.mark.parametrize("quarter_turns", [1, 2, 3])
 @pytest.mark.parametrize("gone", [HEAD, FEET], ids=["head", "feet"])
-def test_the_ends_of_somebody_who_lies_are_at_other_edges(
-    quarter_turns: int, gone: tuple[str, ...]
-) -> None:
+def test_rotated_person_ends_at_the_rotated_edge(quarter_turns: int, gone: tuple[str, ...]) -> None:
     shape, keypoints = (300, 400), keypoints_but(*gone)
     for box in (Box(50, 3, 40, 100), Box(50, 198, 40, 100), Box(2, 100, 40, 100)):
         positions = rotate_points(keypoints.positions, shape, -quarter_turns)
@@ -89,7 +86,7 @@ def test_the_ends_of_somebody_who_lies_are_at_other_edges(
         assert end_beyond_border(*lying, its_shape) == end_beyond_border(box, keypoints, shape)
 
 
-def test_the_nearer_person_hides_the_farther() -> None:
+def test_nearer_person_hides_the_farther() -> None:
     near, far = block(14, 10, 10, 30), block(5, 5, 12, 30)
     both = with_truncation([near, far], [near.box, far.box], (80, 80))
     assert [one is not None and one.truncated for one in both] == [False, True]

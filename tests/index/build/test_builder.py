@@ -19,19 +19,17 @@ from index.build.body import Avatar
 from index.build.builder import (
     LAID_DOWN_SHARE,
     LOW_SHARE,
-    Asked,
     Plan,
+    QueryCounts,
     choose_poses,
-    entries_of,
     simulate_queries,
-    split,
-    split_by_clip,
     spread,
 )
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
-from index.posture import LOW, POSTURES, classify
+from index.build.splits import entries_of, split, split_by_clip
+from index.posture import LOW, POSTURES, classify_postures
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -130,7 +128,7 @@ def pool(ground_motion: Path) -> Poses:
 
 class TestChoosePoses:
     def groups(self, poses: Poses, avatar: Avatar) -> list[str]:
-        postures = classify(joints_of(poses, avatar), (0.0, 1.0, 0.0))
+        postures = classify_postures(joints_of(poses, avatar), (0.0, 1.0, 0.0))
         return [
             "laid" if not np.isnan(angle) else "low" if POSTURES[row] in LOW else "upright"
             for angle, row in zip(poses.lying_deg, postures, strict=True)
@@ -170,7 +168,7 @@ class TestSimulateQueries:
         self, ground_motion: Path, avatars: list[Avatar]
     ) -> None:
         segments = read_manifest(ground_motion)
-        asked = Asked(upright=12, near_ground=5, laid_down=4)
+        asked = QueryCounts(upright=12, near_ground=5, laid_down=4)
         queries = simulate_queries(ground_motion, segments, avatars, asked, seed=1)
         labels = queries.skeleton_labels
         actions = [queries.actions[action] for action in labels["action"]]
@@ -182,7 +180,7 @@ class TestSimulateQueries:
 
     def test_groups_may_be_missing(self, motion_folder: Path, avatars: list[Avatar]) -> None:
         segments = read_manifest(motion_folder)
-        asked = Asked(upright=3, near_ground=5, laid_down=0)
+        asked = QueryCounts(upright=3, near_ground=5, laid_down=0)
         assert len(simulate_queries(motion_folder, segments, avatars, asked, seed=1)) == 3
 
 
@@ -211,7 +209,7 @@ def small_mocap(shared: Path, tmp_path: Path) -> Path:
 
 
 def build(mocap: Path, out: Path, hash_seed: str = "0") -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "scripts.build_index", "--mocap", mocap, "--out", out,
+    command = [sys.executable, "-m", "scripts", "build", "--mocap", mocap, "--out", out,
                "--entries", "480", "--bodies", "1", "--views", "4"]  # fmt: skip
     return subprocess.Popen(
         list(map(str, command)), cwd=ROOT, text=True, stdout=subprocess.PIPE,

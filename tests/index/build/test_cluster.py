@@ -1,4 +1,4 @@
-"""A Dask cluster: the same bytes as alone, and refused in a sentence where it cannot be used."""
+"""A Dask cluster gives the same bytes as threads, or an error in one sentence."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,15 +21,15 @@ import pytest
 from index.build import simulate as simulate_module
 from index.build.body import Avatar
 from index.build.poses import Poses
-from index.build.simulate import Simulation, simulate
-from index.build.workers import Result, Task, WorkersError
-from scripts.load.server import free_ports
+from index.build.shard_files import ShardError
+from index.build.simulate import Simulation, bounded_map, simulate
 from tests.conftest import ROOT
 from tests.index.build.test_simulate import assert_same
+from tests.support.ports import free_ports
 
 distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
 from index.build import cluster as module  # noqa: E402
-from index.build.cluster import Cluster  # noqa: E402
+from index.build.cluster import cluster_executor  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -49,54 +51,51 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_draws_the_same_bytes_as_threads(
     scheduler: str, poses: Poses, avatars: list[Avatar], simulation: Simulation, tmp_path: Path
 ) -> None:
-    with Cluster(scheduler) as workers:
+    with cluster_executor(scheduler) as executor:
         shared = simulate(
-            poses, avatars, bodies=1, views=12, seed=7, workers=workers, folder=tmp_path
+            poses, avatars, bodies=1, views=12, seed=7, executor=executor, folder=tmp_path
         )
     assert len(list(tmp_path.glob("shard-*"))) == 10
     assert_same(shared, simulation)
 
 
-def test_every_task_once(scheduler: str) -> None:
-    with Cluster(scheduler) as workers:
-        assert sorted(workers.map(abs, range(-50, 0))) == list(range(1, 51))
+def test_results_come_in_order(scheduler: str) -> None:
+    with cluster_executor(scheduler) as executor:
+        tasks = ((number,) for number in range(-50, 0))
+        assert list(bounded_map(executor, abs, tasks, 8)) == list(range(50, 0, -1))
 
 
 def test_an_error_of_a_task_is_raised_here(scheduler: str) -> None:
-    with Cluster(scheduler) as workers, pytest.raises(OverflowError):
-        list(workers.map(np.int8, [1, 2, 300]))
+    with cluster_executor(scheduler) as executor, pytest.raises(OverflowError):
+        list(bounded_map(executor, np.int8, ((1,), (2,), (300,))))
 
 
-def test_refuses_workers_of_other_code(scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def version() -> str:
-        return "ours" if threading.current_thread() is threading.main_thread() else "theirs"
-
-    monkeypatch.setattr(module, "code_version", version)
-    with pytest.raises(WorkersError, match=r"runs other code \(theirs\) than this build \(ours\)"):
-        Cluster(scheduler)
+def connect(address: str, **settings: float) -> None:
+    with cluster_executor(address, **settings):
+        pass
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "nonsense", "http://127.0.0.1:1"])
 def test_says_that_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_S", 0.3)
     address = address.format(port=free_ports(1)[0])
-    with pytest.raises(WorkersError, match=f"no Dask scheduler answers at {address}"):
-        Cluster(address)
+    with pytest.raises(ShardError, match=f"no Dask scheduler answers at {address}"):
+        connect(address)
 
 
-def test_a_stranger_is_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_server_is_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as stranger:
         address = f"tcp://127.0.0.1:{stranger.getsockname()[1]}"
-        with pytest.raises(WorkersError, match="no Dask scheduler answers"):
-            Cluster(address)
+        with pytest.raises(ShardError, match="no Dask scheduler answers"):
+            connect(address)
 
 
 def test_a_worker_is_no_scheduler(scheduler: str) -> None:
     with distributed.Client(scheduler) as client:
         (worker, _) = client.scheduler_info()["workers"]
-    with pytest.raises(WorkersError, match="no Dask scheduler answers"):
-        Cluster(worker)
+    with pytest.raises(ShardError, match="no Dask scheduler answers"):
+        connect(worker)
 
 
 def test_says_that_no_worker_joined() -> None:
@@ -104,21 +103,21 @@ def test_says_that_no_worker_joined() -> None:
         distributed.LocalCluster(
             n_workers=0, processes=False, dashboard_address=":0", protocol="tcp", host="127.0.0.1"
         ) as local,
-        pytest.raises(WorkersError, match=r"had no worker for 0\.2 s"),
+        pytest.raises(ShardError, match=r"no worker joined tcp.* in 0\.2 s"),
     ):
-        Cluster(local.scheduler_address, workers_within_s=0.2)
+        connect(local.scheduler_address, first_worker_s=0.2)
 
 
 @pytest.mark.slow
 def test_an_unreachable_scheduler_ends_the_command_in_a_sentence(tmp_path: Path) -> None:
     address = f"tcp://127.0.0.1:{free_ports(1)[0]}"
     built = subprocess.run(
-        [sys.executable, "-m", "scripts.build_index", "--scheduler", address,
+        [sys.executable, "-m", "scripts", "build", "--scheduler", address,
          "--out", str(tmp_path / "out" / "index")],
         cwd=ROOT, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert built.returncode == 1
-    assert built.stderr == f"build_index: no Dask scheduler answers at {address}\n"
+    assert built.stderr == f"build: no Dask scheduler answers at {address}\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -127,6 +126,7 @@ def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     process = subprocess.Popen(
         [sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env={**os.environ, "DASK_DISTRIBUTED__SCHEDULER__NO_WORKERS_TIMEOUT": "3s"},
     )  # fmt: skip
     try:
         yield process
@@ -135,17 +135,20 @@ def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-class Meanwhile:
-    """Workers, and something that happens once they have finished a few tasks."""
+class Interrupted(Executor):
+    """An executor, and something that happens once it has finished a few tasks."""
 
-    def __init__(self, workers: Cluster, happens: Callable[[], None]) -> None:
-        self._workers, self._happens = workers, happens
+    def __init__(self, executor: Executor, happens: Callable[[], None]) -> None:
+        self._executor, self._happens, self._finished = executor, happens, count(1)
 
-    def map(self, perform: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
-        for number, result in enumerate(self._workers.map(perform, tasks)):
-            if number == 3:
-                self._happens()
-            yield result
+    def submit(self, function: Callable[..., Any], /, *task: Any) -> Future[Any]:  # type: ignore[override]
+        future = self._executor.submit(function, *task)
+        future.add_done_callback(self._note)
+        return future
+
+    def _note(self, _: Future[Any]) -> None:
+        if next(self._finished) == 3:
+            self._happens()
 
 
 @pytest.mark.slow
@@ -180,10 +183,10 @@ class TestProcesses:
     def simulated(
         self, poses: Poses, avatars: list[Avatar], folder: Path, happens: Callable[[], None]
     ) -> Simulation:
-        with Cluster(self.address, workers_within_s=3) as cluster:
+        with cluster_executor(self.address) as executor:
             return simulate(
                 poses, avatars, bodies=1, views=12, seed=7,
-                workers=Meanwhile(cluster, happens), folder=folder,
+                executor=Interrupted(executor, happens), folder=folder,
             )  # fmt: skip
 
     def test_a_killed_worker_costs_its_tasks_only(
@@ -198,9 +201,9 @@ class TestProcesses:
 
     @pytest.mark.parametrize(
         ("killed", "message"),
-        [((0,), "lost the Dask scheduler"), ((1, 2), "had no worker for 3 s")],
+        [((0,), "lost the Dask scheduler"), ((1, 2), "no worker of .* is left")],
     )
-    def test_says_whom_it_lost(
+    def test_reports_what_was_lost(
         self, processes: list[subprocess.Popen[bytes]], poses: Poses, avatars: list[Avatar],
         tmp_path: Path, killed: tuple[int, ...], message: str,
     ) -> None:  # fmt: skip
@@ -208,5 +211,5 @@ class TestProcesses:
             for number in killed:
                 processes[number].kill()
 
-        with pytest.raises(WorkersError, match=message):
+        with pytest.raises(ShardError, match=message):
             self.simulated(poses, avatars, tmp_path / "s", kill)

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 torch = pytest.importorskip("torch", reason="needs the build extra: torch")
 
 from index.build.joint_training import (  # noqa: E402
-    Course,
     Examples,
+    TrainingConfig,
     _channels_first,
     _layers,
     in_whole_numbers,
@@ -64,14 +64,17 @@ def test_whole_numbers_give_about_what_was_trained(toy_index: PoseIndex) -> None
     with torch.no_grad():
         logits = layers(_channels_first(planes)).numpy().reshape(-1, JOINTS, BINS)
     network = in_whole_numbers(layers, planes[:32])
-    got = np.stack([network.look(one).log_probabilities for one in planes])
+    got = np.stack([network.forward(one).log_probabilities for one in planes])
     off = got - log_softmax(logits)
     assert np.sqrt((off**2).mean()) < 0.05 * logits.std()
 
 
 def test_training_may_go_on_from_what_was_trained(toy_index: PoseIndex) -> None:
-    rows, nearly_still = np.arange(0, len(toy_index), 4), Course(passes=0.1, batch=32, rate=1e-9)
-    layers = train(toy_index, rows, Course(passes=1.0, batch=32))
+    rows, nearly_still = (
+        np.arange(0, len(toy_index), 4),
+        TrainingConfig(passes=0.1, batch=32, rate=1e-9),
+    )
+    layers = train(toy_index, rows, TrainingConfig(passes=1.0, batch=32))
     before = [parameter.detach().clone() for parameter in layers.parameters()]
     later = train(toy_index, rows, nearly_still, start=layers)
     for ours, theirs, kept in zip(later.parameters(), layers.parameters(), before, strict=True):
@@ -82,10 +85,12 @@ def test_training_may_go_on_from_what_was_trained(toy_index: PoseIndex) -> None:
 @pytest.mark.slow
 def test_training_finds_the_joints_likelier_and_gives_the_same_twice(toy_index: PoseIndex) -> None:
     rows = np.arange(len(toy_index))
-    trained, again = (train(toy_index, rows, Course(passes=4.0, batch=32)) for _ in range(2))
+    trained, again = (
+        train(toy_index, rows, TrainingConfig(passes=4.0, batch=32)) for _ in range(2)
+    )
     for ours, theirs in zip(trained.parameters(), again.parameters(), strict=True):
         assert_array_equal(ours.detach(), theirs.detach())
-    untrained = train(toy_index, rows, Course(passes=0.01, batch=32))
+    untrained = train(toy_index, rows, TrainingConfig(passes=0.01, batch=32))
     likelihoods = [
         np.mean(
             [

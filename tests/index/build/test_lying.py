@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from index.build.body import Avatar, facing_yaw
 from index.build.poses import SIDES, TRUNK_BELOW_M, Poses, joints_of, laid_down, lay_down, side_of
-from index.posture import POSTURES, classify
+from index.posture import POSTURES, classify_postures
 from index.skeleton import JOINT_NAMES, NATIVE
 
 UP = (0.0, 1.0, 0.0)
@@ -67,7 +67,7 @@ class TestLayDown:
     def test_the_same_bones_lie(self, poses: Poses, laid: Poses, avatars: list[Avatar]) -> None:
         joints = joints_of(laid, avatars[0])
         assert len(laid) > 20
-        assert {POSTURES[row] for row in classify(joints, UP)} == {"lying"}
+        assert {POSTURES[row] for row in classify_postures(joints, UP)} == {"lying"}
         recorded = {
             (clip, frame): row
             for row, (clip, frame) in enumerate(zip(poses.clip, poses.frame, strict=True))

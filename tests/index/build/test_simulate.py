@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +17,7 @@ from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build.body import Avatar
 from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses, joints_of, merged
-from index.build.simulate import Simulation, simulate
+from index.build.simulate import Simulation, bounded_map, simulate
 from index.build.views import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 from index.skeleton import JOINT_NAMES
 
@@ -135,3 +139,45 @@ def test_skeletons_are_the_joints_of_their_pose(
         assert_allclose(
             simulation.skeletons[mine, :19], joints_of(poses, avatar)[mine], atol=1e-3
         )  # float16: about 0.5 mm at 1 m
+
+
+class TestBoundedMap:
+    @pytest.mark.parametrize("count", [0, 1, 7, 200])
+    def test_calls_every_task_once_in_order(self, count: int) -> None:
+        with ThreadPoolExecutor(3) as pool:
+            results = list(bounded_map(pool, pow, ((n, 2) for n in range(count)), 4))
+        assert results == [n * n for n in range(count)]
+
+    def test_takes_tasks_only_as_results_are_read(self) -> None:
+        taken = 0
+        released = threading.Semaphore(0)
+
+        def tasks() -> Iterator[tuple[float]]:
+            nonlocal taken
+            for _ in range(20):
+                taken += 1
+                yield (10.0,)
+
+        def wait(timeout_s: float) -> None:
+            assert released.acquire(timeout=timeout_s)
+
+        with ThreadPoolExecutor(2) as pool:
+            results = bounded_map(pool, wait, tasks(), 3)
+            for finished in range(20):
+                released.release()
+                next(results)
+                assert taken <= finished + 3
+        assert taken == 20
+
+    def test_an_error_cancels_what_is_pending(self) -> None:
+        called: list[int] = []
+
+        def function(task: int) -> None:
+            called.append(task)
+            if task == 0:
+                raise OSError("the disk is full")
+            time.sleep(0.01)
+
+        with ThreadPoolExecutor(1) as pool, pytest.raises(OSError, match="disk is full"):
+            list(bounded_map(pool, function, ((n,) for n in range(100)), 4))
+        assert len(called) < 10

@@ -1,0 +1,187 @@
+"""Every error as ``application/problem+json`` (RFC 9457), never a stack trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.types import Receive, Scope, Send
+
+from app.api.schemas import Problem
+from app.estimation.upload import UploadError
+from app.http.request_state import request_state
+from app.http.routing import RouteTable
+from app.messages import SEARCH_FAILED, expected_and_got, shortened
+from app.scheduling.job import BusyError, ClientGoneError
+from app.tracking.session import LateFrameError
+from app.video.reader import VideoError
+from index.search import UnavailableError
+
+MEDIA_TYPE = "application/problem+json"
+
+_SEARCH_RETRY_S = 2
+
+_UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}
+
+
+class ProblemError(Exception):
+    """An error response, raised where the error is found.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    detail : str
+        One sentence for the client.
+    field : str, optional
+        The parameter or form field at fault.
+    headers : mapping, optional
+        Headers of the response.
+    reason : str, optional
+        One word for programs; by default the status in words.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        *,
+        field: str | None = None,
+        headers: Mapping[str, str] | None = None,
+        reason: str | None = None,
+    ) -> None:
+        super().__init__(detail)
+        # The phrase of 422 differs between releases of Python.
+        phrase = "invalid" if status == 422 else HTTPStatus(status).phrase
+        self.reason = reason or phrase.lower().replace(" ", "_")
+        self.status = status
+        self.detail = detail
+        self.field = field
+        self.headers = dict(headers or {})
+
+
+def overloaded(detail: str, reason: str, retry_after_s: int | None = 1) -> ProblemError:
+    """Make a 503, with ``Retry-After`` where a retry makes sense."""
+    headers = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
+    return ProblemError(503, detail, headers=headers, reason=reason)
+
+
+def busy(error: BusyError) -> ProblemError:
+    """Make the 503 for work that the service has no room for."""
+    return overloaded(str(error), error.reason, error.retry_after_s)
+
+
+def problem_body(error: ProblemError) -> bytes:
+    """Write an error as JSON."""
+    problem = Problem(
+        type="about:blank",
+        title=HTTPStatus(error.status).phrase,
+        status=error.status,
+        detail=error.detail,
+        reason=error.reason,
+        field=error.field,
+    )
+    return problem.model_dump_json(exclude_none=True).encode()
+
+
+class ProblemResponse(Response):
+    """The response to an error; notes the reason for the access log."""
+
+    media_type = MEDIA_TYPE
+
+    def __init__(self, error: ProblemError) -> None:
+        super().__init__(problem_body(error), error.status, error.headers)
+        self._reason = error.reason
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the response."""
+        request_state(scope).rejected_reason = self._reason
+        await super().__call__(scope, receive, send)
+
+
+def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
+    """Answer all errors of an application, its own and the framework's, as problems.
+
+    Parameters
+    ----------
+    app : FastAPI
+    table : RouteTable
+        Paths and methods to name in a 404 or 405.
+    """
+
+    def answer(kind: type[Exception], to_problem: Callable[[Any], ProblemError]) -> None:
+        @app.exception_handler(kind)
+        async def _(request: Request, error: Exception) -> Response:
+            return ProblemResponse(to_problem(error))
+
+    answer(ProblemError, lambda error: error)
+    answer(UploadError, lambda error: _upload_problem(error, error.field))
+    answer(VideoError, lambda error: _upload_problem(error, "video"))
+    answer(BusyError, busy)
+    answer(
+        LateFrameError,
+        lambda error: ProblemError(409, str(error), field="timestamp", reason="late_frame"),
+    )
+    answer(
+        UnavailableError, lambda error: overloaded(SEARCH_FAILED, "unavailable", _SEARCH_RETRY_S)
+    )
+    answer(RequestValidationError, _validation_problem)
+
+    @app.exception_handler(ClientDisconnect)
+    @app.exception_handler(ClientGoneError)
+    async def _(request: Request, error: Exception) -> Response:
+        request_state(request.scope).rejected_reason = "client_gone"
+        return Response(status_code=499)  # For the log; nobody receives it.
+
+    @app.exception_handler(HTTPException)
+    async def _(request: Request, error: HTTPException) -> Response:
+        if error.status_code == 404:
+            return ProblemResponse(_not_found(request, table))
+        if error.status_code == 405:
+            return ProblemResponse(_not_allowed(request, table))
+        if error.status_code == 400:  # A form that cannot be parsed, in the parser's words.
+            detail = "expected a well-formed multipart/form-data body of at most 1000 parts"
+            return ProblemResponse(ProblemError(400, detail, reason="undecodable"))
+        return ProblemResponse(
+            ProblemError(error.status_code, str(error.detail), headers=error.headers)
+        )
+
+
+def _upload_problem(error: UploadError | VideoError, field: str) -> ProblemError:
+    status = _UPLOAD_STATUS[error.reason]
+    return ProblemError(status, str(error), field=field, reason=error.reason)
+
+
+def _validation_problem(error: RequestValidationError) -> ProblemError:
+    first = error.errors()[0]
+    # A location starts with the part of the request: query, path, body.
+    field = ".".join(str(part) for part in first["loc"][1:]) or None
+    return ProblemError(422, f"{field}: {expected_and_got(first)}", field=field)
+
+
+def _not_found(request: Request, table: RouteTable) -> ProblemError:
+    path = request.url.path
+    if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
+        # Relative, so that it also works behind a proxy that serves us under a path.
+        last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
+        location = f"../{last}" + (f"?{query}" if query else "")
+        # Not every client follows redirects, so the sentence names the path.
+        detail = f"expected {path[:-1]}, got {shortened(path)}"
+        return ProblemError(307, detail, headers={"Location": location})
+    detail = f"expected a path that /docs describes, got {shortened(path)}"
+    return ProblemError(404, detail + table.suggestion(path))
+
+
+def _not_allowed(request: Request, table: RouteTable) -> ProblemError:
+    # Starlette's own header lists the methods of one route only, and a path may have several.
+    route = table.find(request.url.path)
+    methods = route.methods if route else table.methods
+    detail = f"expected {' or '.join(methods)}, got {request.method}"
+    return ProblemError(405, detail, headers={"Allow": ", ".join(methods)})

@@ -1,0 +1,186 @@
+"""Query parameters of the routes; nothing that a client sends is silently ignored."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+from typing import Annotated, Any
+
+from fastapi import Depends, Request
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+from app.api.replies import ReplyForm
+from app.api.schemas import JointForm, KeypointSetName, ObservedSetName, SilhouetteForm
+from app.api.tracking_schemas import LATEST_TIMESTAMP_S
+from app.estimation.results import Evidence
+from app.http.errors import ProblemError
+from app.messages import NUMBER, WHOLE_NUMBER, suggestion
+from index.parameters import DEFAULT_HYPOTHESES
+from index.skeleton import KEYPOINT_SETS
+
+_MAX_NAME_CHARACTERS = 60
+
+Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S), NUMBER]
+
+_HypothesisCount = Annotated[
+    int,
+    Field(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7]),
+    WHOLE_NUMBER,
+]
+_KeypointSet = Annotated[
+    KeypointSetName,
+    Field(
+        description="`native` or `cmu19`: the 19 joints of the index; `coco17`: the 17 COCO "
+        "keypoints; `h36m17`: the 17 of Human3.6M.",
+        examples=["native"],
+    ),
+]
+_Evidence = Annotated[
+    Evidence,
+    Field(
+        description="`photograph`: the silhouette and the keypoints that the photograph shows, and "
+        "with them which way a person faces; `silhouette`: the silhouette alone, as in the paper, "
+        "which is fastest.",
+        examples=["photograph"],
+    ),
+]
+_Joints = Annotated[
+    JointForm,
+    Field(
+        description="How joints are written: `full`, an object for each; `compact`, plain "
+        "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
+        "at all, if only boxes, silhouettes or entries are wanted.",
+        examples=["full"],
+    ),
+]
+
+
+def check_names(given: Iterable[str], known: Collection[str], kind: str) -> None:
+    """Raise a 422 for the first name that is not known, and suggest a similar one."""
+    for name in given:
+        if name not in known:
+            short = name[:_MAX_NAME_CHARACTERS]
+            expected = f"one of the {kind} {', '.join(known)}" if known else f"no {kind}"
+            meant = suggestion(short, {name: name for name in known})
+            raise ProblemError(422, f"{short}: expected {expected}{meant}", field=short)
+
+
+def check_given_once(given: Iterable[str], unit: str) -> None:
+    """Raise a 422 for the first name that occurs several times."""
+    for name, count in Counter(given).items():
+        if count > 1:
+            raise ProblemError(422, f"{name}: expected one {unit}, got {count}", field=name)
+
+
+class _Query(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_names(cls, given: dict[str, Any]) -> dict[str, Any]:
+        # Pydantic would refuse unknown names too, but not list the known ones.
+        check_names(given, sorted(cls.model_fields), "query parameters")
+        return given
+
+
+class EntryQuery(_Query):
+    """Query parameters of an index entry."""
+
+    keypoints: _KeypointSet = "native"
+
+
+class OverlayQuery(_Query):
+    """Query parameters of a picture of poses."""
+
+    keypoints: _KeypointSet = "native"
+    evidence: _Evidence = "photograph"
+
+
+class PoseQuery(_Query):
+    """Query parameters of the poses in a frame."""
+
+    n: _HypothesisCount = DEFAULT_HYPOTHESES
+    keypoints: _KeypointSet = "native"
+    evidence: _Evidence = "photograph"
+    silhouettes: Annotated[
+        SilhouetteForm,
+        Field(
+            description="Whether the answer includes silhouettes, and in which of COCO's forms: "
+            "`rle`, every pixel; `polygon`, the outlines.",
+            examples=["rle"],
+        ),
+    ] = "none"
+    joints: _Joints = "full"
+    observed: Annotated[
+        ObservedSetName,
+        Field(
+            description="Which keypoints `observed_keypoints` lists: `coco17`, or `blazepose33`, "
+            "all 33 landmarks that are read.",
+            examples=["coco17"],
+        ),
+    ] = "coco17"
+
+    @property
+    def form(self) -> ReplyForm:
+        """The form of the reply."""
+        return ReplyForm(
+            KEYPOINT_SETS[self.keypoints], self.silhouettes, self.joints, self.observed
+        )
+
+
+class TrackQuery(PoseQuery):
+    """Query parameters of a camera's frame."""
+
+    timestamp: Annotated[
+        Timestamp | None,
+        Field(
+            description="As the form field of this name, for a photograph that is the body itself.",
+            examples=[12.4],
+        ),
+    ] = None
+
+
+class SequenceQuery(_Query):
+    """Query parameters of a video."""
+
+    max_frames: Annotated[
+        int | None,
+        Field(
+            ge=1,
+            description="Frames that are worked on at most; by default, and at most, as many as "
+            "the service allows.",
+            examples=[500],
+        ),
+        WHOLE_NUMBER,
+    ] = None
+    n: _HypothesisCount = DEFAULT_HYPOTHESES
+    keypoints: _KeypointSet = "native"
+    evidence: _Evidence = "photograph"
+    joints: _Joints = "full"
+    stride: Annotated[
+        int,
+        Field(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2]),
+        WHOLE_NUMBER,
+    ] = 1
+
+    @property
+    def form(self) -> ReplyForm:
+        """The form of the reply."""
+        return ReplyForm(KEYPOINT_SETS[self.keypoints], joints=self.joints)
+
+
+async def _given_once(request: Request) -> None:
+    # A model does not see this: FastAPI gives it the last value of each name.
+    check_given_once((name for name, _ in request.query_params.multi_items()), "value")
+
+
+GivenOnce = Depends(_given_once)
+"""Refuses query parameters that are given several times."""
+
+
+async def _no_query(request: Request) -> None:
+    check_names(request.query_params, (), "query parameters")
+
+
+NoQuery = Depends(_no_query)
+"""Refuses all query parameters."""

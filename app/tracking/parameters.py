@@ -1,0 +1,232 @@
+"""The numbers of tracking that were set by hand, by topic; :data:`DEFAULTS` holds those in use.
+
+Experiments vary them from here. Numbers that define a format stand beside their code, and the
+fitted weights of actions in ``models/actions.json``. Units are in the names: ``_s`` seconds,
+``_m`` metres, ``_px`` pixels, ``_deg`` degrees, ``_hz`` frames a second.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from app.vision.blazepose import LANDMARK_PX
+
+
+@dataclass(frozen=True)
+class SessionParameters:
+    """When a session starts afresh, and when it drops a track."""
+
+    min_step_s: float = 1e-3  # Frames closer together have no order that a camera could have seen.
+    max_gap_s: float = 10.0  # After a longer gap the scene may be another one.
+    # Seconds without a sighting after which a track is dropped, and the same for a person who is
+    # hidden behind another one, or who vanished away from the border of the frame.
+    dropped_after_s: float = 0.5
+    predicted_for_s: float = 2.0
+    hidden_share: float = 0.5  # Of a person's box, that another box has to cover to hide them.
+
+
+@dataclass(frozen=True)
+class DetectionParameters:
+    """How the people of a frame are found."""
+
+    search_every_s: float = 0.4  # Between two searches of the whole frame.
+    window_lasts_s: float = 0.5  # For so long a window shows where its person is.
+    # Distance from a window to the next, in windows, beyond which it has lost the body.
+    max_drift: float = 0.35
+    # Size of a body from which MoveNet places joints in a track's window too. That takes as long
+    # as the reading itself; poses of smaller people are averaged over more frames instead.
+    movenet_from_px: float = 200.0
+    body_margin: float = 0.1  # Around the landmarks, to cut out a body; as a share of their box.
+    min_track_iou: float = 0.3  # Overlap of a detection with the predicted box of its track.
+
+
+@dataclass(frozen=True)
+class BoxParameters:
+    """The filter of a person's box."""
+
+    # Shares of the difference between prediction and observation that correct each.
+    place_gain: float = 0.7
+    velocity_gain: float = 0.3
+    size_gain: float = 0.3
+    drift_s: float = 1.0  # In which the velocity of an unseen person falls to 1/e.
+    min_step_s: float = 1e-3  # A frame that is sent again has the same time.
+
+
+@dataclass(frozen=True)
+class MatchingParameters:
+    """How sightings are matched to tracks; distances are in sizes of the person."""
+
+    # Distance from the predicted place at which a person may be seen: at once, for each second
+    # since the last sighting, and at most.
+    near: float = 0.3
+    near_per_s: float = 1.0
+    far: float = 2.0
+    # Largest ratio of two sizes of one person at once, and once more for each second since the
+    # last sighting: a person who falls towards the camera shrinks within half a second.
+    max_growth: float = 1.6
+    # Weights of the costs of a pair, each 0 to 1 within the limits above.
+    place_weight: float = 0.4
+    overlap_weight: float = 0.3
+    size_weight: float = 0.2
+    appearance_weight: float = 0.6
+    unknown_appearance: float = 0.3  # Cost of the appearance where either is unknown.
+    window_factor: float = 0.5  # Of the cost, for the track in whose window the person was read.
+    max_cost: float = 1.1  # At a higher cost a sighting begins a new track.
+
+
+@dataclass(frozen=True)
+class TrackParameters:
+    """When a track counts as a person."""
+
+    # Probability by the detector that confirms a track at once, and sightings that confirm others.
+    confirming_score: float = 0.6
+    confirming_sightings: int = 3
+    # Presence from which the landmark network sees a person. It must have done so once in a
+    # detection: on tables and tripods it often stays near 0, and it falls below 0.1 where a person
+    # has left.
+    min_presence: float = 0.5
+    appearance_gain: float = 0.1  # Share of the difference that corrects the known appearance.
+
+
+@dataclass(frozen=True)
+class GroundParameters:
+    """How motion over the ground is measured; see :mod:`app.tracking.ground_motion`."""
+
+    window_s: float = 1.0  # Over which a velocity is measured.
+    min_frames: int = 3  # That a velocity needs.
+    # Floors of the elevation for a velocity, whose direction counts, and of its sine for the path
+    # from which actions are recognised, in which noise must not look like steps.
+    min_elevation_deg: float = 6.0
+    min_path_sine: float = 0.35
+    # Elevation from which steps away count in full for the speed: seen from lower, they hardly
+    # change the height in the picture.
+    reliable_elevation_deg: float = 20.0
+
+
+@dataclass(frozen=True)
+class HeadingParameters:
+    """The filter of headings.
+
+    They were chosen on UP-Fall's first activities at 0.35 of their size, against their full size,
+    and on Pose2Sim's cameras at a tenth of it. All ``_deg`` but the last are standard deviations.
+    """
+
+    turn_deg: float = 80.0  # Of a turn within a second.
+    jumps_per_s: float = 0.05  # To any other heading: detection and identity may be wrong.
+    seen_deg: float = 20.0  # Of the azimuth of a right hypothesis, for small people.
+    clearly_seen_deg: float = 15.0  # The same for large people.
+    outlier_share: float = 0.2  # Of the frames, in which no hypothesis faces the right way.
+    walking_deg: float = 40.0  # Of the direction in which people walk from the one they face.
+    backward_share: float = 0.1  # Of people, who walk in any other direction.
+    direction_weight: float = 0.3  # Of the walking direction, which is measured over a second.
+    min_walking_m_s: float = 0.5  # Speed from which the walking direction counts.
+    full_walking_m_s: float = 1.0  # Speed from which it counts in full.
+    # Probability that exchanges front and back: people seen from the side keep one of them.
+    switch_from: float = 0.8
+    min_turned_deg: float = 2.0  # Shoulders are turned at least so far from the exact side view.
+    independent_hz: float = 6.0  # At higher rates each frame counts less.
+
+
+@dataclass(frozen=True)
+class SmoothingParameters:
+    """The hidden Markov model of poses."""
+
+    max_states: int = 12  # Hypotheses of a frame that become states; 30 are no better.
+    reference_hz: float = 10.0  # The rate that the weights and costs below are given for.
+    confidence_weight: float = 1.5  # Of the log of a hypothesis's confidence.
+    # Of the log of the distance by silhouette and landmarks, where landmarks were read: the
+    # confidences of all hypotheses that agree with them are near 1.
+    landmark_weight: float = 40.0
+    # Height from which landmarks weigh in full, the side of the network's window. Those of smaller
+    # people jitter, and motion counts more.
+    full_weight_px: float = LANDMARK_PX
+    # Nats for each metre that joints move on average from frame to frame; up to twice as many at
+    # higher rates, fewer at lower ones.
+    cost_per_m: float = 60.0
+    max_cost: float = 48.0  # No move is impossible: detection and identity may be wrong.
+    heading_weight: float = 1.0  # Of the log of the heading's probability.
+    nearby_m: float = 0.25  # Poses at this distance from the most probable one weigh 60 % of it.
+    sharpness: float = 0.5  # Exponent of probabilities: frames are no independent evidence.
+    # Through whose averages a line is fitted, for silhouettes alone and where landmarks weigh in
+    # full, which follow quick limbs; and the frames in it at most.
+    line_s: float = 0.35
+    landmark_line_s: float = 0.12
+    max_line_frames: int = 24
+    extrapolated_s: float = 1.0  # For so long a pose is kept where there is no silhouette.
+    # Log odds that a kept pose loses; measured on the clips that the confidence was fitted on.
+    lost_per_s: float = 5.0
+    # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it
+    # and of the share of probability near it; `python -m scripts evaluate tracking --fit-tracks`.
+    confidence_offset: float = -0.46
+    hypotheses_weight: float = 1.39
+    agreement_weight: float = 0.39
+
+
+@dataclass(frozen=True)
+class PostureParameters:
+    """The average of postures over time."""
+
+    settling_s: float = 0.4  # Time constant with which the posture follows the frames.
+    max_step_s: float = 1.0  # After a longer gap the newest frame counts no more than after this.
+    wide_from: float = 1.2  # Width over height of a box from which its person is likely lying.
+    wide_slope: float = 3.0  # Exponent of that ratio in the odds.
+
+
+@dataclass(frozen=True)
+class EventParameters:
+    """When events begin and end."""
+
+    settling_s: float = 0.5  # Time constant of the low-pass filter over the frames.
+    begins_from: float = 0.5  # Filtered probability at which something begins.
+    ends_below: float = 0.2  # Filtered probability below which it ends.
+    max_step_s: float = 0.34  # For a single frame: just short of where something begins.
+    falls_within_s: float = 4.0  # From upright to the ground; a slower descent is lying down.
+    stays_down_s: float = 1.5  # On the ground, until a fall is reported.
+    # Share of a person's upright height in the picture below which they are down, whatever the
+    # posture: a person who sits on a chair or kneels keeps two thirds.
+    dropped_to: float = 0.55
+
+
+@dataclass(frozen=True)
+class ActionParameters:
+    """The sliding window of actions, and what counts beside the linear model."""
+
+    window_s: float = 3.0  # Motion from which an action is recognised.
+    min_window_s: float = 1.0  # The shortest motion that suffices.
+    every_s: float = 0.5  # Between two results: what people do changes slowly.
+    min_step_s: float = 1 / 40  # Poses closer together add memory alone to motion sampled at 10 Hz.
+    max_gap_s: float = 1.0  # After a longer gap without a pose the window starts afresh.
+    min_vote: float = 0.02  # Share of the votes of an action that no hypothesis shows.
+    min_posture: float = 0.1  # Factor of an action that the posture of the moment contradicts.
+    # Of everyday actions against exercises, where the motion of limbs is not seen.
+    everyday_log_odds: float = math.log(10)
+    full_weight_px: float = LANDMARK_PX  # Height from which the motion of limbs counts in full.
+
+
+@dataclass(frozen=True)
+class SummaryParameters:
+    """The summary of a video."""
+
+    max_gap_s: float = 2.0  # While unseen for longer, a person is not taken to keep a posture.
+
+
+@dataclass(frozen=True)
+class TrackingParameters:
+    """All of them."""
+
+    session: SessionParameters = SessionParameters()
+    detection: DetectionParameters = DetectionParameters()
+    box: BoxParameters = BoxParameters()
+    matching: MatchingParameters = MatchingParameters()
+    track: TrackParameters = TrackParameters()
+    ground: GroundParameters = GroundParameters()
+    heading: HeadingParameters = HeadingParameters()
+    smoothing: SmoothingParameters = SmoothingParameters()
+    posture: PostureParameters = PostureParameters()
+    events: EventParameters = EventParameters()
+    actions: ActionParameters = ActionParameters()
+    summary: SummaryParameters = SummaryParameters()
+
+
+DEFAULTS = TrackingParameters()

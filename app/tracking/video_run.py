@@ -1,0 +1,143 @@
+"""A video through a camera session: its frames one after the other, until one of its ends."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from app.estimation.results import Evidence
+from app.estimation.upload import Upload
+from app.messages import SEARCH_FAILED
+from app.scheduling.executor import Executor
+from app.scheduling.job import DeadlineError, Job
+from app.scheduling.queue import Sender
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession
+from app.tracking.summary import VideoSummary
+from app.video.reader import VideoError, VideoFrame, VideoReader
+from index.search import UnavailableError
+
+VideoEndReason = Literal["complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"]
+
+
+@dataclass(frozen=True)
+class VideoEnd:
+    """Why no further frame is processed; ``detail`` says the same as a sentence."""
+
+    reason: VideoEndReason
+    detail: str
+
+
+class VideoRun:
+    """Tracks the people of a video.
+
+    Parameters
+    ----------
+    session : CameraSession
+        A new one.
+    executor : Executor
+        Where frames are processed, in turn with those of other senders.
+    sender, kind
+        As in :meth:`app.scheduling.executor.Executor.run`.
+    n, evidence
+        As in :meth:`app.tracking.session.CameraSession.process`.
+    max_frames : int
+        Frames that are processed at most.
+    timeout_s : float
+        Seconds from now on that all of them may take.
+    """
+
+    def __init__(
+        self,
+        session: CameraSession,
+        executor: Executor,
+        sender: Sender,
+        *,
+        kind: str,
+        n: int,
+        evidence: Evidence,
+        max_frames: int,
+        timeout_s: float,
+    ) -> None:
+        self._session, self._executor = session, executor
+        self._sender, self._kind = sender, kind
+        self._n, self._evidence = n, evidence
+        self._max_frames = max_frames
+        self._timeout_s = timeout_s
+        self._deadline = asyncio.get_running_loop().time() + timeout_s
+        self.summary = VideoSummary()
+        """Of the frames processed so far."""
+        self.end: VideoEnd | None = None
+        """None until there are no more frames."""
+
+    async def lines(
+        self,
+        first: VideoFrame,
+        reader: VideoReader,
+        write: Callable[[TrackedFrame, int], bytes],
+        is_ending: Callable[[], bool],
+    ) -> AsyncGenerator[bytes, None]:
+        """Yield a line for each frame; afterwards, :attr:`end` says why there are no more.
+
+        Parameters
+        ----------
+        first : VideoFrame
+            The first frame, read already.
+        reader : VideoReader
+            Of the others.
+        write : callable
+            Writes the line of a frame and its number in the video, on the executor's thread.
+        is_ending : callable
+            Whether the service is being stopped.
+        """
+        frame: VideoFrame | None = first
+        try:
+            while frame is not None:
+                if is_ending():
+                    self.end = VideoEnd("shutdown", "the service is being stopped")
+                    return
+                if self.summary.frames == self._max_frames:
+                    detail = f"there are more than {self._max_frames} frames"
+                    self.end = VideoEnd("max_frames", detail)
+                    return
+                async with asyncio.timeout_at(self._deadline):
+                    line = await self._process(frame, write)
+                yield line
+                async with asyncio.timeout_at(self._deadline):
+                    frame = await reader.next()
+        except TimeoutError:
+            detail = f"the video took longer than {self._timeout_s:g} seconds"
+            self.end = VideoEnd("timeout", detail)
+        except DeadlineError as error:
+            self.end = VideoEnd("timeout", str(error))
+        except VideoError as error:
+            self.end = VideoEnd("broken", str(error))
+        except UnavailableError:
+            self.end = VideoEnd("unavailable", SEARCH_FAILED)
+        else:
+            detail = f"the video ended after {self.summary.frames} frames"
+            self.end = VideoEnd("complete", detail)
+
+    async def _process(
+        self, frame: VideoFrame, write: Callable[[TrackedFrame, int], bytes]
+    ) -> bytes:
+        """Process a frame once it is its turn, and return its line."""
+
+        def work(job: Job) -> tuple[TrackedFrame, bytes]:
+            tracked = self._session.process(
+                Upload(frame.pixels), frame.timestamp, self._n, job, self._evidence
+            )
+            return tracked, write(tracked, frame.number)
+
+        tracked, line = await self._executor.run(
+            work, _until_cancelled, sender=self._sender, kind=self._kind, unbounded_wait=True
+        )
+        self.summary.add(tracked)
+        return line
+
+
+async def _until_cancelled() -> None:
+    """Wait: if the client hangs up, the whole answer is cancelled."""
+    await asyncio.Event().wait()

@@ -1,0 +1,213 @@
+"""What vision finds of a person: keypoints, landmarks, detections and silhouettes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.geometry import Box, PersonWindow
+
+SegmenterName = Literal["network", "background", "mask"]
+
+COCO_NAMES = (
+    "nose", "left_eye", "right_eye", "left_ear", "right_ear",
+    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
+    "left_wrist", "right_wrist", "left_hip", "right_hip",
+    "left_knee", "right_knee", "left_ankle", "right_ankle",
+)  # fmt: skip
+"""The 17 COCO keypoints, in their order; left and right are the person's own."""
+
+LANDMARK_NAMES = (
+    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
+    "right_eye_outer", "left_ear", "right_ear", "mouth_left", "mouth_right",
+    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+    "left_pinky", "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb",
+    "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
+)  # fmt: skip
+"""The 33 landmarks of BlazePose, in their order; left and right are the person's own."""
+
+COCO_LANDMARKS = [LANDMARK_NAMES.index(name) for name in COCO_NAMES]
+"""Row of the landmark for each COCO keypoint."""
+
+
+def coco_rows(*parts: str) -> list[int]:
+    """Rows of the COCO keypoints on both sides whose names end in one of ``parts``."""
+    return [row for row, name in enumerate(COCO_NAMES) if name.endswith(parts)]
+
+
+@dataclass(frozen=True)
+class ObservedKeypoints:
+    """Where a photograph shows a person's keypoints.
+
+    Parameters
+    ----------
+    positions : (17, 2) float64 array
+        Pixels, x before y; rows are :data:`COCO_NAMES`.
+    scores : (17,) float64 array
+        Confidence of each, 0 to 1.
+    """
+
+    positions: NDArray[np.float64]
+    scores: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(COCO_NAMES)
+        if self.positions.shape != (count, 2) or self.scores.shape != (count,):
+            raise ValueError(
+                f"expected positions of shape ({count}, 2) and scores of shape ({count},), "
+                f"got {self.positions.shape} and {self.scores.shape}"
+            )
+
+    def scaled(self, factor: float) -> ObservedKeypoints:
+        """The same keypoints in an image resized by ``factor``."""
+        return ObservedKeypoints((self.positions + 0.5) * factor - 0.5, self.scores)
+
+    def moved(self, x: float, y: float) -> ObservedKeypoints:
+        """The same keypoints ``x`` pixels farther right and ``y`` farther down."""
+        return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Where a photograph shows a person's landmarks, and their positions in space.
+
+    Parameters
+    ----------
+    positions : (33, 2) float64 array
+        Pixels, x before y; rows are :data:`LANDMARK_NAMES`.
+    visibility : (33,) float64 array
+        Probability that each is inside the frame and not hidden, 0 to 1.
+    metres : (33, 3) float64 array
+        Relative to the middle of the hips, axes of the camera: x right, y down, z forward.
+    """
+
+    positions: NDArray[np.float64]
+    visibility: NDArray[np.float64]
+    metres: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(LANDMARK_NAMES)
+        shapes = (self.positions.shape, self.visibility.shape, self.metres.shape)
+        expected = ((count, 2), (count,), (count, 3))
+        if shapes != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
+
+    def box(self) -> Box:
+        """The box about all landmarks, visible or not; at least a pixel each way."""
+        left, top = self.positions.min(axis=0).tolist()
+        width, height = np.maximum(1.0, np.ptp(self.positions, axis=0)).tolist()
+        return Box(left, top, width, height)
+
+    def keypoints(self) -> ObservedKeypoints:
+        """The 17 COCO keypoints among the landmarks."""
+        return ObservedKeypoints(self.positions[COCO_LANDMARKS], self.visibility[COCO_LANDMARKS])
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A person found in a frame.
+
+    Parameters
+    ----------
+    box : Box
+        Tight around the visible person.
+    score : float
+        Probability that the box holds a person, 0 to 1.
+    keypoints : ObservedKeypoints, optional
+        In pixels of the frame; None where the detector finds none.
+    windows : tuple of PersonWindow
+        Where the detector sees the whole body, the likeliest first; may be empty.
+    """
+
+    box: Box
+    score: float
+    keypoints: ObservedKeypoints | None = None
+    windows: tuple[PersonWindow, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.score <= 1:
+            raise ValueError(f"expected a score from 0 to 1, got {self.score}")
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """The pixels of one person, as a crop of the frame.
+
+    Parameters
+    ----------
+    crop : (h, w) bool array
+        True on the person; each border row and column holds at least one True pixel.
+    left, top : int
+        Column and row of the crop's first pixel in the frame.
+    segmenter : str
+        What made it: ``network``, ``background`` or ``mask``.
+    truncated : bool
+        Whether the frame's border or another person cuts the body.
+    """
+
+    crop: NDArray[np.bool_]
+    left: int
+    top: int
+    segmenter: SegmenterName
+    truncated: bool
+
+    def __post_init__(self) -> None:
+        if self.crop.ndim != 2 or self.crop.dtype != np.bool_ or self.crop.size == 0:
+            raise ValueError(
+                "expected a crop of shape (h, w) and dtype bool, "
+                f"got {self.crop.shape} and {self.crop.dtype}"
+            )
+        edges = (self.crop[0], self.crop[-1], self.crop[:, 0], self.crop[:, -1])
+        if not all(edge.any() for edge in edges):
+            raise ValueError("expected a tight crop, got one with an empty border row or column")
+        if self.left < 0 or self.top < 0:
+            raise ValueError(f"expected a crop inside the frame, got {self.left}, {self.top}")
+
+    @property
+    def area_px(self) -> int:
+        """Number of pixels on the person."""
+        return int(np.count_nonzero(self.crop))
+
+    @property
+    def centroid(self) -> NDArray[np.float64]:
+        """Mean position ``(2,)`` of the pixels on the person, in the frame."""
+        moments = cv2.moments(self.crop.view(np.uint8), binaryImage=True)
+        first = np.array([self.left, self.top])
+        return np.asarray(first + np.array([moments["m10"], moments["m01"]]) / moments["m00"])
+
+    @property
+    def box(self) -> Box:
+        """The tight box around the silhouette."""
+        height, width = self.crop.shape
+        return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
+
+    def mask(self, frame_shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """The silhouette as a mask ``(H, W)`` of a frame whose shape begins with these."""
+        mask = np.zeros(frame_shape[:2], bool)
+        height, width = self.crop.shape
+        mask[self.top : self.top + height, self.left : self.left + width] = self.crop
+        return mask
+
+
+def silhouette_from_mask(
+    mask: NDArray[np.bool_],
+    *,
+    left: int = 0,
+    top: int = 0,
+    segmenter: SegmenterName,
+    truncated: bool = False,
+) -> Silhouette | None:
+    """Crop a mask, or the part of one that starts at ``left`` and ``top``, to a silhouette.
+
+    None if no pixel is set.
+    """
+    x, y, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+    if width == 0:
+        return None
+    crop = mask[y : y + height, x : x + width].copy()
+    return Silhouette(crop, left + x, top + y, segmenter, truncated)

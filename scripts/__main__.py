@@ -1,0 +1,65 @@
+"""One entry for all commands: ``python -m scripts COMMAND [arguments]``."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+COMMANDS = {
+    "build": ("scripts.build", "build an index from motion capture"),
+    "train-reranker": ("scripts.training.train_reranker", "train the network that re-ranks"),
+    "train-actions": ("scripts.training.train_actions", "train the model of actions"),
+    "fit-people": ("scripts.training.fit_people", "fit detection, posture and confidence"),
+    "publish": ("scripts.publish", "load an index into Milvus"),
+    "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
+    "pages": ("scripts.experiments.pages", "render the pages of results from their JSON again"),
+    "figures": ("scripts.figures", "write headline figures from the JSON into the documents"),
+    "bench": ("scripts.load.bench", "time whole requests against a yardstick"),
+    "overload": ("scripts.load.overload", "offer a server ten times the load it carries"),
+    "soak": ("scripts.load.soak", "send many mixed requests; watch memory and latency"),
+    "fuzz": ("scripts.load.fuzz", "upload damaged and odd images"),
+    "clients": ("scripts.load.clients", "see whether any of several clients starves"),
+    "debug-frame": ("scripts.debug_frame", "draw every step of one photograph"),
+    "openapi": ("scripts.openapi", "write openapi.json"),
+    "convert": ("scripts.convert", "convert the published networks to those of the service"),
+    "pictures": ("scripts.pictures", "draw the pictures of the documents"),
+    "watch-camera": ("scripts.examples.watch_camera", "post a camera's frames to a service"),
+    "track-video": ("scripts.examples.track_video", "annotate a video with tracked people"),
+}
+"""Module with ``main(arguments)``, imported only when its command runs, and a line about it."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run a command and return its exit status; what it lacks is said in one sentence."""
+    name, *rest = arguments or ["--help"]
+    if name in ("-h", "--help"):
+        print(usage())
+        return 0
+    if name not in COMMANDS:
+        print(f"scripts: expected a command, got {name!r}\n\n{usage()}", file=sys.stderr)
+        return 2
+    sys.argv[0] = f"scripts {name}"  # argparse takes its program name from here.
+    try:
+        return importlib.import_module(COMMANDS[name][0]).main(rest) or 0
+    except ModuleNotFoundError as error:
+        if not error.name or error.name.startswith("scripts"):
+            raise
+        message = (
+            f"expected the package {error.name.partition('.')[0]}, which `make .venv-build/.stamp` "
+            f"installs: then `.venv-build/bin/python -m scripts {name}`"
+        )
+    except (OSError, ValueError) as error:
+        message = str(error)
+    print(f"{name}: {message}", file=sys.stderr)
+    return 1
+
+
+def usage() -> str:
+    """Return the list of commands."""
+    lines = [f"  {name:15} {line}" for name, (_, line) in COMMANDS.items()]
+    return "\n".join(["python -m scripts COMMAND [arguments]", "", *lines])
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,91 @@
+"""Build an index from motion capture: ``make index``, on this machine or a Dask cluster."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+from index import DEFAULT_PATH
+from index.artefact import check_replaceable, save_index
+from index.build.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
+from index.build.shard_files import ShardError
+from index.files import staging
+from scripts.results import SHARED
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Build and save as the command line asks."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("--mocap", type=Path, default=SHARED / "mocap", help="has manifest.csv and bvh/")
+    add("--garments", type=Path, help="MakeHuman garments; without them bodies are unclothed")
+    add("--out", type=Path, default=DEFAULT_PATH, help="folder of the index; replaced if it is one")
+    add("--name", help="of the index; by default that of its folder")
+    add(
+        "--attribution",
+        default="",
+        metavar="SENTENCE",
+        help="whose the motion is; cmu stands for that of ../shared/mocap",
+    )
+    add("--entries", type=int, default=Plan.entries)
+    add("--bodies", type=int, default=Plan.bodies, help="bodies per pose")
+    add("--views", type=int, default=Plan.views, help="views per pose and body")
+    add("--seed", type=int, default=Plan.seed)
+    add("--descriptor", choices=("discriminant", "paper"), default=Plan.descriptor)
+    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that renders; tcp://HOST:8786")
+    add(
+        "--shards",
+        type=Path,
+        metavar="FOLDER",
+        help="keeps what is rendered, so that a build can be resumed, and is shared by a cluster; "
+        "by default a temporary folder beside --out",
+    )
+    options = parser.parse_args(arguments)
+    name = options.name or options.out.resolve().name
+    attribution = CMU_ATTRIBUTION if options.attribution == "cmu" else options.attribution
+    inputs = {"--mocap": options.mocap, "--garments": options.garments}
+    check_apart(options.out, {**inputs, "--shards": options.shards})
+    check_replaceable(options.out)
+    plan = Plan(
+        entries=options.entries,
+        bodies=options.bodies,
+        views=options.views,
+        seed=options.seed,
+        descriptor=options.descriptor,
+    )
+    spec = IndexSpec(name, options.mocap, options.garments, plan, attribution)
+    shards = nullcontext(options.shards) if options.shards else staging(options.out.resolve())
+    try:
+        with _executor(options.scheduler) as executor:
+            index = build(spec, executor=executor, shards=shards, progress=True, log=print)
+    except ShardError as error:
+        raise SystemExit(f"build: {error}") from None
+    version = save_index(index, options.out)
+    print(f"{len(index)} entries in {options.out}, {version}")
+
+
+def check_apart(out: Path, others: Mapping[str, Path | None]) -> None:
+    """Raise a ``ValueError`` if ``out`` is, holds or lies in another folder, by its option."""
+    resolved = out.resolve()
+    for option, folder in others.items():
+        if folder is None:
+            continue
+        other = folder.resolve()
+        if resolved.is_relative_to(other) or other.is_relative_to(resolved):
+            raise ValueError(
+                f"--out: expected a folder apart from {option}, since it is replaced as a whole, "
+                f"got {out} and {folder}"
+            )
+
+
+def _executor(scheduler: str | None) -> AbstractContextManager[Executor | None]:
+    if scheduler is None:
+        return nullcontext()
+    try:
+        from index.build.cluster import cluster_executor
+    except ModuleNotFoundError as error:
+        raise ShardError(f"--scheduler needs the extra cluster ({error})") from error
+    return cluster_executor(scheduler)

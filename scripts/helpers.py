@@ -1,0 +1,80 @@
+"""Calls of the estimator that experiments, training and pictures share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.estimator import Estimator, fit_poses, normalise_person
+from app.estimation.normalise import NormalisedPerson
+from app.estimation.results import ObservedPerson, Person
+from app.estimation.upload import Upload
+from app.scheduling.job import Job
+from app.scheduling.process import available_cores
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
+from index.matching import Hypothesis
+from index.parameters import DEFAULT_HYPOTHESES
+from index.rotations import RotatedQuery
+from index.store import PoseIndex
+
+
+def estimate(
+    estimator: Estimator, photograph: bytes | NDArray[np.uint8], *boxes: Box
+) -> tuple[Person, ...]:
+    """Estimate the people of a photograph, encoded or as BGR pixels, or those in some boxes."""
+    upload = Upload(photograph, boxes=boxes or None)
+    return estimator.estimate(upload, DEFAULT_HYPOTHESES, Job()).persons
+
+
+def find_people(
+    estimator: Estimator, photograph: NDArray[np.uint8], *boxes: Box
+) -> tuple[ObservedPerson, ...]:
+    """Find the people of a photograph, or those in some boxes of it, without poses."""
+    upload = Upload(photograph, boxes=boxes or None)
+    return estimator.find_people(upload, Job()).people
+
+
+def track(session: CameraSession, frame: NDArray[np.uint8], timestamp: float) -> TrackedFrame:
+    """Send a frame to a camera session as a caller does, encoded."""
+    return session.process(Upload(encoded(frame)), timestamp, DEFAULT_HYPOTHESES, Job())
+
+
+def encoded(frame: NDArray[np.uint8]) -> bytes:
+    """Encode a frame as JPEG of quality 95."""
+    return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
+
+
+def match_silhouettes(
+    index: PoseIndex, silhouettes: Iterable[Silhouette], count: int
+) -> list[Person]:
+    """Estimate every silhouette by itself."""
+
+    def match(silhouette: Silhouette) -> Person:
+        observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
+        return fit_poses(index, observed, normalise_person(observed), count)
+
+    with ThreadPoolExecutor(available_cores()) as pool:
+        return list(pool.map(match, silhouettes))
+
+
+def place_entry(
+    index: PoseIndex, person: NormalisedPerson, hypothesis: Hypothesis
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Return the silhouette of a hypothesis's entry and the transform that puts it on the person.
+
+    The silhouette ``(128, 48)`` is mirrored where its hypothesis is; the affine transform
+    ``(2, 3)`` leads from its pixels to pixels of the frame, rotated as the hypothesis is.
+    """
+    silhouette = index.silhouette(hypothesis.entry_id)
+    if hypothesis.mirrored:
+        silhouette = np.ascontiguousarray(silhouette[:, ::-1])
+    query = RotatedQuery.of(person.silhouette, hypothesis.rotation_deg + person.roll_deg)
+    to_frame = person.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
+    return silhouette, np.asarray(to_frame, np.float64)

@@ -1,0 +1,49 @@
+"""The index and network of experiments, which know no held-out clip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from index import DEFAULT_PATH
+from index.artefact import load_index, save_index
+from index.build.builder import IndexSpec, build
+from index.build.motion import Segment, read_manifest
+from index.build.splits import hold_out
+from index.reranker import RankingModel, load_reranker
+from index.store import PoseIndex
+
+
+def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
+    """Return an index built as the shipped one is, without the held-out clips, and its network.
+
+    Parameters
+    ----------
+    shared : Path
+        Folder with ``mocap/`` and ``garments/``.
+    folder : Path or None
+        Keeps the index from one run to the next.
+    """
+    kept, held = hold_out(read_manifest(shared / "mocap"))
+    if folder is not None and folder.exists():
+        index = load_index(folder)
+    else:
+        spec = IndexSpec("strict", shared / "mocap", shared / "garments", segments=tuple(kept))
+        index = build(spec, progress=True, log=print)
+        if folder is not None:
+            save_index(index, folder)
+    return replace(index, reranker=shipped_reranker(held))
+
+
+def shipped_reranker(held: Sequence[Segment]) -> RankingModel | None:
+    """Return the network beside the default index; a ValueError if it knows a held-out clip."""
+    reranker = load_reranker(DEFAULT_PATH)
+    if reranker is not None:
+        known = {segment.clip for segment in held}.intersection(reranker.training["clips"])
+        if known:
+            raise ValueError(
+                f"the network beside {DEFAULT_PATH} was trained on held-out clips: "
+                f"{', '.join(sorted(known))}"
+            )
+    return reranker

@@ -1,0 +1,40 @@
+"""Finding people: which readings are of one body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.estimation.finder import distinct_bodies
+from app.estimation.parameters import DUPLICATE_BODY_DISTANCE
+from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.geometry import WINDOW_SCALE, PersonWindow
+from app.vision.people import Landmarks
+
+BODY_PX = 80.0
+
+
+def reading(x: float, y: float = 0.0) -> PoseReading:
+    """A reading of a body whose middle is at a point."""
+    offsets = np.random.default_rng(0).uniform(-BODY_PX, BODY_PX, (33, 2))
+    landmarks = Landmarks(np.add(offsets, [x, y]), np.linspace(0.2, 1, 33), np.zeros((33, 3)))
+    window = PersonWindow(x, y, 2 * WINDOW_SCALE * BODY_PX)
+    probability = np.zeros((LANDMARK_PX, LANDMARK_PX), np.float32)
+    return PoseReading(window, landmarks, 1.0, probability, window)
+
+
+def test_first_reading_of_each_body_is_kept() -> None:
+    assert reading(0).body_px == BODY_PX
+    assert distinct_bodies([]) == []
+    assert distinct_bodies([reading(0), reading(1), reading(200), reading(0)]) == [0, 2]
+
+
+@given(share=st.floats(0, 1), angle=st.floats(-3.14, 3.14))
+def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
+    apart_px = share * BODY_PX
+    other = reading(apart_px * np.cos(angle), apart_px * np.sin(angle))
+    kept = distinct_bodies([reading(0), other])
+    if share != pytest.approx(DUPLICATE_BODY_DISTANCE):
+        assert kept == ([0, 1] if share > DUPLICATE_BODY_DISTANCE else [0])

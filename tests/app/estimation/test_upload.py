@@ -1,0 +1,101 @@
+"""Uploads: what is refused, and what the rest is decoded to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from numpy.typing import NDArray
+
+from app.estimation.upload import Upload, UploadDecoder, UploadError
+from app.scheduling.job import Job
+from app.vision.geometry import Box
+from tests.conftest import png
+
+DECODER = UploadDecoder(max_pixels=40_000, max_persons=2)
+
+
+def frame(height: int = 120, width: int = 160) -> NDArray[np.uint8]:
+    return np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+
+
+def mask_of(*boxes: tuple[slice, slice], labels: bool = False) -> bytes:
+    mask = np.zeros((120, 160), np.uint8)
+    for label, box in enumerate(boxes, start=1):
+        mask[box] = label if labels else 1
+    return png(mask)
+
+
+TALL = np.s_[20:100, 10:40], np.s_[20:100, 90:120]
+"""Two figures apart from one another."""
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "said"),
+    [
+        ({}, "frame", "expected an image file"),
+        ({"mask": b"m", "boxes": []}, "boxes", "expected a mask or boxes, got both"),
+        ({"mask": b"m", "background": b"b"}, "background", "expected a mask or background"),
+        ({"frame": b"f", "track_ids": ["a"]}, "track_ids", "got 1 and no boxes"),
+        ({"frame": b"f", "boxes": [Box(0, 0, 9, 9)] * 2, "track_ids": ["a", "a"]},
+         "track_ids", "'a' twice"),
+    ],
+)  # fmt: skip
+def test_contradicting_fields_are_refused(fields: dict[str, Any], field: str, said: str) -> None:
+    with pytest.raises(UploadError, match=said) as error:
+        Upload(**fields)
+    assert (error.value.field, error.value.reason) == (field, "misfit")
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "reason"),
+    [
+        ({"frame": b"no image"}, "frame", "undecodable"),
+        ({"frame": png(frame(400, 400))}, "frame", "too_large"),
+        ({"frame": png(frame(60, 60)), "mask": mask_of(TALL[0])}, "mask", "misfit"),
+        ({"frame": png(frame()), "background": png(frame(60, 60))}, "background", "misfit"),
+        ({"frame": png(frame()), "boxes": [Box(500, 0, 9, 9)]}, "boxes", "misfit"),
+        ({"frame": png(frame()), "boxes": [Box(0, 0, 9, 9)] * 3}, "boxes", "misfit"),
+        ({"mask": mask_of(*TALL)}, "mask", "misfit"),
+        ({"mask": mask_of(*TALL, np.s_[0:9, 0:9], labels=True)}, "mask", "misfit"),
+    ],
+)
+def test_unusable_images_and_boxes_are_refused(
+    fields: dict[str, Any], field: str, reason: str
+) -> None:
+    with pytest.raises(UploadError) as error:
+        DECODER.decode(Upload(**fields), Job())
+    assert (error.value.field, error.value.reason) == (field, reason)
+
+
+def test_images_are_decoded_and_boxes_clipped() -> None:
+    picture = frame()
+    boxes, background = [Box(-20, -20, 60, 60)], png(picture[::-1])
+    upload = Upload(png(picture), background=background, boxes=boxes)
+    assert upload.given == ("frame", "background", "boxes")
+    decoded = DECODER.decode(upload, Job())
+    assert_array_equal(decoded.frame, picture)
+    assert_array_equal(decoded.background, picture[::-1])
+    assert decoded.boxes is not None and decoded.boxes[0].x == -0.5
+    assert_array_equal(DECODER.decode(Upload(picture), Job()).frame, picture)
+
+
+@pytest.mark.parametrize(
+    "figures",
+    [
+        # A head apart from its body, and a small object beside a person.
+        (np.s_[0:15, 20:30], np.s_[20:100, 10:40]),
+        (np.s_[20:100, 10:40], np.s_[20:50, 90:120]),
+    ],
+)
+def test_parts_of_one_person_may_share_a_label(figures: tuple[tuple[slice, slice], ...]) -> None:
+    decoded = DECODER.decode(Upload(mask=mask_of(*figures)), Job())
+    assert decoded.mask is not None and len(decoded.mask.present) == 1
+    assert not decoded.frame.any()
+
+
+def test_people_apart_may_have_labels_of_their_own() -> None:
+    decoded = DECODER.decode(Upload(mask=mask_of(*TALL, labels=True)), Job())
+    assert decoded.mask is not None and len(decoded.mask.present) == 2

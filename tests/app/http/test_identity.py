@@ -1,0 +1,61 @@
+"""Identities: the caller by key or address, and the camera that a request names."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import SecretStr
+
+from app.http.identity import Identity, identify
+
+KEYS = (SecretStr("first"), SecretStr("second"))
+
+
+def identity(
+    path: str = "/pose", keys: tuple[SecretStr, ...] = (), port: int = 4711, **headers: str
+) -> Identity:
+    pairs = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    scope = {"type": "http", "path": path, "headers": pairs, "client": ("10.0.0.7", port)}
+    return identify(scope, keys)
+
+
+@pytest.mark.parametrize(
+    ("headers", "position"),
+    [
+        ({}, None),
+        ({"x_api_key": "second"}, 1),
+        ({"authorization": "bearer first"}, 0),
+        ({"x_api_key": "wrong", "authorization": "Bearer second"}, 1),
+        ({"authorization": "Basic first"}, None),
+    ],
+)
+def test_a_caller_is_known_by_its_key(headers: dict[str, str], position: int | None) -> None:
+    found = identity(keys=KEYS, **headers)
+    assert found.caller == (position, "10.0.0.7")
+    assert found.is_authorised == (position is not None)
+    assert identity(**headers) == found._replace(
+        caller=found.caller._replace(key=None), is_authorised=True
+    )
+
+
+def test_behind_a_proxy_the_connection_is_unknown() -> None:
+    assert identity().sender.connection == 4711
+    assert identity(port=0).sender.connection is None
+
+
+def test_a_stream_is_the_frames_of_one_camera_route_and_caller() -> None:
+    yard = identity(x_camera_id="yard").stream
+    assert yard == identity(x_camera_id="yard", accept="*/*").stream
+    others = (
+        identity(x_camera_id="gate"),
+        identity("/silhouette", x_camera_id="yard"),
+        identity("/cameras/yard/frames"),
+        identity(x_camera_id="yard", x_api_key="other"),
+        identity(x_camera_id="yard", authorization="Bearer other"),
+    )
+    assert len({yard, *(other.stream for other in others)}) == 6
+
+
+@pytest.mark.parametrize("name", ["", "..", "a b", "x" * 65])
+def test_an_invalid_name_is_no_camera(name: str) -> None:
+    assert identity(x_camera_id=name).stream is None
+    assert identity().stream is None

@@ -1,0 +1,56 @@
+"""The application while its index is loading, and when loading fails."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from app.estimation.estimator import Estimator
+from app.main import create_app
+from app.serving import loading
+from app.settings import Settings
+from app.vision import models
+from tests.support.service import check_problem, eventually
+
+
+def test_while_the_index_is_loading_clients_get_a_503(settings: Settings) -> None:
+    app = create_app(settings)  # Without its lifespan nothing is loaded.
+    response = TestClient(app).get("/readyz")
+    check_problem(response, 503)
+    assert int(response.headers["retry-after"]) >= 1
+    app.state.runtime.loading = False
+    assert "retry-after" not in TestClient(app).get("/readyz").headers
+
+
+def test_probes_report_any_error_in_loading(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*_: object) -> Estimator:
+        raise ZeroDivisionError("internals")
+
+    monkeypatch.setattr(loading, "load_estimator", fail)
+    with TestClient(create_app(settings)) as client:
+        eventually(lambda: "not ready" in caplog.text)
+        assert client.get("/healthz").status_code == 200
+        response = client.get("/readyz")
+        assert response.status_code == 503
+        assert "internals" not in response.text
+        assert "ZeroDivisionError" in caplog.text
+
+
+def test_an_altered_network_is_reported_and_not_served(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """``python -m app`` ends at once (see test_models.py); started otherwise, probes report it."""
+    folder = tmp_path / "weights"
+    shutil.copytree(models.FOLDER, folder)
+    network = folder / "movenet_multipose.tflite"
+    network.write_bytes(network.read_bytes()[:1000])
+    monkeypatch.setattr(models, "FOLDER", folder)
+    expected = "movenet_multipose.tflite to have the SHA-256"
+    with TestClient(create_app(settings)) as client:
+        eventually(lambda: expected in check_problem(client.get("/readyz"), 503))
+        assert client.post("/pose", files={"frame": b"x"}).status_code == 503

@@ -1,0 +1,27 @@
+from __future__ import annotations
+
+import pytest
+
+from app.estimation.estimator import Estimator
+from app.tracking.session import CameraSession
+from index.store import PoseIndex
+from tests.app.tracking.drawn import ColourDetector, drawn_estimator
+
+
+@pytest.fixture(scope="session")
+def drawn(tiny_index: PoseIndex) -> Estimator:
+    """An estimator that finds and reads drawn people."""
+    return drawn_estimator(tiny_index)
+
+
+@pytest.fixture
+def detector(drawn: Estimator) -> ColourDetector:
+    detector = drawn.finder.detector
+    assert isinstance(detector, ColourDetector)
+    detector.searches = detector.room = 0
+    return detector
+
+
+@pytest.fixture
+def session(drawn: Estimator) -> CameraSession:
+    return CameraSession(drawn)

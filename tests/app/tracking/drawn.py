@@ -1,0 +1,119 @@
+"""Drawn people, whom a detector and a reader find by their colour, and sessions that see them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.estimator import Estimator
+from app.estimation.upload import Upload
+from app.scheduling.job import Job
+from app.tracking.results import TrackedFrame
+from app.tracking.session import CameraSession
+from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.crops import sample_window
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import Detection, Landmarks
+from index.store import PoseIndex
+from tests.conftest import png
+
+ROWS, COLUMNS = 200, 320
+PERSON = 90
+COLOURS = ((40, 40, 220), (220, 60, 40), (40, 200, 60), (40, 210, 230))
+
+
+class ColourDetector:
+    """Finds the drawn people, even where they touch, and counts its searches."""
+
+    name = "network"
+
+    def __init__(self) -> None:
+        self.searches = 0
+        self.room = 0
+        """Pixels that boxes are too wide on either side."""
+
+    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
+        self.searches += 1
+        boxes = []
+        for colour in COLOURS:
+            mask = (np.abs(frame.astype(int) - colour).sum(axis=2) < 60).astype(np.uint8)
+            left, top, width, height = cv2.boundingRect(mask)
+            if height >= PERSON // 2:
+                room = self.room
+                box = Box(left - 0.5 - room, top - 0.5, width + 2 * room, height)
+                boxes.append(Detection(box, 0.9))
+        return boxes
+
+
+class ColourReader:
+    """Reads the drawn people: a mask of their colour, and landmarks within it."""
+
+    def __init__(self) -> None:
+        self.network = self
+        self.lost = False
+
+    def read(
+        self,
+        frame: NDArray[np.uint8],
+        where: Box | PersonWindow,
+        keypoints: object = None,
+        windows: object = (),
+    ) -> PoseReading:
+        window = where if isinstance(where, PersonWindow) else PersonWindow.about_box(where)
+        picture = sample_window(frame, window, LANDMARK_PX).astype(int)
+        middle = picture[
+            LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9, LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9
+        ]
+        near = [np.abs(middle - colour).sum(axis=2) < 60 for colour in COLOURS]
+        colour = COLOURS[int(np.argmax([np.count_nonzero(mask) for mask in near]))]
+        mask = (np.abs(picture - colour).sum(axis=2) < 60).astype(np.uint8)
+        left, top, width, height = cv2.boundingRect(mask)
+        seen = width > 0 and not self.lost
+        shares = np.random.default_rng(0).uniform(0.1, 0.9, (33, 2))
+        to_frame = window.to_frame(LANDMARK_PX)
+        places = np.array([left, top]) + shares * [max(width, 1), max(height, 1)]
+        places = places @ to_frame[:, :2].T + to_frame[:, 2]
+        corner = to_frame[:, :2] @ np.array([left + width / 2, top + height / 2]) + to_frame[:, 2]
+        return PoseReading(
+            window,
+            Landmarks(places, np.full(33, 0.9), np.column_stack([shares - 0.5, shares[:, 0]])),
+            1.0 if seen else 0.0,
+            mask.astype(np.float32),
+            PersonWindow(*corner.tolist(), 1.25 * PERSON) if seen else window,
+        )
+
+
+def draw(*people: tuple[int, int], seed: int = 0, columns: int = COLUMNS) -> bytes:
+    """An encoded frame of people given by colour and left edge, the last in front."""
+    rng = np.random.default_rng(seed)
+    frame = rng.normal(150, 2, (ROWS, columns, 3)).astype(np.uint8)
+    for colour, left in people:
+        cv2.rectangle(frame, (left, 60), (left + 29, 59 + PERSON), COLOURS[colour], -1)
+    return png(frame)
+
+
+def drawn_estimator(index: PoseIndex) -> Estimator:
+    """An estimator that finds and reads the drawn people."""
+    return Estimator(
+        index,
+        ColourDetector(),  # type: ignore[arg-type]
+        ColourReader(),  # type: ignore[arg-type]
+        min_person_px=50,
+        max_pixels=10**6,
+        max_persons=4,
+    )
+
+
+def send(
+    session: CameraSession, time: float | None, *people: tuple[int, int], columns: int = COLUMNS
+) -> TrackedFrame:
+    """Let a session process a drawn frame."""
+    frame = draw(*people, seed=session.frames, columns=columns)
+    return session.process(Upload(frame), time, 3, Job())
+
+
+def ids(result: TrackedFrame) -> list[int]:
+    return [tracked.track_id for tracked in result.persons]

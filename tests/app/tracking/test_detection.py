@@ -1,0 +1,77 @@
+"""The people of a frame, found by the tracks' windows and by searches of the whole frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.estimation.estimator import Estimator
+from app.scheduling.job import Job
+from app.tracking.detection import TrackedPeopleDetector
+from app.tracking.parameters import DEFAULTS
+from app.tracking.session import CameraSession
+from app.tracking.track import Sighting, Track
+from app.vision.images import decode_image
+from tests.app.tracking.drawn import ColourDetector, draw, ids, send
+
+
+def frame(*people: tuple[int, int]) -> NDArray[np.uint8]:
+    return decode_image(draw(*people), max_pixels=10**6)
+
+
+def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    send(session, 0.0, (0, 10), (1, 200))
+    for step in range(1, 21):
+        lefts = 10 + 3 * step, 200 - 3 * step
+        result = send(session, step / 20, (0, lefts[0]), (1, lefts[1]))
+        assert ids(result) == [1, 2]
+        for tracked, left in zip(result.persons, lefts, strict=True):
+            observed = tracked.person.observed
+            assert observed.silhouette is not None and observed.landmarks is not None
+            assert observed.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
+            assert len(tracked.person.hypotheses) == 3
+    assert detector.searches == 1 + 1 // DEFAULTS.detection.search_every_s
+
+
+def test_a_detection_larger_than_the_body_moves_no_box(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    """A walking frame beside a person, say, that the detector takes for a part of them."""
+    send(session, 0.0, (0, 100))
+    for step in range(1, 21):
+        detector.room = 60 * (step % 2)
+        result = send(session, step / 2, (0, 100))
+        assert ids(result) == [1]
+        box = result.persons[0].person.observed.box
+        assert (box.x, box.width) == (pytest.approx(99.5, abs=2), pytest.approx(30, abs=3))
+
+
+def followed(drawn: Estimator, left: int, *expected_at: int) -> list[int | None]:
+    """Find a person at 100, and at ``left`` a frame later; by the window of which track?
+
+    All tracks have the window of the first frame, and each is expected somewhere.
+    """
+    people = TrackedPeopleDetector(drawn.finder)
+    (first,) = people.find(frame((0, 100)), 0.0, [], Job())
+    assert first.track is None
+    boxes = [replace(first.observed.box, x=place) for place in expected_at]
+    tracks = [Track(Sighting(replace(first.observed, box=box)), 0.0) for box in boxes]
+    sightings = people.find(frame((0, left)), 0.1, tracks, Job())
+    return [None if one.track is None else tracks.index(one.track) for one in sightings]
+
+
+def test_of_two_tracks_on_one_body_the_nearer_one_has_it(drawn: Estimator) -> None:
+    assert followed(drawn, 104, 140, 102) == [1]
+    assert followed(drawn, 104, 102, 140) == [0]
+
+
+def test_a_person_outside_their_window_is_found_by_a_search(
+    drawn: Estimator, detector: ColourDetector
+) -> None:
+    assert followed(drawn, 104, 100) == [0] and detector.searches == 1
+    assert followed(drawn, 260, 100) == [None] and detector.searches == 3

@@ -1,0 +1,109 @@
+"""One person over time: the predicted box, confirmation, appearance, and what a frame returns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.estimation.results import ObservedPerson
+from app.tracking.results import TrackedPerson
+from app.tracking.track import BoxFilter, Sighting, Track
+from app.tracking.zones import Zone
+from app.vision.geometry import Box
+from app.vision.people import Silhouette
+from tests.app.tracking.people import person_of, seen_from
+
+BOX = Box(100, 100, 30, 80)
+
+
+def detected(
+    score: float | None = 0.9, presence: float | None = None, **fields: object
+) -> Sighting:
+    observed = ObservedPerson(BOX, "detector", score, None, presence=presence)
+    return Sighting(replace(observed, **fields))  # type: ignore[arg-type]
+
+
+def track_of(*sightings: Sighting) -> Track:
+    track = Track(sightings[0], 0.0)
+    for number, sighting in enumerate(sightings):
+        track.see(sighting, number / 10)
+    return track
+
+
+class TestBoxFilter:
+    def test_the_velocity_is_learnt_and_dies_away(self) -> None:
+        motion = BoxFilter(BOX, 0.0)
+        for step in range(1, 11):
+            motion.update(replace(BOX, x=100 + 6 * step), step / 10, whole=True)
+        assert motion.velocity == pytest.approx([60, 0], rel=0.15)
+        expected = motion.predict(1.1)
+        assert expected.x == pytest.approx(166, abs=2)
+        assert (expected.width, expected.height) == (30, 80)
+        assert motion.predict(100.0).x < 160 + 1.3 * 60
+
+    def test_the_size_does_not_shrink_while_a_part_is_hidden(self) -> None:
+        motion = BoxFilter(BOX, 0.0)
+        motion.update(Box(100, 140, 30, 40), 0.1, whole=False)
+        assert motion.predict(0.1).height == 80
+        motion.update(Box(100, 100, 30, 90), 0.2, whole=False)
+        assert 80 < motion.predict(0.2).height < 90
+
+    def test_frames_far_apart_do_not_overshoot(self) -> None:
+        motion = BoxFilter(BOX, 0.0)
+        motion.update(replace(BOX, x=150), 5.0, whole=True)
+        assert motion.velocity[0] == pytest.approx(10)
+
+
+@pytest.mark.parametrize(
+    ("sightings", "confirmed"),
+    [
+        ([detected(0.6)], True),
+        ([detected(None, source="boxes")], True),
+        ([detected(0.5)] * 2, False),
+        ([detected(0.5)] * 3, True),
+        ([detected(0.9, presence=0.4)] * 9, False),
+        ([detected(0.9, presence=0.4), detected(0.9, presence=0.5), detected(0.9, 0.1)], True),
+        ([detected(None, source="background")], False),
+    ],
+)
+def test_confirmed_by_score_or_sightings_and_presence(
+    sightings: list[Sighting], confirmed: bool
+) -> None:
+    assert track_of(*sightings).is_confirmed == confirmed
+
+
+def test_the_appearance_follows_those_who_are_whole() -> None:
+    red, blue = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
+    whole, cut = (Silhouette(np.ones((80, 30), bool), 100, 100, "mask", t) for t in (False, True))
+    track = track_of(detected(), replace(detected(silhouette=cut), appearance=red))
+    assert track.appearance is not None and track.appearance[3] == 1
+    track.see(replace(detected(silhouette=cut), appearance=blue), 0.2)
+    assert track.appearance[40] == 0
+    track.see(replace(detected(silhouette=whole), appearance=blue), 0.3)
+    assert track.appearance[40] == pytest.approx(0.1)
+
+
+def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
+    corridor = Zone("corridor", "watch", np.array([[0.0, 0], [400, 0], [400, 400], [0, 400]]))
+    person = person_of([seen_from(0.0)], [0.9], postures=["arms_raised"])
+    track = Track(Sighting(person.observed), 0.0)
+    track.track_id, track.caller_id = 4, "17"
+    events, tracked = [], None
+    for step in range(20):
+        track.see(Sighting(person.observed), step / 10, [corridor])
+        tracked, new = track.update(person, step / 10, [corridor])
+        events += new
+    assert isinstance(tracked, TrackedPerson) and tracked.pose is not None
+    assert [(e.event, e.state, e.track_id, e.zones, e.caller_track_id) for e in events] == [
+        ("arms_raised", "begin", 4, ("corridor",), "17")
+    ]
+    unseen = track.extrapolate(person.observed, 2.5)
+    assert unseen.pose is not None and unseen.person.posture is not None
+    assert track.extrapolate(person.observed, 9.0).pose is None
+
+
+def test_only_a_confirmed_track_has_results() -> None:
+    with pytest.raises(ValueError, match="expected a confirmed track"):
+        track_of(detected(0.1)).extrapolate(detected().observed, 0.1)

@@ -1,0 +1,44 @@
+"""Builders and measures that several tests of the index share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.keypoints import Keypoints
+from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
+from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
+
+
+def random_network(seed: int) -> JointNetwork:
+    """A network of random weights whose values use their range."""
+    generator = np.random.default_rng(seed)
+    layers = []
+    for inputs, outputs in LAYER_SHAPES:
+        weights = generator.normal(scale=QUANT_MAX / 4, size=(inputs, outputs))
+        weights = np.rint(weights.clip(-QUANT_MAX, QUANT_MAX)).astype(np.float32)
+        reached = QUANT_MAX if len(layers) + 1 < len(LAYER_SHAPES) else 4
+        factor = reached / (QUANT_MAX / 4 * QUANT_MAX * np.sqrt(inputs))
+        offsets = generator.normal(scale=reached / 10, size=outputs)
+        layers.append(
+            Layer(weights, np.full(outputs, factor, np.float32), offsets.astype(np.float32))
+        )
+    return JointNetwork(tuple(layers))
+
+
+def keypoints_of(
+    points: NDArray[np.floating], points_3d: NDArray[np.floating] | None = None, score: float = 0.9
+) -> Keypoints:
+    """Keypoints on the limbs of a skeleton ``(P, 2)``; with ``(P, 3)``, in depth as well."""
+    positions, scores = np.asarray(points, np.float64)[LIMB_ROWS], np.full(len(LIMB_ROWS), score)
+    if points_3d is None:
+        return Keypoints(tuple(LIMB_ROWS), positions, scores)
+    limbs = np.asarray(points_3d, np.float64)[LIMB_ROWS]
+    return Keypoints(
+        tuple(LIMB_ROWS), positions, scores, limbs - limbs[LIMB_HIPS].mean(axis=0), scores
+    )
+
+
+def joint_error(points: NDArray[np.floating], joints: NDArray[np.floating]) -> float:
+    """Mean distance between the joints of two skeletons, in their unit."""
+    return float(np.linalg.norm(points[:JOINTS] - joints[:JOINTS], axis=-1).mean())

@@ -1,0 +1,110 @@
+"""The order of hypotheses by a network and by landmarks."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from index.candidates import Candidates, find_candidates
+from index.keypoints import Agreement, Keypoints
+from index.matching import match
+from index.modes import find_modes
+from index.ranking import NetworkRanking, fused_distances
+from index.reranker import RankingModel
+from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
+from index.store import PoseIndex
+
+(HEAD,) = rows("head")
+
+
+@pytest.fixture
+def silhouette(toy_index: PoseIndex) -> NDArray[np.uint8]:
+    """Near an entry, but none."""
+    silhouette = toy_index.silhouette(5)
+    silhouette[60:70, 20:28] = 1
+    return silhouette
+
+
+@pytest.fixture
+def ranking(reranker: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRanking:
+    return NetworkRanking.of(dataclasses.replace(reranker, support_weight=2.0), silhouette)
+
+
+@pytest.fixture
+def candidates(toy_index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
+    return find_candidates(toy_index, silhouette, 60)
+
+
+def test_likeliest_mode_keeps_its_distance_and_others_become_farther(
+    ranking: NetworkRanking, candidates: Candidates
+) -> None:
+    modes = find_modes(candidates, 5)
+    likelihoods, distances = ranking.log_likelihood(modes), ranking.distances(modes)
+    others = np.arange(len(modes)) != likelihoods.argmax()
+    assert distances[~others] == modes.distances[~others]
+    assert (distances[others] > modes.distances[others]).all()
+    # The less likely, the longer for its descriptor.
+    longer = distances / modes.distances
+    assert (np.argsort(longer) == np.argsort(-likelihoods)).all()
+
+
+def test_support_is_one_for_the_likeliest_candidate(
+    ranking: NetworkRanking, candidates: Candidates
+) -> None:
+    likelihoods, support = ranking.log_likelihood(candidates), ranking.support(candidates)
+    assert support is not None
+    assert support.max() == support[likelihoods.argmax()] == 1
+    assert (np.argsort(support) == np.argsort(likelihoods)).all()
+
+
+def test_no_support_without_a_weight(
+    reranker: RankingModel, silhouette: NDArray[np.uint8], candidates: Candidates
+) -> None:
+    plain = dataclasses.replace(reranker, support_weight=0.0)
+    assert NetworkRanking.of(plain, silhouette).support(candidates) is None
+
+
+def test_fit_makes_joints_likelier_and_keeps_bone_lengths(
+    ranking: NetworkRanking, candidates: Candidates
+) -> None:
+    modes = find_modes(candidates, 5)
+    fitted = ranking.fit(modes)
+    assert (ranking.log_likelihood(fitted) > ranking.log_likelihood(modes)).all()
+    for before, after in zip(modes.points_3d, fitted.points_3d, strict=True):
+        assert_allclose(bone_lengths(after), bone_lengths(before), rtol=1e-6)
+        assert_allclose(after[JOINTS:] - after[HEAD], before[JOINTS:] - before[HEAD], atol=1e-9)
+
+
+def test_fit_moves_skeleton_and_picture_alike(
+    ranking: NetworkRanking, candidates: Candidates
+) -> None:
+    modes = find_modes(candidates, 5)
+    fitted = ranking.fit(modes)
+    metres = (fitted.points_3d - modes.points_3d)[..., :2]
+    pixels = fitted.points_normalised - modes.points_normalised
+    scale = pixels_per_metre(modes.points_3d, modes.points_normalised)[:, None, None]
+    assert_allclose(pixels - pixels[:, :1], metres * scale, atol=1e-9)
+
+
+def test_network_is_not_used_with_keypoints(toy_index: PoseIndex, reranked: PoseIndex) -> None:
+    entry = toy_index.entry(5)
+    rows = np.arange(JOINTS)
+    keypoints = Keypoints(tuple(rows.tolist()), entry.points_normalised[:JOINTS], np.ones(JOINTS))
+    plain, other = (
+        match(index, index.silhouette(5), 3, keypoints) for index in (toy_index, reranked)
+    )
+    assert_array_equal(plain.features, other.features)
+    for one, same in zip(plain.hypotheses, other.hypotheses, strict=True):
+        assert one.silhouette_distance == same.silhouette_distance
+
+
+def test_agreement_shortens_distances_and_tilt_lengthens_them() -> None:
+    agreement = Agreement(np.array([0.0, -8.0, 0.0, 0.0]), np.zeros(4), np.zeros((4, 1, 2)))
+    fused = fused_distances(np.full(4, 2.0), agreement, np.array([0.0, 0.0, 90.0, -90.0]))
+    assert fused[0] == 2
+    assert (fused[1:] > 2).all()
+    assert fused[2] == fused[3]

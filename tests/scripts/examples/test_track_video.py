@@ -1,0 +1,72 @@
+"""A street video becomes an annotated video and a contact sheet."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from scripts.examples import track_video
+from tests.conftest import ROOT
+from tests.support.videos import numbered_frames, write_video
+
+SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
+STREET = SHARED / "real" / "vtest" / "vtest.avi"
+
+
+def run(*arguments: object) -> None:
+    track_video.main(list(map(str, arguments)))
+
+
+def frames_of(video: Path) -> list[NDArray[np.uint8]]:
+    capture, frames = cv2.VideoCapture(str(video)), []
+    while (read := capture.read())[0]:
+        frames.append(np.asarray(read[1], np.uint8))
+    return frames
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not STREET.exists():
+        pytest.skip(f"needs {STREET}")
+    capture = cv2.VideoCapture(str(STREET))
+    frames = [np.asarray(capture.read()[1], np.uint8) for _ in range(8)]
+    path = tmp_path_factory.mktemp("street") / "street.avi"
+    write_video(path, frames)
+    return path
+
+
+def test_people_are_drawn_into_a_video(
+    street: Path, index_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, sheet = tmp_path / "out" / "street.mp4", tmp_path / "sheet.png"
+    options = ("--stride", 2, "--max-frames", 3, "--index", index_path, "--sheet", sheet)
+    run(street, out, *options)
+    drawn, filmed = frames_of(out), frames_of(street)
+    assert len(drawn) == 3
+    changed = cv2.absdiff(drawn[0], filmed[0]).max(axis=-1) > 100
+    assert changed[60:400].sum() > 1000  # Boxes, skeletons and words.
+    assert not changed[500:, 500:].any()
+    picture = cv2.imread(str(sheet))
+    assert picture is not None
+    assert picture.shape == (300, 3 * track_video.CELL_PX, 3)
+
+
+def test_a_file_that_is_no_video_is_refused(
+    index_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "notes.avi").write_bytes(b"no video")
+    with pytest.raises(SystemExit, match="expected a video that OpenCV reads"):
+        run(tmp_path / "notes.avi", tmp_path / "out.mp4", "--index", index_path)
+
+
+def test_a_short_sheet_is_filled_up() -> None:
+    cells = numbered_frames(4)
+    sheet = track_video.contact_sheet(cells)
+    assert sheet.shape == (96, 192, 3)
+    assert (sheet[48:, :64] == cells[3]).all()
+    assert not sheet[48:, 64:].any()

@@ -1,0 +1,59 @@
+"""Commands: all are listed, and what one lacks is said in one sentence."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from scripts.__main__ import COMMANDS
+from scripts.evaluate import EXPERIMENTS
+from tests.conftest import ROOT
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "scripts", *arguments],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_all_commands_are_listed_with_a_line() -> None:
+    listed = run()
+    assert listed.returncode == 0
+    assert re.findall(r"^  ([\w-]+) +\S", listed.stdout, re.MULTILINE) == list(COMMANDS)
+    unknown = run("evalute")
+    assert unknown.returncode == 2
+    assert unknown.stderr.startswith("scripts: expected a command, got 'evalute'\n")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_there(name: str) -> None:
+    module, _ = COMMANDS[name]
+    assert (ROOT / f"{module.replace('.', '/')}.py").is_file()
+
+
+@pytest.mark.parametrize(
+    "command", ["pictures people", "evaluate real", "evaluate paper", "evaluate actions"]
+)
+def test_without_data(command: str, tmp_path: Path) -> None:
+    name, *names = command.split()
+    ended = run(name, *names, "--shared", str(tmp_path))
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1].startswith(f"{name}: ")
+    assert "Traceback" not in ended.stderr
+
+
+def test_the_options_of_all_experiments_get_along() -> None:
+    pytest.importorskip("sklearn")
+    parser = argparse.ArgumentParser()
+    for name in EXPERIMENTS:
+        module = importlib.import_module(f"scripts.experiments.{name}")
+        if hasattr(module, "add_arguments"):
+            module.add_arguments(parser.add_argument_group(name))
+    assert parser.parse_args([])
