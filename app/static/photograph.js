@@ -1,12 +1,12 @@
 // Shrinks photographs before they are sent, and scales answers back to their pixels.
 
-/** The service detects people at half of this: a longer side costs time and shows nothing more. */
+/** The service detects people at half of this: a longer side costs time and adds nothing. */
 export const LONGEST_PX = 2560;
 
 /** The image to send and the image to draw. */
 export async function prepare({ frame, mask, background }) {
-  // Null for formats that the service knows and the browser does not.
-  const bitmap = await createImageBitmap(frame).catch(() => null);
+  // Null where only a mask was given, and for formats that the browser does not read.
+  const bitmap = frame ? await createImageBitmap(frame).catch(() => null) : null;
   const scale = bitmap ? LONGEST_PX / Math.max(bitmap.width, bitmap.height) : 1;
   // A mask and a background must have the frame's size.
   if (scale >= 1 || mask || background) return { bitmap, files: { frame, mask, background } };

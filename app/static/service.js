@@ -2,16 +2,16 @@
 
 export class Problem extends Error {
   constructor(problem, retryAfterS = 0) {
-    super(problem.detail || problem.title);
+    super(problem.detail || problem.title || `the service answered with status ${problem.status}`);
     this.status = problem.status;
     this.retryAfterS = retryAfterS;
   }
 }
 
 async function answer(path, options = {}, key = "") {
-  const headers = key ? { "X-API-Key": key } : {};
   let response;
   try {
+    const headers = { ...options.headers, ...key ? { "X-API-Key": key } : {} };
     response = await fetch(path, { ...options, headers });
   } catch (error) {
     if (error.name === "AbortError") throw error;
@@ -25,11 +25,12 @@ async function answer(path, options = {}, key = "") {
   throw new Problem(problem, Number(response.headers.get("Retry-After")) || 0);
 }
 
-function form({ frame, mask, background }) {
+function form(files) {
   const data = new FormData();
-  data.append("frame", frame, frame.name || "photo.jpg");
-  if (mask) data.append("mask", mask, mask.name);
-  if (background) data.append("background", background, background.name);
+  for (const field of ["frame", "mask", "background"]) {
+    const file = files[field];
+    if (file) data.append(field, file, file.name || "photo.jpg");
+  }
   return data;
 }
 
@@ -57,6 +58,37 @@ export async function trackFrame(camera, jpeg, timestamp, { key, signal, ...chos
   return { ...await response.json(), session: response.headers.get("X-Session") };
 }
 
+/** Set all zones of a camera. */
+export async function setZones(camera, zones, key) {
+  const body = JSON.stringify({ zones });
+  await answer(`cameras/${camera}`, { method: "PUT", body, headers: { "Content-Type": "application/json" } }, key);
+}
+
+/** The answers to the frames of a video as they come, and the line that ends them. */
+export async function* analyseVideo(video, { key, signal, ...chosen }) {
+  const body = new FormData();
+  body.append("video", video, video.name);
+  const path = `sequence?${query({ ...chosen, count: 1 })}`;
+  const response = await answer(path, { method: "POST", body, signal }, key);
+  for await (const line of linesOf(response.body)) yield JSON.parse(line);
+}
+
+async function* linesOf(stream) {
+  const reader = stream.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read().catch((error) => {
+      if (error.name === "AbortError") throw error;
+      throw new Problem({ status: 0, detail: "the service broke off its answer" });
+    });
+    if (done) break;
+    const lines = (rest + value).split("\n");
+    rest = lines.pop();
+    yield* lines.filter(Boolean);
+  }
+  if (rest) yield rest;
+}
+
 /** End a camera session, even while the page is being left. */
 export async function forgetCamera(camera, key) {
   await answer(`cameras/${camera}`, { method: "DELETE", keepalive: true }, key).catch(() => {});
@@ -70,14 +102,12 @@ export async function entrySilhouette(entry, key) {
   return (await answer(`index/entries/${entry}/silhouette.png`, {}, key)).blob();
 }
 
-export function curlCommand({ frame, mask, background }, { keyed, ...chosen }) {
-  const url = new URL(posePath(chosen), document.baseURI);
-  const part = (field, file) => `-F '${`${field}=@${file.name || "photo.jpg"}`.replaceAll("'", "'\\''")}' `;
-  return `curl ${keyed ? "-H \"X-API-Key: $KEY\" " : ""}${part("frame", frame)}`
-    + `${mask ? part("mask", mask) : ""}${background ? part("background", background) : ""}'${url}'`;
-}
+const quoted = (text) => `'${text.replaceAll("'", "'\\''")}'`;
 
-export function videoCommand({ name }) {
-  const url = new URL("sequence", document.baseURI);
-  return `curl -N -F 'video=@${name.replaceAll("'", "'\\''")}' '${url}'`;
+/** The same request as a command for a shell; the key stays out of it. */
+export function curlCommand(files, { keyed, ...chosen }) {
+  const url = new URL(posePath(chosen), document.baseURI);
+  const parts = ["frame", "mask", "background"].filter((field) => files[field])
+    .map((field) => `-F ${quoted(`${field}=@${files[field].name || "photo.jpg"}`)} `);
+  return `curl ${keyed ? '-H "X-API-Key: $KEY" ' : ""}${parts.join("")}'${url}'`;
 }

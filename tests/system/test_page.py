@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -13,21 +14,38 @@ from fastapi.testclient import TestClient
 
 from app.api.coco import compressed, run_lengths
 from app.vision.people import silhouette_from_mask
-from tests.conftest import WALKERS, Photo, png
+from tests.conftest import ROOT, WALKERS, Photo, png
 
-MODULES = ("drawing", "photograph", "service", "session", "session_view", "timeline")
+STATIC = ROOT / "app" / "static"
+MAX_LINES = 350
 
 
 def test_the_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
     page = client.get("/")
     assert page.headers["content-type"].startswith("text/html")
     assert "default-src 'self'" in page.headers["content-security-policy"]
-    files = re.findall(r'(?:src|href)="(static/[^"]+)"', page.text)
-    assert len(files) == 3
-    for file in [*files, *(f"static/{name}.js" for name in MODULES)]:
+    named = re.findall(r'(?:src|href)="(static/[^"]+)"', page.text)
+    files = [f"static/{path.name}" for path in STATIC.iterdir()]
+    assert len(named) == 3
+    assert set(named) < set(files)
+    for file in files:
         content = client.get(f"/{file}")
         assert content.status_code == 200
-        assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", content.text)
+        if content.headers["content-type"] != "image/jpeg":
+            assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", content.text), file
+
+
+def test_no_file_of_the_page_is_long() -> None:
+    for path in STATIC.glob("*.*s*"):
+        assert len(path.read_bytes().splitlines()) <= MAX_LINES, path.name
+
+
+def test_every_module_is_imported() -> None:
+    modules = {path.name: path.read_text() for path in STATIC.glob("*.js")}
+    imported = {
+        name for text in modules.values() for name in re.findall(r'from "\./([^"]+)"', text)
+    }
+    assert imported == set(modules) - {"page.js"}
 
 
 @pytest.fixture
@@ -202,7 +220,7 @@ def test_silhouettes_are_drawn_as_in_the_answer(page: Any) -> None:
     counts = compressed(run_lengths(silhouette, mask.shape))
     alpha = page.evaluate(
         """async (counts) => {
-            const {tint} = await import('/static/drawing.js');
+            const {tint} = await import('/static/silhouettes.js');
             const rle = {counts, size: [240, 320]};
             const canvas = tint({image: {width: 320, height: 240}, persons: [{silhouette: {rle}}]});
             const pixels = canvas.getContext('2d').getImageData(0, 0, 320, 240).data;
@@ -256,4 +274,36 @@ def test_files_may_be_dropped_or_pasted(page: Any, photo: Photo) -> None:
     with page.expect_response("**/pose?*") as answer:
         page.evaluate(send, ["drop", [1, 2, 3], "broken.png"])
     assert answer.value.status == 400
-    page.get_by_text("frame:").wait_for()
+    page.locator("#message").get_by_text("“broken.png”: expected a PNG, JPEG").wait_for()
+
+
+def test_hypotheses_are_seen_from_the_camera_and_from_the_side(
+    page: Any, pictures: list[str]
+) -> None:
+    page.set_input_files("#file", pictures)
+    page.locator("#hypotheses .card").nth(6).wait_for()
+    page.get_by_role("button", name="As the camera sees it").click()
+    views = page.locator("#hypotheses .card canvas[aria-label^=Skeleton]")
+    drawn = views.evaluate_all("all => all.map(c => c.toDataURL())")
+    assert len(set(drawn)) == 14
+    assert "from the camera" in page.locator("#hypotheses").inner_text()
+    assert re.search(r"differs by\s+\d+ cm \(.+ \d+ cm\)", page.locator("#hypotheses").inner_text())
+    # They turn while they are on the screen.
+    views.first.scroll_into_view_if_needed()
+    page.locator("#spin").set_checked(True)
+    page.wait_for_function(
+        "before => document.querySelector('#hypotheses canvas[aria-label^=Skeleton]')"
+        ".toDataURL() !== before",
+        arg=drawn[0],
+    )
+
+
+def test_the_answer_can_be_downloaded(page: Any, pictures: list[str]) -> None:
+    with page.expect_response("**/pose?*") as sent:
+        page.set_input_files("#file", pictures)
+    page.locator("#hypotheses .card").first.wait_for()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download the answer").click()
+    assert download.value.suggested_filename == "street.pose.json"
+    saved = json.loads(Path(download.value.path()).read_text())
+    assert saved["persons"][0]["hypotheses"] == sent.value.json()["persons"][0]["hypotheses"]

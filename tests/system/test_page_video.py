@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import httpx
+import numpy as np
 import pytest
 
 from index.skeleton import NATIVE
@@ -187,13 +190,176 @@ def test_a_missing_key_restarts_the_video(page: Any, clip: str) -> None:
     assert page.locator("#message").is_hidden()
 
 
-def test_an_unplayable_video_gets_a_command_for_the_service(page: Any, tmp_path: Path) -> None:
-    Cameras(page)
+def test_what_the_browser_cannot_play_the_service_reads(page: Any, tmp_path: Path) -> None:
+    walkers(tmp_path, "clip.avi", codec="MJPG")
+    with page.expect_response("**/sequence?*") as sent:
+        page.set_input_files("#file", str(tmp_path / "clip.avi"))
+    page.get_by_text("The end, after 20 frames").wait_for()
+    assert sent.value.status == 200
+    assert page.locator("#message").is_hidden()
+    assert "the service reads it" in page.locator("#note").inner_text()
+    assert "The video ended after 20 frames" in page.locator("#note").inner_text()
+    assert page.locator("#crowd tr").count() >= 3
+    assert page.locator("#zones-panel").is_hidden()
+    assert not overflows(page)
+
+
+def test_a_video_that_nobody_can_read_leaves_the_last_result(page: Any, tmp_path: Path) -> None:
+    page.set_input_files("#file", str(WALKERS))
+    page.locator("#hypotheses .card").first.wait_for()
+    (tmp_path / "broken.avi").write_bytes(b"?")
+    page.set_input_files("#file", str(tmp_path / "broken.avi"))
+    page.get_by_text("“broken.avi”: expected a video").wait_for()
+    assert page.locator("#session").is_hidden()
+    assert page.locator("#hypotheses .card").first.is_visible()
+    assert not page.locator("#result").evaluate("r => r.inert")
+    assert "the answer before this" in page.locator("#note").inner_text()
+
+
+def test_an_answer_that_breaks_off_is_an_error(page: Any, tmp_path: Path) -> None:
+    line = json.dumps(answer(0, 0.0) | {"type": "frame"})
+    page.route("**/sequence?*", lambda route: route.fulfill(body=line + "\n"))
     write_video(tmp_path / "clip.avi", numbered_frames(5))
     page.set_input_files("#file", str(tmp_path / "clip.avi"))
-    page.get_by_text("cannot play clip.avi").wait_for()
-    assert "curl -N -F 'video=@clip.avi'" in page.locator("#message").inner_text()
+    page.get_by_text("The service does not answer").wait_for()
+    assert page.locator("#crowd tr").count() == 2
+
+
+def test_seeking_shows_the_frame_of_that_time(page: Any, clip: str) -> None:
+    cameras = Cameras(page)
+    play(page, clip)
+    timeline = page.locator("#timeline")
+    timeline.scroll_into_view_if_needed()
+    box = timeline.bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 8)
+    page.locator("#pace").get_by_text(re.compile(r"^0:0[01]\.\d, frame \d+: ")).wait_for()
+    looked = timeline.get_attribute("aria-valuetext")
+    assert page.locator("#pace").inner_text().startswith(f"{looked}, frame")
+    assert 0.6 < float(timeline.get_attribute("aria-valuenow")) <= 1.1
+    timeline.press("Home")
+    page.get_by_text("frame 1:").wait_for()
+    timeline.press("ArrowRight")
+    page.get_by_text("frame 2:").wait_for()
+    timeline.press("End")
+    page.get_by_text(f"frame {len(cameras.requests)}:").wait_for()
+
+
+def test_an_event_leads_to_its_frame(page: Any, clip: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    page.locator("#events button").click()
+    page.get_by_text("frame 3:").wait_for()
+
+
+def test_looking_back_holds_a_video_and_goes_on_where_it_was(page: Any, clip: str) -> None:
+    cameras = Cameras(page)
+    page.set_input_files("#file", clip)
+    page.locator("#events li").wait_for()
+    page.locator("#timeline").press("Home")
+    page.get_by_text("frame 1:").wait_for()
+    page.wait_for_timeout(300)
+    sent = len(cameras.requests)
+    page.wait_for_timeout(300)
+    assert len(cameras.requests) == sent
+    page.get_by_role("button", name="Go on").click()
+    page.get_by_text("The end, after").wait_for()
+    times = cameras.timestamps()
+    assert times == sorted(set(times))
+
+
+def test_seeking_ahead_skips_frames(page: Any, clip: str) -> None:
+    cameras = Cameras(page)
+    page.set_input_files("#file", clip)
+    page.locator("#crowd tr").first.wait_for()
+    page.locator("#hold").click()
+    timeline = page.locator("#timeline")
+    timeline.scroll_into_view_if_needed()
+    box = timeline.bounding_box()
+    page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + 8)
+    page.get_by_text("The end, after").wait_for()
+    times = cameras.timestamps()
+    assert times == sorted(set(times))
+    assert max(later - sooner for sooner, later in pairwise(times)) > 0.5
+
+
+def test_all_answers_can_be_downloaded(page: Any, clip: str) -> None:
+    cameras = Cameras(page)
+    play(page, clip)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download the answers").click()
+    assert download.value.suggested_filename == "clip.pose.json"
+    frames = json.loads(Path(download.value.path()).read_text())["frames"]
+    assert [frame["timestamp"] for frame in frames] == cameras.timestamps()
+
+
+def draw_zone(page: Any, corners: list[tuple[float, float]], name: str) -> None:
+    """Click the corners, given as shares of the picture, then the first one again."""
+    page.get_by_role("button", name="Draw a zone").click()
+    live = page.locator("#live")
+    live.scroll_into_view_if_needed()
+    left, top, width, height = live.evaluate(
+        """async (canvas) => {
+            const {fitted} = await import('/static/stage.js');
+            const {scale, left, top} = fitted(canvas, canvas);
+            return [left, top, scale * canvas.width, scale * canvas.height];
+        }"""
+    )
+    for x, y in [*corners, corners[0]]:
+        live.click(position={"x": left + x * width, "y": top + y * height})
+    page.locator("#zone-name").fill(name)
+
+
+CORNERS = [(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)]
+
+
+def test_a_zone_is_drawn_with_the_mouse_and_set_for_the_camera(
+    page: Any, server: Server, tmp_path: Path
+) -> None:
+    page.set_input_files("#file", walkers(tmp_path))
+    page.locator("#crowd tr").first.wait_for()
+    with page.expect_request(lambda request: request.method == "PUT") as sent:
+        draw_zone(page, CORNERS, "yard")
+        page.get_by_role("button", name="Save the zone").click()
+    page.locator("#zones li").get_by_text("yard").wait_for()
+    (zone,) = sent.value.post_data_json["zones"]
+    assert (zone["name"], zone["kind"]) == ("yard", "watch")
+    height, width = cv2.imread(str(WALKERS)).shape[:2]
+    expected = [[x * width, y * height] for x, y in CORNERS]
+    assert np.allclose(zone["polygon"], expected, atol=3)
+    (camera,) = httpx.get(f"{server.url}/cameras").json()["cameras"]
+    assert camera["zones"] == [zone]
+    # People are said to be in it.
+    page.locator("#crowd td.zone").get_by_text("yard").first.wait_for()
     assert not overflows(page)
+    assert "curl -X PUT" in page.locator("#zones-command").text_content()
+    page.get_by_role("button", name="Remove the zone yard").click()
+    page.locator("#zones li").wait_for(state="detached")
+
+
+def test_a_zone_that_is_refused_says_so_beside_it(
+    page: Any, server: Server, tmp_path: Path
+) -> None:
+    page.set_input_files("#file", walkers(tmp_path))
+    page.locator("#crowd tr").first.wait_for()
+    draw_zone(page, CORNERS, "yard")
+    page.get_by_role("button", name="Save the zone").click()
+    page.locator("#zones li").wait_for()
+    draw_zone(page, CORNERS, "yard")
+    page.get_by_role("button", name="Save the zone").click()
+    page.locator("#zone-message").get_by_text("expected zones of different names").wait_for()
+    page.get_by_role("button", name="Discard it").click()
+    assert page.locator("#zones li").count() == 1
+    assert page.locator("#zone-message").is_hidden()
+
+
+def test_drawing_can_be_given_up(page: Any, clip: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    page.get_by_role("button", name="Draw a zone").click()
+    page.locator("#live").click(position={"x": 20, "y": 20})
+    assert page.locator("#close-zone").is_disabled()
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Draw a zone").wait_for()
 
 
 def test_a_photograph_ends_the_video(page: Any, clip: str, photo: Photo, tmp_path: Path) -> None:
@@ -238,10 +404,10 @@ def test_the_webcam_is_a_session_until_it_is_stopped(page: Any) -> None:
     assert times == sorted(set(times))
 
 
-def walkers(tmp_path: Path) -> str:
+def walkers(tmp_path: Path, name: str = "walkers.webm", codec: str = "VP80") -> str:
     frame = cv2.imread(str(WALKERS))
-    write_video(tmp_path / "walkers.webm", [frame] * 20, codec="VP80")
-    return str(tmp_path / "walkers.webm")
+    write_video(tmp_path / name, [frame] * 20, codec=codec)
+    return str(tmp_path / name)
 
 
 def wait_for_cameras(server: Server, wanted: Callable[[list[str]], bool], page: Any) -> None:

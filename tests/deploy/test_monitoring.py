@@ -1,0 +1,154 @@
+"""The alerts and the dashboard ask for metrics that ``/metrics`` has, by labels that they have."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from fastapi.testclient import TestClient
+from prometheus_client.parser import text_string_to_metric_families
+
+from app.settings import VARIABLES
+from tests.conftest import ROOT, Photo
+
+ALERTS = ROOT / "deploy" / "alerts.yml"
+CASES = Path(__file__).with_name("alerts_cases.yml")
+DASHBOARD = json.loads((ROOT / "deploy" / "dashboard.json").read_text())
+RULES: list[dict[str, Any]] = [
+    rule for group in yaml.safe_load(ALERTS.read_text())["groups"] for rule in group["rules"]
+]
+PANELS: list[dict[str, Any]] = [panel for panel in DASHBOARD["panels"] if panel["type"] != "row"]
+EXPRESSIONS = {
+    **{rule["alert"]: [rule["expr"]] for rule in RULES},
+    **{panel["title"]: [target["expr"] for target in panel["targets"]] for panel in PANELS},
+    "variables": [variable["query"]["query"] for variable in DASHBOARD["templating"]["list"][1:]],
+    "annotations": [annotation["expr"] for annotation in DASHBOARD["annotations"]["list"]],
+}
+OF_PROMETHEUS = {"job", "instance", "le"}
+SUFFIXES = {"histogram": ("_bucket", "_sum", "_count"), "counter": ("_total",), "gauge": ("",)}
+
+_METRIC = re.compile(r"\b((?:pose|process)_[a-z_]+)\b(?:\{([^}]*)\})?")
+_LABEL = re.compile(r'(\w+)\s*(?:=~|!~|!=|=)\s*"([^"]*)"')
+
+
+@pytest.fixture(scope="module")
+def metrics(serving: Any, photo: Photo) -> dict[str, set[str]]:
+    """The samples that a service may have, and of those that a few requests caused, the labels."""
+    client: TestClient = serving(revision="test")
+    client.post("/pose", files=photo.files)
+    client.post("/pose", files={"frame": b"?"})
+    client.post("/cameras/yard/frames", files=photo.files)
+    client.delete("/cameras/yard")
+    labels: dict[str, set[str]] = {}
+    for family in text_string_to_metric_families(client.get("/metrics").text):
+        for suffix in SUFFIXES.get(family.type, ()):
+            labels.setdefault(family.name + suffix, set())
+        for sample in family.samples:
+            labels.setdefault(sample.name, set()).update(sample.labels)
+    return labels
+
+
+def selectors(expression: str) -> list[tuple[str, dict[str, str]]]:
+    """The metrics of an expression, each with its label matchers."""
+    return [(name, dict(_LABEL.findall(text))) for name, text in _METRIC.findall(expression)]
+
+
+@pytest.mark.parametrize("title", EXPRESSIONS)
+def test_every_metric_and_label_exists(title: str, metrics: dict[str, set[str]]) -> None:
+    for expression in EXPRESSIONS[title]:
+        found = selectors(expression)
+        assert found or re.search(r"\bup\{", expression), expression
+        for name, matchers in found:
+            assert name in metrics, name
+            # Of Milvus' failures there is no sample without Milvus.
+            known = metrics[name] | OF_PROMETHEUS
+            if metrics[name]:
+                assert set(matchers) <= known, (name, matchers)
+
+
+@pytest.mark.parametrize("title", EXPRESSIONS)
+def test_every_reason_and_route_exists(title: str) -> None:
+    operations = (ROOT / "docs" / "operations.md").read_text()
+    paths = set(json.loads((ROOT / "openapi.json").read_text())["paths"])
+    for expression in EXPRESSIONS[title]:
+        for _, matchers in selectors(expression):
+            for reason in filter(None, matchers.get("reason", "").split("|")):
+                assert f"`{reason}`" in operations, reason
+            for route in filter(None, matchers.get("route", "").split("|")):
+                assert any(re.fullmatch(route, path) for path in paths), route
+
+
+def test_every_setting_that_an_alert_names_exists() -> None:
+    for name in re.findall(r"\bPOSE_[A-Z_]+\b", ALERTS.read_text()):
+        assert name in VARIABLES, name
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])
+def test_every_alert_says_what_is_wrong_and_what_to_do(rule: dict[str, Any]) -> None:
+    assert rule["labels"]["severity"] in ("page", "ticket")
+    for text in rule["annotations"].values():
+        assert text.endswith("."), text
+    assert set(rule["annotations"]) == {"summary", "action"}
+
+
+def test_no_two_alerts_share_a_name() -> None:
+    assert len({rule["alert"] for rule in RULES}) == len(RULES)
+
+
+def test_panels_neither_overlap_nor_share_an_id() -> None:
+    panels = DASHBOARD["panels"]
+    assert len({panel["id"] for panel in panels}) == len(panels)
+    cells = [
+        (x, y)
+        for place in (panel["gridPos"] for panel in panels)
+        for x in range(place["x"], place["x"] + place["w"])
+        for y in range(place["y"], place["y"] + place["h"])
+    ]
+    assert len(set(cells)) == len(cells)
+    assert max(x for x, _ in cells) < 24
+
+
+needs_promtool = pytest.mark.skipif(
+    shutil.which("promtool") is None, reason="needs promtool: apt-get install prometheus"
+)
+
+
+def promtool(*arguments: str) -> None:
+    found = subprocess.run(["promtool", *arguments], capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+@needs_promtool
+def test_prometheus_reads_the_expressions_of_the_dashboard(tmp_path: Path) -> None:
+    variables = {"$job": "pose", "$instance": ".+", "$__rate_interval": "5m"}
+    rules = []
+    for title, expressions in EXPRESSIONS.items():
+        for expression in expressions if title != "variables" else ():
+            for name, value in variables.items():
+                expression = expression.replace(name, value)
+            rules.append({"record": f"rule:{len(rules)}", "expr": expression})
+    file = tmp_path / "rules.yml"
+    file.write_text(yaml.safe_dump({"groups": [{"name": "dashboard", "rules": rules}]}))
+    promtool("check", "rules", str(file))
+
+
+@needs_promtool
+def test_alerts_go_off_when_they_should_and_not_before(tmp_path: Path) -> None:
+    # Cases say nothing of annotations, which promtool compares as well.
+    bare = [{key: rule[key] for key in rule if key != "annotations"} for rule in RULES]
+    rules = {"groups": [{"name": "pose", "rules": bare}]}
+    (tmp_path / "alerts.yml").write_text(yaml.safe_dump(rules))
+    shutil.copy(CASES, tmp_path)
+    promtool("test", "rules", str(tmp_path / CASES.name))
+
+
+def test_every_alert_has_a_case() -> None:
+    cases = yaml.safe_load(CASES.read_text())
+    checked = {check["alertname"] for case in cases["tests"] for check in case["alert_rule_test"]}
+    assert checked == {rule["alert"] for rule in RULES}

@@ -1,0 +1,147 @@
+"""Photographs, masks, empty scenes and keys given to the debug page, and the errors it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import ROOT, WALKERS, Photo, Server, running_server
+from tests.system.test_page import STATIC, overflows, pictures
+
+__all__ = ["pictures"]
+
+
+@pytest.fixture(scope="module")
+def key_server(index_path: Path) -> Iterator[Server]:
+    """A server process that asks for a key."""
+    with running_server(index_path, POSE_API_KEYS="first,second") as running:
+        yield running
+
+
+def test_an_example_can_be_tried_without_a_file(page: Any) -> None:
+    page.get_by_role("button", name="Try an example").click()
+    page.locator("#hypotheses .card").first.wait_for()
+    assert "PETS 2009" in page.locator("#note").inner_text()
+    assert page.locator("#persons input").count() >= 3
+
+
+def test_the_example_is_the_one_whose_terms_are_known() -> None:
+    assert (STATIC / "example.jpg").read_bytes() == WALKERS.read_bytes()
+
+
+def test_an_error_is_in_view_wherever_one_has_scrolled(
+    page: Any, pictures: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "broken.png").write_bytes(b"?")
+    page.set_input_files("#file", pictures)
+    page.locator("#hypotheses .card").first.wait_for()
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    page.set_input_files("#file", str(tmp_path / "broken.png"))
+    page.locator("#message").wait_for()
+    edges = "r => [r.getBoundingClientRect().top, r.getBoundingClientRect().bottom]"
+    top, bottom = page.locator("#message").evaluate(edges)
+    assert 0 <= top < bottom <= page.viewport_size["height"]
+    assert not overflows(page)
+    # Sent again, the file would be as broken.
+    assert page.locator("#try-again").is_hidden()
+    page.get_by_role("button", name="Close this message").click()
+    assert not page.locator("#result").evaluate("r => r.inert")
+
+
+def test_what_may_pass_can_be_tried_again(page: Any, pictures: list[str]) -> None:
+    page.route("**/pose?*", lambda route: route.abort())
+    page.set_input_files("#file", pictures)
+    page.get_by_text("The service does not answer.").wait_for()
+    page.unroute("**/pose?*")
+    page.get_by_role("button", name="Try again").click()
+    page.locator("#hypotheses .card").first.wait_for()
+    assert page.locator("#message").is_hidden()
+
+
+@pytest.mark.parametrize("name", ["street_mask.png", "people.png"])
+def test_a_mask_alone_is_a_mask(page: Any, photo: Photo, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(photo.mask_png)
+    page.set_input_files("#file", str(tmp_path / name))
+    page.locator("#hypotheses .card").first.wait_for()
+    assert page.locator("#curl").inner_text().startswith(f"curl -F 'mask=@{name}' 'http")
+    assert f"{name} is read as a mask" in page.locator("#note").inner_text()
+    assert "your mask" in page.locator("#facts").inner_text()
+    page.get_by_role("button", name="Read it as a photograph").click()
+    page.get_by_text("Nobody was found").wait_for()
+
+
+def test_a_mask_beside_a_photograph_needs_no_name(page: Any, photo: Photo, tmp_path: Path) -> None:
+    for name, content in (("1.png", photo.mask_png), ("2.png", photo.frame_png)):
+        (tmp_path / name).write_bytes(content)
+    page.set_input_files("#file", [str(tmp_path / "1.png"), str(tmp_path / "2.png")])
+    page.get_by_text("-F 'frame=@2.png' -F 'mask=@1.png'").wait_for()
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([0, 255], True),
+        ([0, 1, 2], True),
+        ([0], False),
+        ([10, 120, 250], False),
+        (list(range(60)), False),
+    ],
+)
+def test_labels_are_told_from_a_photograph(page: Any, values: list[int], expected: bool) -> None:
+    pixels = [channel for value in values for channel in (value, value, value, 255)]
+    script = "async (pixels) => (await import('/static/pictures.js')).holdsLabels(pixels)"
+    assert page.evaluate(script, pixels) is expected
+    assert page.evaluate(script, [*pixels, 10, 20, 30, 255]) is False
+
+
+YARD = [str(ROOT / "tests" / "data" / name) for name in ("yard-empty.jpg", "yard.jpg")]
+
+
+def test_a_frame_and_its_empty_scene_are_recognised_by_name(page: Any) -> None:
+    page.set_input_files("#file", YARD)
+    page.get_by_text("-F 'frame=@yard.jpg' -F 'background=@yard-empty.jpg'").wait_for()
+    assert page.locator("#note").is_hidden()
+
+
+def test_which_of_two_pictures_of_a_scene_is_empty_is_asked(page: Any, tmp_path: Path) -> None:
+    paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
+    for path, source in zip(paths, YARD, strict=True):
+        path.write_bytes(Path(source).read_bytes())
+    files = [str(path) for path in paths]
+    dialog = page.locator("#which-empty")
+    page.set_input_files("#file", files)
+    page.locator("#scenes button").first.click()
+    page.get_by_text("-F 'frame=@b.jpg' -F 'background=@a.jpg'").wait_for()
+    page.set_input_files("#file", files)
+    page.get_by_role("button", name="Neither").click()
+    page.get_by_text("a.jpg is shown, b.jpg left out").wait_for()
+    page.set_input_files("#file", files)
+    dialog.wait_for()
+    assert not overflows(page)
+    page.keyboard.press("Escape")
+    dialog.wait_for(state="hidden")
+    assert page.locator("#message").is_hidden()
+
+
+def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server, photo: Photo) -> None:
+    page = browser.new_page(viewport={"width": 320, "height": 844})
+    try:
+        page.goto(key_server.url)
+        page.get_by_text("This service is protected by a key.").wait_for()
+        assert not overflows(page)
+        assert page.locator("#key-wrong").is_hidden()
+        page.locator("#key").fill("wrong")
+        page.get_by_role("button", name="Use this key").click()
+        page.get_by_text("The service does not know this key.").wait_for()
+        page.locator("#key").fill("first")
+        page.locator("#key").press("Enter")
+        page.get_by_text("silhouettes,").wait_for()
+        assert page.locator("#key-form").is_hidden()
+        page.get_by_role("button", name="Try an example").click()
+        page.locator("#hypotheses .card").first.wait_for()
+        assert 'curl -H "X-API-Key: $KEY" -F' in page.locator("#curl").inner_text()
+    finally:
+        page.close()
