@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from app.api import schemas, tracking_schemas
 from app.api.coco import compressed, polygon, run_lengths
+from app.estimation.parameters import PLACEMENT
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.sessions import CameraSummary
+from app.tracking.sessions import CameraSettings, CameraSummary
 from app.tracking.summary import TrackSummary, VideoSummary
 from app.tracking.video_run import VideoEnd
 from app.tracking.zones import Zone
 from app.vision import DetectorName
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.sight import PinholeCamera
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
 
@@ -55,9 +57,9 @@ def significant(value: float) -> float:
 def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
     """Write the answer to a frame."""
     return schemas.PoseResponse(
-        **frame_fields(estimate.frame, estimate.timings_ms, index, form),
+        **frame_fields(estimate.frame, estimate.camera, estimate.timings_ms, index, form),
         persons=[
-            schemas.Person(**person_fields(person, estimate.frame.shape, form))
+            schemas.Person(**person_fields(person, estimate.frame.shape, estimate.camera, form))
             for person in estimate.persons
         ],
     )
@@ -65,6 +67,7 @@ def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas
 
 def frame_fields(
     frame: NDArray[np.uint8],
+    camera: PinholeCamera,
     timings_ms: Mapping[str, float],
     index: PoseIndex,
     form: ReplyForm,
@@ -72,7 +75,12 @@ def frame_fields(
     """Write the fields of a frame besides its people."""
     height, width = frame.shape[:2]
     return {
-        "image": schemas.ImageSize(width=width, height=height),
+        "image": schemas.Image(
+            width=width,
+            height=height,
+            fov_deg=round(camera.fov_deg, 2),
+            fov_given=camera.given,
+        ),
         "index": schemas.IndexVersion(name=index.name, version=index.version),
         "keypoints": _keypoints(form.keypoints),
         "timings_ms": schemas.Timings(**{k: round(v, 3) for k, v in timings_ms.items()}),
@@ -114,7 +122,9 @@ def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.Ent
     )
 
 
-def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm) -> dict[str, Any]:
+def person_fields(
+    person: Person, frame_shape: tuple[int, ...], camera: PinholeCamera, form: ReplyForm
+) -> dict[str, Any]:
     """Write the fields of a person in a single frame."""
     observed, facing, posture = person.observed, person.facing, person.posture
     box, score = observed.box, observed.detection_score
@@ -138,11 +148,20 @@ def person_fields(person: Person, frame_shape: tuple[int, ...], form: ReplyForm)
         "posture": None
         if posture is None
         else schemas.Posture(label=posture.label, probability=round(posture.probability, 4)),
+        "position": _position(person.hypotheses[0].pelvis)
+        if camera.given and person.hypotheses
+        else None,
         "hypotheses": [
             _hypothesis(projected, rank, form)
             for rank, projected in enumerate(person.hypotheses, start=1)
         ],
     }
+
+
+def _position(pelvis: NDArray[np.float64]) -> schemas.Position:
+    x, y, z = (round(value, 2) for value in pelvis.tolist())
+    distance = float(np.linalg.norm(pelvis))
+    return schemas.Position(x=x, y=y, z=z, sd=round(PLACEMENT.size_sd * distance, 2))
 
 
 def _silhouette(
@@ -303,8 +322,10 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
         camera_id=camera.camera_id,
         zones=[
             tracking_schemas.Zone(name=zone.name, kind=zone.kind, polygon=zone.polygon.tolist())
-            for zone in camera.zones
+            for zone in camera.settings.zones
         ],
+        fov_deg=camera.settings.fov_deg,
+        pixel_aspect=camera.settings.pixel_aspect,
         frames=session.frames if session else 0,
         timestamp=round(session.timestamp, SECOND_DIGITS) if session else None,
         image=schemas.ImageSize(width=session.width, height=session.height) if session else None,
@@ -315,27 +336,36 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
     )
 
 
-def zones_from(zones: Iterable[tracking_schemas.Zone]) -> tuple[Zone, ...]:
-    """Read the zones that a caller sets."""
-    return tuple(Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in zones)
+def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
+    """Read what a caller says about a camera."""
+    zones = [
+        Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
+    ]
+    return CameraSettings(tuple(zones), configuration.fov_deg, configuration.pixel_aspect)
 
 
 def _tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
     return {
-        **frame_fields(frame.frame, frame.timings_ms, index, form),
+        **frame_fields(frame.frame, frame.camera, frame.timings_ms, index, form),
         "frame_index": frame.frame_index,
         "timestamp": round(frame.timestamp, SECOND_DIGITS),
         "reset": frame.reset,
-        "persons": [_tracked_person(tracked, frame.frame.shape, form) for tracked in frame.persons],
+        "persons": [
+            _tracked_person(tracked, frame.frame.shape, frame.camera, form)
+            for tracked in frame.persons
+        ],
         "events": [_event(event) for event in frame.events],
     }
 
 
 def _tracked_person(
-    tracked: TrackedPerson, frame_shape: tuple[int, ...], form: ReplyForm
+    tracked: TrackedPerson,
+    frame_shape: tuple[int, ...],
+    camera: PinholeCamera,
+    form: ReplyForm,
 ) -> tracking_schemas.TrackedPerson:
     return tracking_schemas.TrackedPerson(
-        **person_fields(tracked.person, frame_shape, form),
+        **person_fields(tracked.person, frame_shape, camera, form),
         track_id=tracked.track_id,
         age_frames=tracked.age_frames,
         pose=_smoothed_pose(tracked.pose, form) if tracked.pose else None,

@@ -20,6 +20,30 @@ JointForm = Literal["full", "compact", "none"]
 Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
 
+FieldOfView = Annotated[
+    FiniteFloat,
+    Field(
+        ge=10,
+        le=170,
+        description="Horizontal field of view of the camera, degrees, 10 to 170. Without it, 60 "
+        "degrees are assumed across the longer side of the frame. In a camera session, a frame's "
+        "own value wins over that of `PUT /cameras/{camera_id}`.",
+        examples=[90.0],
+    ),
+]
+PixelAspect = Annotated[
+    FiniteFloat,
+    Field(
+        ge=0.25,
+        le=4,
+        description="Width over height of a pixel, 0.25 to 4; 2 for a camera that sends 960x1080 "
+        "for 1920x1080. 1 without it, and of a video what its file says. The answer is in pixels "
+        "of the frame that was sent. In a camera session, a frame's own value wins.",
+        examples=[1.0],
+    ),
+]
+
+
 class Model(BaseModel):
     """Base of all models: immutable, unknown fields forbidden."""
 
@@ -129,6 +153,36 @@ class ImageSize(Model):
     height: int = Field(description="Pixels.", examples=[576])
 
 
+class Image(ImageSize):
+    """The frame after its EXIF orientation was applied, and its camera."""
+
+    fov_deg: FiniteFloat = Field(
+        gt=0,
+        lt=180,
+        description="The horizontal field of view that was used, degrees.",
+        examples=[60.0],
+    )
+    fov_given: bool = Field(
+        description="Whether the caller gave it. Otherwise it is assumed: 60 degrees across the "
+        "longer side of the frame.",
+        examples=[False],
+    )
+
+
+class Position(Model):
+    """Where a person is: metres from the camera to the pelvis, in the camera's axes."""
+
+    x: FiniteFloat = Field(description="Metres to the right.", examples=[0.4])
+    y: FiniteFloat = Field(description="Metres down.", examples=[0.2])
+    z: FiniteFloat = Field(description="Metres away from the camera.", examples=[6.1])
+    sd: FiniteFloat = Field(
+        ge=0,
+        description="Standard deviation along the line of sight, metres: the distance follows from "
+        "the size of the body in the image, and people differ by a tenth.",
+        examples=[0.6],
+    )
+
+
 class Bone(Model):
     """A line between two keypoints."""
 
@@ -231,7 +285,7 @@ class Facing(Model):
 
 
 class Posture(Model):
-    """The person's posture, recognised from the 3D skeleton."""
+    """The person's posture, recognised from the landmarks and the 3D skeletons."""
 
     label: PostureLabel | Literal["unclear"] = Field(
         description="The likeliest posture; `unclear` if no posture reaches a probability of one "
@@ -239,8 +293,9 @@ class Posture(Model):
         examples=["walking"],
     )
     probability: Probability = Field(
-        description="Calibrated probability that the label is right; for `unclear`, that of the "
-        "likeliest posture.",
+        description="Calibrated probability that the posture is of the label's group: upright "
+        "(standing, walking, running and arms raised), bending, crouching or kneeling, sitting, on "
+        "the ground (lying and crawling). For `unclear`, that of the likeliest group.",
         examples=[0.88],
     )
 
@@ -314,8 +369,8 @@ class Hypothesis(Model):
     adjusted_mm: FiniteFloat = Field(
         ge=0,
         description="Mean distance of the joints from those of the entry's own skeleton, in "
-        "millimetres: how far it was moved to fit this person. `GET /index/entries/{entry}` has "
-        "the entry's own.",
+        "millimetres: how far it was moved to fit this person, before it was placed in front of "
+        "the camera. `GET /index/entries/{entry}` has the entry's own.",
         examples=[41.0],
     )
     posture: PostureLabel = Field(
@@ -323,8 +378,9 @@ class Hypothesis(Model):
     )
     joints_3d: list[Point3D | None] | None = Field(
         description="The entry's skeleton fitted to this person, in metres: interpolated between "
-        "near entries and moved to the landmarks in three dimensions, its bones as long as the "
-        "indexed body's. Camera axes (x right, y down, z forward), origin at the pelvis. Null "
+        "near entries, moved to the landmarks in three dimensions and placed on the lines of sight "
+        "of its pixels, in the person's size. Camera axes (x right, y down, z forward) by "
+        "`image.fov_deg`, origin at the pelvis. Null "
         "where the entry lacks one, and as a whole with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
@@ -373,6 +429,10 @@ class Person(Model):
     )
     facing: Facing | None = Field(description="Null if there are no hypotheses.")
     posture: Posture | None = Field(description="Null if there are no hypotheses.")
+    position: Position | None = Field(
+        description="Where the person is, by the first hypothesis. Null if no field of view was "
+        "given, and if there are no hypotheses."
+    )
     hypotheses: list[Hypothesis] = Field(
         description="Distinct poses, the best first: near-duplicates are listed once."
     )
@@ -403,7 +463,7 @@ class Timings(Model):
 class PoseResponse(Model):
     """The people of a frame, each with the poses that fit."""
 
-    image: ImageSize
+    image: Image
     index: IndexVersion
     keypoints: Keypoints
     persons: list[Person] = Field(description="Ordered left to right; empty if there are none.")

@@ -7,10 +7,12 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, field_validator
 
 from app.api.schemas import (
+    FieldOfView,
     FrameUpload,
     ImageSize,
     Model,
     Person,
+    PixelAspect,
     Point2D,
     Point3D,
     PoseResponse,
@@ -77,6 +79,8 @@ class CameraConfiguration(Model):
     zones: list[Zone] = Field(
         max_length=MAX_ZONES, description="All zones of the camera; an empty list removes them."
     )
+    fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = None
+    pixel_aspect: Annotated[PixelAspect, Field(strict=True)] | None = None
 
     @field_validator("zones")
     @classmethod
@@ -223,6 +227,12 @@ class CameraState(Model):
 
     camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
     zones: list[Zone] = Field(description="As `PUT` set them.")
+    fov_deg: FieldOfView | None = Field(
+        description="Horizontal field of view, degrees, as `PUT` set it. Null if it did not."
+    )
+    pixel_aspect: PixelAspect | None = Field(
+        description="Width over height of a pixel, as `PUT` set it. Null if it did not."
+    )
     frames: int = Field(
         ge=0,
         description="Frames since the session began; 0 where there is none.",

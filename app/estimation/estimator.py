@@ -203,13 +203,17 @@ class Estimator:
         UploadError
             If the images or boxes cannot be used.
         """
-        scene = self.find_people(upload, job, evidence)
+        decoded = self.decode(upload, job)
+        scene = self._scene(decoded, upload, job, evidence)
         persons = self.with_hypotheses(scene, n, job)
-        return Estimate(scene.frame, scene.camera, persons, job.timings_ms())
+        sent = tuple(decoded.pixels.person_sent(person) for person in persons)
+        return Estimate(decoded.sent, decoded.camera, sent, job.timings_ms())
 
     def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
-        decoded = self.decode(upload, job)
+        return self._scene(self.decode(upload, job), upload, job, evidence)
+
+    def _scene(self, decoded: DecodedUpload, upload: Upload, job: Job, evidence: Evidence) -> Scene:
         landmarks = evidence == "photograph" and upload.frame is not None
         people = self.finder.find(decoded, landmarks, job)
         ordered = tuple(sorted(people, key=lambda person: person.box.x))

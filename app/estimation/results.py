@@ -67,7 +67,7 @@ class ObservedPerson:
 
 @dataclass(frozen=True)
 class Scene:
-    """A frame and the people in it, ordered left to right.
+    """A frame with square pixels and the people in it, ordered left to right.
 
     Parameters
     ----------
@@ -111,7 +111,10 @@ class Person:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A decoded frame, its camera, its persons left to right, and milliseconds by stage."""
+    """A frame as sent, its camera, its persons left to right, and milliseconds by stage.
+
+    The camera's pixels are square; persons are in pixels of the frame.
+    """
 
     frame: NDArray[np.uint8]
     camera: PinholeCamera

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.parameters import MASKS
+from app.estimation.square_pixels import SquarePixels
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (
@@ -66,7 +67,9 @@ class Upload:
     track_ids : sequence of str, optional
         The caller's identity of the person in each box.
     fov_deg : float, optional
-        Horizontal field of view of the camera.
+        Horizontal field of view of the camera; assumed where it is not given.
+    pixel_aspect : float, optional
+        Width over height of a pixel; 1 where it is not given.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -75,12 +78,13 @@ class Upload:
     boxes: Sequence[Box] | None = None
     track_ids: Sequence[str] | None = None
     fov_deg: float | None = None
+    pixel_aspect: float | None = None
 
     @property
     def given(self) -> tuple[str, ...]:
         """Names of the images and lists that are given; work on the upload depends on them."""
-        fields = {name: value for name, value in vars(self).items() if name != "fov_deg"}
-        return tuple(name for name, value in fields.items() if value is not None)
+        names = ("frame", "mask", "background", "boxes", "track_ids")
+        return tuple(name for name in names if getattr(self, name) is not None)
 
     def __post_init__(self) -> None:
         if self.frame is None and self.mask is None:
@@ -109,23 +113,29 @@ def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> N
 
 @dataclass(frozen=True)
 class DecodedUpload:
-    """Images of one size, and boxes within them.
+    """Images of one size and with square pixels, and boxes within them.
 
     Parameters
     ----------
+    sent : (H, W, 3) uint8 array
+        The frame as sent, BGR; black if the caller sent a mask alone.
     frame : (H, W, 3) uint8 array
-        BGR; black if the caller sent a mask alone.
+        The frame with square pixels.
     background : (H, W, 3) uint8 array or None
         BGR.
     boxes : list of Box or None
         Clipped to the frame.
+    pixels : SquarePixels
+        From the frame as sent to the one with square pixels.
     """
 
+    sent: NDArray[np.uint8]
     frame: NDArray[np.uint8]
     mask: LabelImage | None
     background: NDArray[np.uint8] | None
     boxes: list[Box] | None
     camera: PinholeCamera
+    pixels: SquarePixels
 
 
 @dataclass(frozen=True)
@@ -166,8 +176,20 @@ class UploadDecoder:
             _check_together(mask)
         if background is not None:
             _check_size("background", background, frame)
-        camera = PinholeCamera.of_frame(frame.shape, upload.fov_deg)
-        return DecodedUpload(frame, mask, background, self._boxes(upload.boxes, frame), camera)
+        boxes = self._boxes(upload.boxes, frame)
+        pixels = SquarePixels.of_frame(frame.shape, upload.pixel_aspect or 1.0)
+        self._check_square(pixels)
+        if mask is not None and pixels.changes:
+            mask = LabelImage.of(pixels.resize(mask.labels, cv2.INTER_NEAREST))
+        return DecodedUpload(
+            sent=frame,
+            frame=pixels.resize(frame),
+            mask=mask,
+            background=None if background is None else pixels.resize(background),
+            boxes=None if boxes is None else pixels.boxes(boxes),
+            camera=PinholeCamera.of_frame(pixels.square, upload.fov_deg),
+            pixels=pixels,
+        )
 
     def decode_frame(self, data: bytes) -> NDArray[np.uint8]:
         """Decode a photograph, ``(H, W, 3)`` uint8, BGR."""
@@ -180,6 +202,16 @@ class UploadDecoder:
             raise UploadError(name, "too_large", f"{name}: {error}") from error
         except ImageError as error:
             raise UploadError(name, "undecodable", f"{name}: {error}") from error
+
+    def _check_square(self, pixels: SquarePixels) -> None:
+        height, width = pixels.square
+        if pixels.changes and width * height > self.max_pixels:
+            raise UploadError(
+                "frame",
+                "too_large",
+                f"frame: expected at most {self.max_pixels} pixels once they are square, "
+                f"got {width}x{height}",
+            )
 
     def _boxes(self, boxes: Sequence[Box] | None, frame: NDArray[np.uint8]) -> list[Box] | None:
         if boxes is None:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import ValidationError
 
-from app.api.replies import camera_reply, track_reply, zones_from
+from app.api.replies import camera_reply, settings_from, track_reply
 from app.api.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
 from app.http.errors import ProblemError
 from app.http.identity import CAMERA_PATTERN, RequireKey, identity_of
@@ -85,7 +85,7 @@ async def track_frame(
     if not runtime.settings.max_cameras:
         raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
     estimator, sessions = runtime.ready_estimator(), runtime.sessions
-    upload, timestamp = frame
+    upload, timestamp = query.of(frame.upload), frame.timestamp
     if query.timestamp is not None:
         if timestamp is not None:
             raise ProblemError(
@@ -132,7 +132,7 @@ async def list_cameras(request: Request) -> CameraList:
     responses=documented(401, 404, 422),
 )
 async def get_camera(request: Request, camera: Camera) -> CameraState:
-    """Get the zones of a camera and the state of its session."""
+    """Get the configuration of a camera and the state of its session."""
     try:
         return camera_reply(runtime_of(request).sessions.summary(camera))
     except KeyError:
@@ -157,7 +157,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
 @router.put(
     "/{camera_id}",
     operation_id="configure_camera",
-    summary="Set the zones of a camera",
+    summary="Configure a camera",
     dependencies=[NoQuery],
     responses=documented(401, 422),
     openapi_extra={
@@ -174,15 +174,15 @@ async def configure_camera(
     camera: Camera,
     configuration: Annotated[CameraConfiguration, Depends(_read_configuration)],
 ) -> CameraState:
-    """Set the zones of a camera, whether or not it has sent frames.
+    """Set the zones and the optics of a camera, whether or not it has sent frames.
 
-    From the next frame on, persons and events name the zones they are in. New zones replace the
-    previous ones. They outlive the camera's session but not the service: set them again after a
-    restart.
+    From the next frame on, persons and events name the zones they are in. A new configuration
+    replaces the previous one as a whole. It outlives the camera's session but not the service: set
+    it again after a restart.
     """
     try:
-        zones = zones_from(configuration.zones)
-        return camera_reply(runtime_of(request).sessions.configure(camera, zones))
+        settings = settings_from(configuration)
+        return camera_reply(runtime_of(request).sessions.configure(camera, settings))
     except TooManyCamerasError as error:
         raise ProblemError(422, f"zones: {error}", field="zones") from None
 

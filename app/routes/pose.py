@@ -56,7 +56,7 @@ async def estimate_pose(
     estimator = runtime.ready_estimator()
 
     def work(job: Job) -> bytes:
-        estimate = estimator.estimate(upload, query.n, job, query.evidence)
+        estimate = estimator.estimate(query.of(upload), query.n, job, query.evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         runtime.metrics.observe_persons(estimate.persons)
         return pose_reply(estimate, estimator.index, query.form).model_dump_json().encode()
@@ -87,7 +87,7 @@ async def draw_pose(
 
     def work(job: Job) -> bytes:
         # As many as `/pose` returns by default, so that both show the same posture.
-        estimate = estimator.estimate(upload, DEFAULT_HYPOTHESES, job, query.evidence)
+        estimate = estimator.estimate(query.of(upload), DEFAULT_HYPOTHESES, job, query.evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[query.keypoints]))
 

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from app.api.replies import ReplyForm
-from app.api.schemas import JointForm, KeypointSetName, ObservedSetName, SilhouetteForm
+from app.api.schemas import (
+    FieldOfView,
+    JointForm,
+    KeypointSetName,
+    ObservedSetName,
+    PixelAspect,
+    SilhouetteForm,
+)
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S
 from app.estimation.results import Evidence
+from app.estimation.upload import Upload
 from app.http.errors import ProblemError
 from app.messages import NUMBER, WHOLE_NUMBER, suggestion
 from index.parameters import DEFAULT_HYPOTHESES
@@ -89,14 +98,25 @@ class EntryQuery(_Query):
     keypoints: _KeypointSet = "native"
 
 
-class OverlayQuery(_Query):
+class _CameraQuery(_Query):
+    """Query parameters of the camera that took a frame."""
+
+    fov_deg: Annotated[FieldOfView | None, NUMBER] = None
+    pixel_aspect: Annotated[PixelAspect | None, NUMBER] = None
+
+    def of(self, upload: Upload) -> Upload:
+        """Return an upload with what is known of its camera."""
+        return replace(upload, fov_deg=self.fov_deg, pixel_aspect=self.pixel_aspect)
+
+
+class OverlayQuery(_CameraQuery):
     """Query parameters of a picture of poses."""
 
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
 
 
-class PoseQuery(_Query):
+class PoseQuery(_CameraQuery):
     """Query parameters of the poses in a frame."""
 
     n: _HypothesisCount = DEFAULT_HYPOTHESES
@@ -140,7 +160,7 @@ class TrackQuery(PoseQuery):
     ] = None
 
 
-class SequenceQuery(_Query):
+class SequenceQuery(_CameraQuery):
     """Query parameters of a video."""
 
     max_frames: Annotated[

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.vision.sight import PinholeCamera
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end", "instant"]
@@ -114,7 +115,9 @@ class TrackedFrame:
     Parameters
     ----------
     frame : (H, W, 3) uint8 array
-        BGR.
+        As sent, BGR.
+    camera : PinholeCamera
+        Of the frame with square pixels.
     frame_index : int
         Of the session, from 0.
     timestamp : float
@@ -132,6 +135,7 @@ class TrackedFrame:
     """
 
     frame: NDArray[np.uint8]
+    camera: PinholeCamera
     frame_index: int
     timestamp: float
     session: SessionState

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
 from app.estimation.results import Evidence, ObservedPerson, Scene
+from app.estimation.square_pixels import SquarePixels
 from app.estimation.upload import DecodedUpload, Upload
 from app.scheduling.job import Job
 from app.tracking.detection import TrackedPeopleDetector
@@ -118,7 +119,8 @@ class CameraSession:
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
         decoded = self._estimator.decode(upload, job)
-        frame = decoded.frame
+        frame, pixels = decoded.frame, decoded.pixels
+        zones = [replace(zone, polygon=pixels.points(zone.polygon)) for zone in zones]
         self._start_afresh_if_needed(frame.shape, timestamp)
         sightings = self._find(upload, decoded, evidence, timestamp, job)
         if upload.frame is not None:
@@ -132,12 +134,13 @@ class CameraSession:
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
         return TrackedFrame(
-            frame,
+            decoded.sent,
+            decoded.camera,
             self._frames - 1,
             timestamp,
             "new" if self._frames == 1 else "warm",
             reset,
-            tracked,
+            tuple(_as_sent(person, pixels) for person in tracked),
             events,
             job.timings_ms(),
         )
@@ -328,6 +331,14 @@ class CameraSession:
         if track.track_id is not None:
             moment = Event(event, track.track_id, "instant", timestamp, track.score)
             self._events.append(track.annotated(moment))
+
+
+def _as_sent(tracked: TrackedPerson, pixels: SquarePixels) -> TrackedPerson:
+    """A tracked person in pixels of the frame as sent."""
+    pose = tracked.pose and replace(
+        tracked.pose, points_2d=pixels.points_sent(tracked.pose.points_2d)
+    )
+    return replace(tracked, person=pixels.person_sent(tracked.person), pose=pose)
 
 
 def _with_appearance(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:

@@ -1,4 +1,4 @@
-"""The cameras of a service: their zones, and their sessions within limits of number and memory."""
+"""The cameras of a service: their settings, and sessions within limits of number and memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CameraKey(NamedTuple):
 
 
 class TooManyCamerasError(ValueError):
-    """A caller has set zones for as many cameras as they may."""
+    """A caller has configured as many cameras as they may."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,37 @@ class SessionSummary:
 
 
 @dataclass(frozen=True)
+class CameraSettings:
+    """What a caller says about a camera.
+
+    Parameters
+    ----------
+    fov_deg, pixel_aspect : float or None
+        As in :class:`app.estimation.upload.Upload`; a frame's own values win.
+    """
+
+    zones: tuple[Zone, ...] = ()
+    fov_deg: float | None = None
+    pixel_aspect: float | None = None
+
+    def of(self, upload: Upload) -> Upload:
+        """Return an upload with what it does not say about its camera itself."""
+        return replace(
+            upload,
+            fov_deg=self.fov_deg if upload.fov_deg is None else upload.fov_deg,
+            pixel_aspect=self.pixel_aspect if upload.pixel_aspect is None else upload.pixel_aspect,
+        )
+
+
+_NO_SETTINGS = CameraSettings()
+
+
+@dataclass(frozen=True)
 class CameraSummary:
-    """A camera that has a session or zones."""
+    """A camera that has a session or settings."""
 
     camera_id: str
-    zones: tuple[Zone, ...]
+    settings: CameraSettings
     session: SessionSummary | None
 
 
@@ -103,15 +129,15 @@ class CameraSessions:
     """Camera sessions, bounded in number, memory and idle time; safe under several threads.
 
     Where a limit is exceeded, the caller with the most sessions loses the least recently used one,
-    so that nobody crowds out others. A session whose frame is being processed stays. Zones outlive
-    a session that ends by a limit, until they are replaced or the camera is forgotten.
+    so that nobody crowds out others. A session whose frame is being processed stays. Settings
+    outlive a session that ends by a limit, until they are replaced or the camera is forgotten.
 
     Parameters
     ----------
     create : callable
         Makes a session for a camera's first frame, from an estimator.
     max_sessions : int
-        Of all callers; each may also set zones for as many cameras.
+        Of all callers; each may also configure as many cameras.
     idle_s : float
         Seconds without a frame after which a session ends.
     max_memory_bytes : int
@@ -143,7 +169,7 @@ class CameraSessions:
         self._on_begin, self._on_end = on_begin, on_end
         self._clock = clock
         self._open: dict[CameraKey, _OpenSession] = {}
-        self._zones: dict[CameraKey, tuple[Zone, ...]] = {}
+        self._settings: dict[CameraKey, CameraSettings] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -184,12 +210,14 @@ class CameraSessions:
                 opened = None
             if opened is not None:
                 opened.busy = True
-            zones = self._zones.get(key, ())
+            settings = self._settings.get(key, _NO_SETTINGS)
         begins = opened is None
         if opened is None:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
-            frame = opened.session.process(upload, timestamp, n, job, evidence, zones)
+            frame = opened.session.process(
+                settings.of(upload), timestamp, n, job, evidence, settings.zones
+            )
             with self._lock:
                 opened.note(frame, self._clock())
                 if begins:
@@ -200,49 +228,49 @@ class CameraSessions:
             opened.busy = False
         return frame
 
-    def configure(self, key: CameraKey, zones: tuple[Zone, ...]) -> CameraSummary:
-        """Set the zones of a camera, from its next frame on.
+    def configure(self, key: CameraKey, settings: CameraSettings) -> CameraSummary:
+        """Set zones and optics of a camera, from its next frame on.
 
         Raises
         ------
         TooManyCamerasError
-            If the caller has zones for as many other cameras as there may be sessions.
+            If the caller has settings for as many other cameras as there may be sessions.
         """
         with self._lock:
-            others = sum(k.caller == key.caller for k in self._zones.keys() - {key})
-            if zones and others >= self._max_sessions:
+            others = sum(k.caller == key.caller for k in self._settings.keys() - {key})
+            if settings != _NO_SETTINGS and others >= self._max_sessions:
                 raise TooManyCamerasError(
                     f"expected zones of at most {self._max_sessions} cameras, got one more"
                 )
-            if zones:
-                self._zones[key] = zones
+            if settings != _NO_SETTINGS:
+                self._settings[key] = settings
             else:
-                self._zones.pop(key, None)
+                self._settings.pop(key, None)
             return self._summary(key)
 
     def summaries(self, caller: int) -> list[CameraSummary]:
         """Return the summaries of a caller's cameras, ordered by name."""
         with self._lock:
             self._end_idle()
-            known = self._open.keys() | self._zones.keys()
+            known = self._open.keys() | self._settings.keys()
             return [self._summary(key) for key in sorted(known) if key.caller == caller]
 
     def summary(self, key: CameraKey) -> CameraSummary:
-        """Return the summary of a camera; raises KeyError if it has neither session nor zones."""
+        """Return the summary of a camera; raises KeyError if it has no session and no settings."""
         with self._lock:
             self._end_idle()
             self._check_known(key)
             return self._summary(key)
 
     def forget(self, key: CameraKey) -> None:
-        """Forget zones and end the session of a camera; raises KeyError if it has neither.
+        """Forget settings and end the session of a camera; raises KeyError if it has neither.
 
         A frame that is being processed is finished.
         """
         with self._lock:
             self._end_idle()
             self._check_known(key)
-            self._zones.pop(key, None)
+            self._settings.pop(key, None)
             if key in self._open:
                 self._end(key, "forgotten")
 
@@ -259,13 +287,13 @@ class CameraSessions:
             self._end_idle()
 
     def _check_known(self, key: CameraKey) -> None:
-        if key not in self._open and key not in self._zones:
+        if key not in self._open and key not in self._settings:
             raise KeyError(key)
 
     def _summary(self, key: CameraKey) -> CameraSummary:
         opened = self._open.get(key)
         session = opened.summary(self._clock()) if opened else None
-        return CameraSummary(key.camera_id, self._zones.get(key, ()), session)
+        return CameraSummary(key.camera_id, self._settings.get(key, _NO_SETTINGS), session)
 
     def _end_idle(self) -> None:
         since = self._clock() - self._idle_s

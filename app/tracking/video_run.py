@@ -43,6 +43,8 @@ class VideoRun:
         As in :meth:`app.scheduling.executor.Executor.run`.
     n, evidence
         As in :meth:`app.tracking.session.CameraSession.process`.
+    fov_deg, pixel_aspect : float or None
+        As in :class:`app.estimation.upload.Upload`; by default, a video's own pixel aspect counts.
     max_frames : int
         Frames that are processed at most.
     timeout_s : float
@@ -60,10 +62,13 @@ class VideoRun:
         evidence: Evidence,
         max_frames: int,
         timeout_s: float,
+        fov_deg: float | None = None,
+        pixel_aspect: float | None = None,
     ) -> None:
         self._session, self._executor = session, executor
         self._sender, self._kind = sender, kind
         self._n, self._evidence = n, evidence
+        self._fov_deg, self._pixel_aspect = fov_deg, pixel_aspect
         self._max_frames = max_frames
         self._timeout_s = timeout_s
         self._deadline = asyncio.get_running_loop().time() + timeout_s
@@ -126,9 +131,12 @@ class VideoRun:
         """Process a frame once it is its turn, and return its line."""
 
         def work(job: Job) -> tuple[TrackedFrame, bytes]:
-            tracked = self._session.process(
-                Upload(frame.pixels), frame.timestamp, self._n, job, self._evidence
+            upload = Upload(
+                frame.pixels,
+                fov_deg=self._fov_deg,
+                pixel_aspect=self._pixel_aspect or frame.pixel_aspect,
             )
+            tracked = self._session.process(upload, frame.timestamp, self._n, job, self._evidence)
             return tracked, write(tracked, frame.number)
 
         tracked, line = await self._executor.run(

@@ -20,8 +20,9 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 
-HEADER = Struct("<cIIId")
-"""Kind, number of the frame, width, height, and seconds since the video began."""
+HEADER = Struct("<cIIIdd")
+"""Kind, number of the frame, width, height, seconds since the video began, and width over height of
+a pixel."""
 
 FRAME, END, TOO_LARGE = b"F", b"E", b"L"
 """Kinds of headers: a frame, followed by its BGR pixels; the end, with the number of frames read
@@ -37,6 +38,7 @@ _NICENESS = 5
 _DEFAULT_FPS = 25.0
 _MAX_FPS = 1000.0
 _MAX_TIMESTAMP_S = 1e9
+_MIN_PIXEL_ASPECT = 0.25
 
 
 def main() -> None:
@@ -61,6 +63,7 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
     capture = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     clock = _Clock(capture.get(cv2.CAP_PROP_FPS))
     width, height = _size(capture)
+    aspect = _pixel_aspect(capture)
     number = 0
     while width * height <= max_pixels and capture.grab():
         timestamp = clock.timestamp(number, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
@@ -71,15 +74,15 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
             height, width = picture.shape[:2]
             if width * height > max_pixels:
                 break
-            out.write(HEADER.pack(FRAME, number, width, height, timestamp))
+            out.write(HEADER.pack(FRAME, number, width, height, timestamp, aspect))
             out.write(np.ascontiguousarray(picture).data)
             out.flush()
         number += 1
     if width * height > max_pixels:
-        out.write(HEADER.pack(TOO_LARGE, number, width, height, 0.0))
+        out.write(HEADER.pack(TOO_LARGE, number, width, height, 0.0, aspect))
     else:
         announced = max(0, min(2**32 - 1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))))
-        out.write(HEADER.pack(END, number, announced, 0, 0.0))
+        out.write(HEADER.pack(END, number, announced, 0, 0.0, aspect))
     out.flush()
 
 
@@ -90,6 +93,13 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
         for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
     )
     return width, height
+
+
+def _pixel_aspect(capture: cv2.VideoCapture) -> float:
+    """Width over height of a pixel, 1 if the file announces none that is possible."""
+    across, down = (capture.get(key) for key in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
+    aspect = across / down if across > 0 and down > 0 else 1.0
+    return aspect if _MIN_PIXEL_ASPECT <= aspect <= 1 / _MIN_PIXEL_ASPECT else 1.0
 
 
 class _Clock:

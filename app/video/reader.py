@@ -50,12 +50,15 @@ class VideoFrame:
     timestamp : float
         Seconds since the video began; ascends.
     pixels : (H, W, 3) uint8 array
-        BGR.
+        BGR, as stored.
+    pixel_aspect : float
+        Width over height of a pixel.
     """
 
     number: int
     timestamp: float
     pixels: NDArray[np.uint8]
+    pixel_aspect: float = 1.0
 
 
 def new_file() -> IO[bytes]:
@@ -160,7 +163,7 @@ class VideoReader:
 
     async def _next(self) -> VideoFrame | None:
         header = HEADER.unpack(await self._stream.readexactly(HEADER.size))
-        kind, number, width, height, timestamp = header
+        kind, number, width, height, timestamp, aspect = header
         if kind == TOO_LARGE:
             raise VideoError(
                 "too_large",
@@ -176,9 +179,8 @@ class VideoReader:
         assert kind == FRAME
         pixels = await self._stream.readexactly(width * height * 3)
         self._read += 1
-        return VideoFrame(
-            number, timestamp, np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
-        )
+        picture = np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
+        return VideoFrame(number, timestamp, picture, aspect)
 
     async def _broken(self, found: str) -> VideoError:
         """The error for a video that ends early, with the decoder's last line if there is one."""

@@ -77,6 +77,11 @@ class PinholeCamera:
         centre = np.array([width - 1, height - 1]) / 2
         return cls(np.array([focal, focal]), centre, given=fov_deg is not None)
 
+    @property
+    def fov_deg(self) -> float:
+        """Horizontal field of view."""
+        return float(2 * np.rad2deg(np.arctan((self.centre[0] + 0.5) / self.focal[0])))
+
     def rays(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
         """Directions ``(..., 3)`` of places ``(..., 2)`` in pixels, of depth 1."""
         aside = (np.asarray(places, np.float64) - self.centre) / self.focal

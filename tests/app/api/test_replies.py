@@ -44,6 +44,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
     seen = replace(person, facing=Facing(0.75, "motion"))
     return TrackedFrame(
         frame=estimate.frame,
+        camera=estimate.camera,
         frame_index=40,
         timestamp=12.34567,
         session="warm",

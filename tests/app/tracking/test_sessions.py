@@ -13,6 +13,7 @@ from app.estimation.upload import Upload, UploadError
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.tracking.sessions import CameraKey, CameraSessions
+from app.vision.sight import PinholeCamera
 
 UPLOAD = Upload(b"frame")
 
@@ -42,6 +43,7 @@ class FakeSession:
         self.frames += 1
         return TrackedFrame(
             frame=np.zeros((2, n, 3), np.uint8),
+            camera=PinholeCamera.of_frame((2, n)),
             frame_index=self.frames - 1,
             timestamp=float(self.frames if timestamp is None else timestamp),
             session="new" if self.frames == 1 else "warm",

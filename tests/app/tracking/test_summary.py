@@ -11,6 +11,7 @@ from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.tracking.summary import VideoSummary
 from app.vision.geometry import Box
+from app.vision.sight import PinholeCamera
 from index.posture import Posture
 
 
@@ -29,6 +30,7 @@ def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
         summary.add(
             TrackedFrame(
                 frame=np.zeros((2, 2, 3), np.uint8),
+                camera=PinholeCamera.of_frame((2, 2)),
                 frame_index=index,
                 timestamp=timestamp,
                 session="warm",

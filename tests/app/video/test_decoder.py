@@ -22,7 +22,7 @@ def decode(path: Path, stride: int = 1, max_pixels: int = 10_000) -> list[tuple[
     out.seek(0)
     found: list[tuple[object, ...]] = []
     while header := out.read(HEADER.size):
-        kind, number, width, height, timestamp = HEADER.unpack(header)
+        kind, number, width, height, timestamp, _ = HEADER.unpack(header)
         if kind == FRAME:
             pixels = np.frombuffer(out.read(width * height * 3), np.uint8)
             found.append((number, round(timestamp, 3), int(pixels.mean().round(-1))))

@@ -42,7 +42,7 @@ def reading(*parts: bytes, ended: bool = True, timeout_s: float = 5) -> VideoRea
     return VideoReader(stream, max_pixels=100, timeout_s=timeout_s)
 
 
-PICTURE = HEADER.pack(FRAME, 0, 2, 1, 0.0) + bytes(range(6))
+PICTURE = HEADER.pack(FRAME, 0, 2, 1, 0.0, 1.0) + bytes(range(6))
 
 
 async def test_decoder_that_stops_is_reported() -> None:
@@ -76,11 +76,11 @@ async def test_decoder_that_hangs_is_reported() -> None:
 
 
 async def test_ends_of_a_video_are_distinguished() -> None:
-    assert await reading(HEADER.pack(END, 97, 100, 0, 0.0)).next() is None
+    assert await reading(HEADER.pack(END, 97, 100, 0, 0.0, 1.0)).next() is None
     with pytest.raises(VideoError, match="got 40 of 100 frames"):
-        await reading(HEADER.pack(END, 40, 100, 0, 0.0)).next()
+        await reading(HEADER.pack(END, 40, 100, 0, 0.0, 1.0)).next()
     with pytest.raises(VideoError, match="a video that FFmpeg can read"):
-        await reading(HEADER.pack(END, 0, 0, 0, 0.0)).next()
+        await reading(HEADER.pack(END, 0, 0, 0, 0.0, 1.0)).next()
     with pytest.raises(VideoError, match="at most 100 pixels, got 40x30") as raised:
-        await reading(HEADER.pack(TOO_LARGE, 7, 40, 30, 0.0)).next()
+        await reading(HEADER.pack(TOO_LARGE, 7, 40, 30, 0.0, 1.0)).next()
     assert raised.value.reason == "too_large"

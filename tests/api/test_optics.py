@@ -1,0 +1,107 @@
+"""The field of view and the pixel aspect of a camera, over HTTP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from app.api.tracking_schemas import CameraState
+from tests.conftest import Photo, png
+from tests.support.service import check_problem
+
+
+def ask(client: TestClient, files: dict[str, bytes], path: str = "/pose", **params: Any) -> Any:
+    response = client.post(path, files=files, params={"evidence": "silhouette", **params})
+    assert response.status_code == 200, response.text
+    return response.json()
+
+
+def joints(answer: Any, name: str = "joints_3d") -> np.ndarray:
+    best = answer["persons"][0]["hypotheses"][0]
+    return np.array([list(joint.values()) for joint in best[name]])
+
+
+def squeezed(photo: Photo) -> dict[str, bytes]:
+    """The photograph and its mask in half the width."""
+    height, width = photo.mask.shape
+    mask = cv2.resize(photo.mask.astype(np.uint8), (width // 2, height), None, 0, 0, 0)
+    return {"mask": png(mask)}
+
+
+def test_the_answer_says_which_field_of_view_was_used(client: TestClient, photo: Photo) -> None:
+    assumed = ask(client, {"mask": photo.mask_png})
+    assert (assumed["image"]["fov_deg"], assumed["image"]["fov_given"]) == (60, False)
+    assert assumed["persons"][0]["position"] is None
+    given = ask(client, {"mask": photo.mask_png}, fov_deg=90)
+    assert (given["image"]["fov_deg"], given["image"]["fov_given"]) == (90, True)
+    position = given["persons"][0]["position"]
+    distance = np.linalg.norm([position[axis] for axis in "xyz"])
+    assert position["z"] > 0
+    assert position["sd"] == pytest.approx(0.1 * distance, abs=0.01)
+
+
+def test_a_person_off_axis_is_turned_by_the_field_of_view(client: TestClient, photo: Photo) -> None:
+    height, width = photo.mask.shape
+    aside = np.zeros((height, 4 * width), np.uint8)
+    aside[:, 3 * width :] = photo.mask
+    narrow, wide = (ask(client, {"mask": png(aside)}, fov_deg=angle) for angle in (20, 100))
+    places = [answer["persons"][0]["position"] for answer in (narrow, wide)]
+    assert places[0]["x"] > 0 and places[1]["x"] > 0
+    assert places[1]["x"] / places[1]["z"] > 4 * places[0]["x"] / places[0]["z"]
+    assert np.abs(joints(narrow) - joints(wide)).max() > 0.1
+    np.testing.assert_allclose(joints(narrow, "joints_2d"), joints(wide, "joints_2d"), atol=0.02)
+
+
+def test_a_squeezed_picture_answers_like_the_unsqueezed_one(
+    client: TestClient, photo: Photo
+) -> None:
+    whole = ask(client, {"mask": photo.mask_png})
+    half = ask(client, squeezed(photo), pixel_aspect=2, silhouettes="rle")
+    assert half["image"]["width"] == photo.mask.shape[1] // 2
+    places = joints(whole, "joints_2d")
+    places[:, 0] = (places[:, 0] + 0.5) / 2 - 0.5
+    assert np.abs(joints(half, "joints_2d") - places).mean() < 2
+    person, other = half["persons"][0], whole["persons"][0]
+    assert person["box"]["width"] == pytest.approx(other["box"]["width"] / 2, abs=2)
+    assert person["box"]["height"] == pytest.approx(other["box"]["height"], abs=1)
+    assert person["silhouette"]["rle"]["size"] == [photo.mask.shape[0], photo.mask.shape[1] // 2]
+    assert person["silhouette"]["area_px"] == pytest.approx(photo.mask.sum() / 2, rel=0.1)
+
+
+def test_a_frame_wins_over_its_camera(client: TestClient, photo: Photo) -> None:
+    configuration = {"zones": [], "fov_deg": 100, "pixel_aspect": 2}
+    state = client.put("/cameras/lens", json=configuration)
+    shown = CameraState.model_validate_json(state.content)
+    assert (shown.fov_deg, shown.pixel_aspect) == (100, 2)
+    path, files = "/cameras/lens/frames", {"mask": photo.mask_png}
+    assert ask(client, files, path, pixel_aspect=1)["image"]["fov_deg"] == 100
+    own = ask(client, files, path, pixel_aspect=1, fov_deg=50)
+    assert own["image"]["fov_deg"] == 50
+    assert client.delete("/cameras/lens").status_code == 204
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("fov_deg", "5", "fov_deg: expected at least 10, got '5'"),
+        ("fov_deg", "180", "fov_deg: expected at most 170, got '180'"),
+        ("fov_deg", "nan", "fov_deg: expected"),
+        ("pixel_aspect", "9", "pixel_aspect: expected at most 4, got '9'"),
+        ("pixel_aspect", "wide", "pixel_aspect: expected a number, got 'wide'"),
+    ],
+)
+def test_impossible_optics_are_refused(
+    client: TestClient, photo: Photo, name: str, value: str, said: str
+) -> None:
+    response = client.post("/pose", files={"mask": photo.mask_png}, params={name: value})
+    assert said in check_problem(response, 422)["detail"]
+
+
+def test_impossible_optics_of_a_camera_are_refused(client: TestClient) -> None:
+    for name, value in (("fov_deg", 200), ("pixel_aspect", "2")):
+        response = client.put("/cameras/lens", json={"zones": [], name: value})
+        assert check_problem(response, 422)["field"] == name
