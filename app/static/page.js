@@ -141,10 +141,12 @@ async function take(files) {
 async function tryExample() {
   complain(null);
   try {
-    const response = await fetch("static/example.jpg");
+    const address = "static/example.jpg";
+    const response = await fetch(address);
     if (!response.ok) throw new Error("The example could not be loaded.");
     ask({
       frame: new File([await response.blob()], "example.jpg", { type: "image/jpeg" }),
+      address,
       note: "An example: a street in a public data set (PETS 2009), as OpenCV ships it.",
     });
   } catch (error) {

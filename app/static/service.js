@@ -104,10 +104,13 @@ export async function entrySilhouette(entry, key) {
 
 const quoted = (text) => `'${text.replaceAll("'", "'\\''")}'`;
 
-/** The same request as a command for a shell; the key stays out of it. */
+/** The same request as a command for a shell, after the download of a file that has an address; the
+ * key stays out of it. */
 export function curlCommand(files, { keyed, ...chosen }) {
   const url = new URL(posePath(chosen), document.baseURI);
   const parts = ["frame", "mask", "background"].filter((field) => files[field])
     .map((field) => `-F ${quoted(`${field}=@${files[field].name || "photo.jpg"}`)} `);
-  return `curl ${keyed ? '-H "X-API-Key: $KEY" ' : ""}${parts.join("")}'${url}'`;
+  const fetched = files.address
+    ? `curl -O ${quoted(new URL(files.address, document.baseURI).href)}\n` : "";
+  return `${fetched}curl ${keyed ? '-H "X-API-Key: $KEY" ' : ""}${parts.join("")}'${url}'`;
 }

@@ -26,6 +26,9 @@ def test_an_example_can_be_tried_without_a_file(page: Any) -> None:
     page.locator("#hypotheses .card").first.wait_for()
     assert "PETS 2009" in page.locator("#note").inner_text()
     assert page.locator("#persons input").count() >= 3
+    download, request = page.locator("#curl").inner_text().splitlines()
+    assert download.startswith("curl -O 'http") and download.endswith("/static/example.jpg'")
+    assert request.startswith("curl -F 'frame=@example.jpg' 'http")
 
 
 def test_the_example_is_the_one_whose_terms_are_known() -> None:
