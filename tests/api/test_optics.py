@@ -26,9 +26,10 @@ def joints(answer: Any, name: str = "joints_3d") -> np.ndarray:
 
 
 def squeezed(photo: Photo) -> dict[str, bytes]:
-    """The photograph and its mask in half the width."""
+    """The mask in half the width."""
     height, width = photo.mask.shape
-    mask = cv2.resize(photo.mask.astype(np.uint8), (width // 2, height), None, 0, 0, 0)
+    size = width // 2, height
+    mask = cv2.resize(photo.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return {"mask": png(mask)}
 
 
@@ -87,10 +88,10 @@ def test_a_frame_wins_over_its_camera(client: TestClient, photo: Photo) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("fov_deg", "5", "fov_deg: expected at least 10, got '5'"),
-        ("fov_deg", "180", "fov_deg: expected at most 170, got '180'"),
+        ("fov_deg", "5", "fov_deg: expected at least 10.0, got '5'"),
+        ("fov_deg", "180", "fov_deg: expected at most 170.0, got '180'"),
         ("fov_deg", "nan", "fov_deg: expected"),
-        ("pixel_aspect", "9", "pixel_aspect: expected at most 4, got '9'"),
+        ("pixel_aspect", "9", "pixel_aspect: expected at most 4.0, got '9'"),
         ("pixel_aspect", "wide", "pixel_aspect: expected a number, got 'wide'"),
     ],
 )
@@ -98,10 +99,10 @@ def test_impossible_optics_are_refused(
     client: TestClient, photo: Photo, name: str, value: str, said: str
 ) -> None:
     response = client.post("/pose", files={"mask": photo.mask_png}, params={name: value})
-    assert said in check_problem(response, 422)["detail"]
+    assert said in check_problem(response, 422, name)
 
 
 def test_impossible_optics_of_a_camera_are_refused(client: TestClient) -> None:
     for name, value in (("fov_deg", 200), ("pixel_aspect", "2")):
         response = client.put("/cameras/lens", json={"zones": [], name: value})
-        assert check_problem(response, 422)["field"] == name
+        check_problem(response, 422, name)
