@@ -79,8 +79,12 @@ class CameraConfiguration(Model):
     zones: list[Zone] = Field(
         max_length=MAX_ZONES, description="All zones of the camera; an empty list removes them."
     )
-    fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = None
-    pixel_aspect: Annotated[PixelAspect, Field(strict=True)] | None = None
+    fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = Field(
+        None, description="Horizontal field of view, degrees, of frames that do not say their own."
+    )
+    pixel_aspect: Annotated[PixelAspect, Field(strict=True)] | None = Field(
+        None, description="Width over height of a pixel, of frames that do not say their own."
+    )
 
     @field_validator("zones")
     @classmethod

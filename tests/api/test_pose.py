@@ -224,7 +224,12 @@ def test_a_mask_may_come_without_its_photograph(
 ) -> None:
     """The answer is that of the silhouette alone, so no photograph has to leave the camera."""
     alone = post(client, {"mask": photo.mask_png}, evidence=evidence)
-    assert alone["image"] == {"width": 320, "height": 240}
+    assert alone["image"] == {
+        "width": 320,
+        "height": 240,
+        "fov_deg": 60,
+        "fov_given": False,
+    }
     assert alone["persons"] == post(client, photo.files, evidence="silhouette")["persons"]
     (person,) = alone["persons"]
     assert person["source"] == person["silhouette"]["segmenter"] == "mask"
@@ -278,7 +283,12 @@ def test_an_empty_street_has_no_persons(client: TestClient) -> None:
     empty = png(np.zeros((240, 320), np.uint8))
     answer = client.post("/pose", files={"frame": frame, "mask": empty}).json()
     assert answer["persons"] == []
-    assert answer["image"] == {"width": 320, "height": 240}
+    assert answer["image"] == {
+        "width": 320,
+        "height": 240,
+        "fov_deg": 60,
+        "fov_given": False,
+    }
 
 
 COLUMNS = np.arange(320)

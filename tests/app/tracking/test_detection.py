@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.estimator import Estimator
+from app.estimation.square_pixels import SquarePixels
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.detection import TrackedPeopleDetector
@@ -54,7 +55,9 @@ def test_a_detection_larger_than_the_body_moves_no_box(
 
 
 def decoded(pixels: NDArray[np.uint8]) -> DecodedUpload:
-    return DecodedUpload(pixels, None, None, None, PinholeCamera.of_frame(pixels.shape))
+    shape = pixels.shape
+    camera, square = PinholeCamera.of_frame(shape), SquarePixels.of_frame(shape, 1.0)
+    return DecodedUpload(pixels, pixels, None, None, None, camera, square)
 
 
 def followed(drawn: Estimator, left: int, *expected_at: int) -> list[int | None]:
