@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from app.tracking.parameters import DEFAULTS, EventParameters
 from app.tracking.results import Event, EventName, EventState
-from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
-
-_ON_THEIR_FEET: tuple[Posture, ...] = (*UPRIGHT, "bending")
+from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 
 class _Hysteresis:
@@ -123,64 +121,15 @@ class DropDetector:
         return max(limits.min_on_ground_after_deep_drop, needed)
 
 
-class ShrinkDetector:
-    """Watches whether a person is far lower in the picture than when they were upright.
-
-    A body that is read wrongly has no hips to follow, but its box shrinks with it.
-    """
-
-    def __init__(self, parameters: EventParameters = DEFAULTS.events) -> None:
-        self._parameters = parameters
-        self._upright, self._low = _Hysteresis(parameters), _Hysteresis(parameters)
-        self._upright_at: float | None = None
-        self._upright_px: float | None = None
-
-    @property
-    def is_low(self) -> bool:
-        """Whether the person is lower as of now."""
-        return self._low.holds
-
-    def update(
-        self, timestamp: float, upright: float, height_px: float | None, seconds: float
-    ) -> bool:
-        """Take in a frame; return whether the person sank suddenly and stayed down.
-
-        Parameters
-        ----------
-        timestamp : float
-            Seconds.
-        upright : float
-            Probability that the person is on their feet, if bent.
-        height_px : float or None
-            Of the person in the picture; None where part of them is not seen.
-        seconds : float
-            That the frame stands for.
-        """
-        limits = self._parameters
-        low = height_px is not None and (height_px < limits.shrunk_to * (self._upright_px or 0.0))
-        self._upright.update(timestamp, upright, seconds)
-        if self._upright.holds and upright >= limits.begins_from and not low:
-            self._upright_at = timestamp
-            if height_px is not None:
-                known = self._upright_px or height_px
-                gain = 1 - math.exp(-seconds / limits.settling_s)
-                self._upright_px = known + gain * (height_px - known)
-        self._low.update(timestamp, float(low), seconds)
-        if not self._low.holds or self._upright_at is None:
-            return False
-        suddenly = 0 <= self._low.since - self._upright_at <= limits.shrinks_within_s
-        return suddenly and timestamp - self._low.since >= limits.stays_low_s
-
-
 class EventDetector:
-    """Watches the postures of one track, the height of its hips, and its own height."""
+    """Watches the postures of one track, and the height of its hips."""
 
     def __init__(self, parameters: EventParameters = DEFAULTS.events) -> None:
         self._parameters = parameters
         self._last_at: float | None = None
         self._lying, self._arms_raised = _Hysteresis(parameters), _Hysteresis(parameters)
         self._down = _Hysteresis(parameters)
-        self._drop, self._shrink = DropDetector(parameters), ShrinkDetector(parameters)
+        self._drop = DropDetector(parameters)
         self._fallen = False
         self._down_s = 0.0
         """Seconds on the ground after a drop."""
@@ -192,7 +141,6 @@ class EventDetector:
         shares: NDArray[np.float64],
         reliability: Reliability,
         hips: HipHeight | None = None,
-        height_px: float | None = None,
         *,
         rests: bool = False,
     ) -> tuple[Event, ...]:
@@ -211,8 +159,6 @@ class EventDetector:
             that there is a person.
         hips : HipHeight, optional
             None where they are not seen.
-        height_px : float, optional
-            Of the person in the picture; None where part of them is not seen.
         rests : bool
             Whether the person is in a zone for resting, where lying is no event.
         """
@@ -235,28 +181,21 @@ class EventDetector:
             self._drop.update(timestamp, hips)
         on_the_ground = 0.0 if rests else share(*ON_THE_GROUND)
         self._down.update(timestamp, on_the_ground, reliability.person * elapsed)
-        seconds = reliability.person * elapsed
-        on_their_feet = share(*_ON_THEIR_FEET)
-        sank = self._shrink.update(timestamp, on_their_feet, height_px, seconds) and not rests
-        fell: EventState | None = "instant" if self._fell(timestamp, elapsed, sank) else None
+        fell: EventState | None = "instant" if self._fell(timestamp, elapsed) else None
         return (*events, *happened("fell", fell, self._down.level))
 
-    def _fell(self, timestamp: float, elapsed: float, sank: bool) -> bool:
+    def _fell(self, timestamp: float, elapsed: float) -> bool:
         """Whether a fall is certain as of now; true once until the person is up again."""
-        if self._down.level < self._parameters.ends_below and not self._shrink.is_low:
-            self._fallen = False
-        certain = self._is_down_after_drop(timestamp, elapsed) or sank
-        if self._fallen or not certain:
-            return False
-        self._fallen = True
-        return True
-
-    def _is_down_after_drop(self, timestamp: float, elapsed: float) -> bool:
         drop, limits, level = self._drop, self._parameters, self._down.level
+        if level < limits.ends_below:
+            self._fallen = False
         if drop.dropped_at is None or level < drop.min_on_ground():
             self._down_s = 0.0
             return False
         if self._down_s == 0.0 and timestamp - drop.dropped_at > limits.down_within_s:
             return False
         self._down_s += elapsed
-        return self._down_s >= limits.stays_down_s
+        if self._fallen or self._down_s < limits.stays_down_s:
+            return False
+        self._fallen = True
+        return True

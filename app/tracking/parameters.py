@@ -195,11 +195,6 @@ class EventParameters:
     min_on_ground_after_deep_drop: float = 0.3
     down_within_s: float = 2.5  # From the drop to that probability.
     stays_down_s: float = 0.5  # On the ground after the drop, until a fall is reported.
-    # Share of a person's upright height in the picture below which they are down, whatever the
-    # posture: a person who sits on a chair or kneels keeps two thirds.
-    shrunk_to: float = 0.55
-    shrinks_within_s: float = 4.0  # From upright to that height.
-    stays_low_s: float = 1.5  # At that height, until a fall is reported.
     max_elevation_deg: float = 60.0  # Of a camera, for how a drop looks shorter from above.
 
 

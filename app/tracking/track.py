@@ -210,7 +210,6 @@ class Track:
                 shares,
                 _reliability(observed, smoothed.pose, self._weight(observed)),
                 hip_height(person, smoothed),
-                _height_px(observed),
                 rests=is_rest(self.zones),
             )
         person = replace(person, facing=self._facing, posture=self._posture)
@@ -271,10 +270,3 @@ def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
     """Height of a person's hips, by the best hypothesis."""
     y_px = float(person.hypotheses[0].points_2d[_HIPS, 1].mean())
     return HipHeight.seen(y_px, smoothed.px_per_m, smoothed.elevation_deg)
-
-
-def _height_px(observed: ObservedPerson) -> float | None:
-    """Height of a person in the picture, None where part of them is not seen."""
-    if observed.silhouette is None or observed.silhouette.truncated:
-        return None
-    return observed.silhouette.box.height

@@ -192,22 +192,3 @@ def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
         events += detector.update(7, frame / FPS, lying, Reliability(1.0, 1.0), rests=frame < 50)
     assert names(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6
-
-
-@pytest.mark.parametrize(
-    ("height_px", "seconds", "expected"),
-    [(90.0, 4.0, [("fell", "instant")]), (90.0, 1.0, []), (140.0, 4.0, [])],
-    ids=["down", "bends down for a moment", "sits"],
-)
-def test_a_body_read_wrongly_is_detected_by_its_height(
-    height_px: float, seconds: float, expected: list[tuple[str, str]]
-) -> None:
-    detector, events = EventDetector(), []
-    for frame in range(80):
-        low = 20 <= frame < 20 + seconds * FPS
-        shares = vote_posture(["crouching" if low else "standing"], [1.0])
-        height = height_px if low else 200.0
-        events += detector.update(
-            7, frame / FPS, shares, Reliability(1.0, 1.0), hips_at(0.95), height
-        )
-    assert names(events) == expected
