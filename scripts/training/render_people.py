@@ -12,6 +12,7 @@ again. ``--sheet FILE`` draws a contact sheet to look at instead.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -111,7 +112,7 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
     return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -122,7 +123,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
     parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.out is None and options.sheet is None:
         parser.error("expected --out or --sheet")
     cv2.setNumThreads(1)

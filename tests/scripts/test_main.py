@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -36,6 +37,11 @@ def test_all_commands_are_listed_with_a_line() -> None:
 def test_every_command_is_there(name: str) -> None:
     module, _ = COMMANDS[name]
     assert (ROOT / f"{module.replace('.', '/')}.py").is_file()
+    try:
+        imported = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        pytest.skip(f"needs {error.name}, of the build extra")
+    inspect.signature(imported.main).bind([])
 
 
 @pytest.mark.parametrize(
