@@ -175,13 +175,14 @@ def _judged(
     """A person with what rendered people have taught: depths, posture and reliability."""
     models = photograph_models()
     body = models.body(reading, camera)
+    doubt = models.doubts(reading, body)
     return replace(
         person,
         landmarks=replace(
             landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
         ),
-        frame_posture=models.frame_posture(reading, body),
-        reliability=models.doubts(reading, body).right,
+        frame_posture=models.frame_posture(reading, body, doubt),
+        reliability=doubt.right,
     )
 
 

@@ -189,6 +189,7 @@ class Track:
         if smoothed is None:
             return self.extrapolate(observed, timestamp), ()
         presence = 1.0 if observed.presence is None else observed.presence
+        weight = self._weight(observed)
         self._facing = smoothed.facing
         self._posture, shares = self._posture_filter.update(
             timestamp,
@@ -196,7 +197,7 @@ class Track:
             observed.frame_posture,
             presence,
             observed.whole_box,
-            self._weight(observed),
+            weight,
         )
         posture = self._posture if observed.landmarks is not None else None
         self._action = self._recogniser.update(timestamp, person, smoothed, posture)
@@ -208,7 +209,7 @@ class Track:
                 self.track_id,
                 timestamp,
                 shares,
-                _reliability(observed, smoothed.pose, self._weight(observed)),
+                _reliability(observed, smoothed.pose, weight),
                 hip_height(person, smoothed),
                 rests=is_rest(self.zones),
             )

@@ -102,7 +102,7 @@ def doubt_features(
 
 @dataclass(frozen=True)
 class DoubtModel:
-    """Says how far to trust readings.
+    """Estimates how far to trust readings.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class DoubtModel:
         given = sigmoid(self.network(features).astype(np.float64))
         return np.column_stack([given[:, 0], given[:, 0] * given[:, 1]])
 
-    def tell(self, features: NDArray[np.float64]) -> Doubt:
+    def estimate(self, features: NDArray[np.float64]) -> Doubt:
         """Doubt of one reading, of features ``(F,)``."""
         person, right = self.probabilities(features[None])[0].tolist()
         return Doubt(person, right)

@@ -75,7 +75,7 @@ def posture_features(
     presence: NDArray[np.float64],
     box_aspect: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Numbers of bodies that tell their posture; left and right count alike.
+    """Features from which the postures of bodies are estimated; left and right count alike.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def posture_features(
 
 @dataclass(frozen=True)
 class PostureModel:
-    """Tells postures.
+    """Estimates postures.
 
     Parameters
     ----------
@@ -147,7 +147,8 @@ class PostureModel:
         Scores of :data:`FRAME_POSTURES`.
     trust : (2,) float64 array
         Logarithm of the factor on the scores where landmarks are as likely right as wrong, and how
-        it grows with the log odds of right landmarks: who is hardly seen is told less surely.
+        it grows with the log odds of right landmarks: the less of a person is seen, the less
+        certain the posture.
         Calibrated on held-out renders.
     """
 
@@ -160,7 +161,7 @@ class PostureModel:
         """Probabilities ``(N, 6)`` of features ``(N, F)`` whose landmarks are right ``(N,)``."""
         return trusted(self.network(features), right, self.trust)
 
-    def tell(self, features: NDArray[np.float64], right: float) -> FramePosture:
+    def estimate(self, features: NDArray[np.float64], right: float) -> FramePosture:
         """The posture of one body, of features ``(F,)`` and the chance of right landmarks."""
         return FramePosture(self.probabilities(features[None], np.array([right]))[0])
 

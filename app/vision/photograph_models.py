@@ -48,8 +48,8 @@ class PhotographModels:
             given, reading.window, camera, depths, landmarks.positions, landmarks.visibility
         )
 
-    def frame_posture(self, reading: PoseReading, body: Body3D) -> FramePosture:
-        """The posture of a reading whose body is known."""
+    def frame_posture(self, reading: PoseReading, body: Body3D, doubt: Doubt) -> FramePosture:
+        """The posture of a reading whose body and doubt are known."""
         box = reading.landmarks.box()
         features = posture_features(
             body.points[None],
@@ -58,7 +58,7 @@ class PhotographModels:
             np.array([reading.presence]),
             np.array([box.width / box.height]),
         )
-        return self.posture.tell(features[0], self.doubts(reading, body).right)
+        return self.posture.estimate(features[0], doubt.right)
 
     def doubts(self, reading: PoseReading, body: Body3D) -> Doubt:
         """How far to trust a reading whose body is known."""
@@ -70,7 +70,7 @@ class PhotographModels:
             given.last[None],
             body.sigmas[None],
         )
-        return self.doubt.tell(features[0])
+        return self.doubt.estimate(features[0])
 
 
 def _given(reading: PoseReading) -> NetworkPass:

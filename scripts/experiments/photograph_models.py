@@ -125,7 +125,7 @@ def ask_postures(frames: Sequence[ReadFrame], models: PhotographModels) -> list[
         if frame.readings and frame.truth:
             reading = frame.readings[0]
             body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-            posture = models.frame_posture(reading, body)
+            posture = models.frame_posture(reading, body, models.doubts(reading, body))
             asked.append((frame, reading, posture.probabilities))
     return asked
 
@@ -199,8 +199,10 @@ def any_low(frames: Sequence[ReadFrame], models: PhotographModels) -> str:
             hit = False
             for reading in frame.readings:
                 body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-                low = _grouped(models.frame_posture(reading, body).probabilities)[2] > 0.5
-                hit |= bool(low and models.doubts(reading, body).person > 0.5)
+                doubt = models.doubts(reading, body)
+                posture = models.frame_posture(reading, body, doubt)
+                low = _grouped(posture.probabilities)[2] > 0.5
+                hit |= bool(low and doubt.person > 0.5)
             told.append(hit)
         shares[truth] = 100 * np.mean(told)
     return f"fall photographs, anybody on the ground: {shares[LOW]:.1f} %, others " + (
@@ -241,7 +243,8 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> list
         said = []
         for reading, score in zip(frame.readings, frame.scores, strict=True):
             body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-            doubt, posture = models.doubts(reading, body), models.frame_posture(reading, body)
+            doubt = models.doubts(reading, body)
+            posture = models.frame_posture(reading, body, doubt)
             said.append(
                 f"{posture.likeliest} {posture.probabilities.max():.2f} (person "
                 f"{doubt.person:.2f}, right {doubt.right:.2f}, presence {reading.presence:.2f}, "
