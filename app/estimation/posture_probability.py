@@ -119,7 +119,7 @@ def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArra
     """Shares ``(10,)`` of ``POSTURES``: of the landmarks, divided by the votes of hypotheses.
 
     Landmarks distinguish six postures; standing from walking, running and raised arms, and
-    crouching from kneeling, are told apart by the votes alone.
+    crouching from kneeling, are distinguished by the votes alone.
     """
     shares = np.zeros(len(POSTURES))
     for probability, members in zip(frame_posture.probabilities, _HELD, strict=True):

@@ -15,20 +15,17 @@ from app.vision.dense import DenseNetwork
 from app.vision.geometry import PersonWindow
 from app.vision.landmark_features import LANDMARKS, sample_map
 from app.vision.network_pass import NetworkPass
-from app.vision.people import LANDMARK_NAMES
+from app.vision.odds import sigmoid
+from app.vision.people import LANDMARK_NAMES, landmark_rows
 from app.vision.sight import PinholeCamera, roll_rotation
 
 MAP_ROWS = [
-    LANDMARK_NAMES.index(name)
-    for name in (
-        "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-        "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee",
-        "right_knee", "left_ankle", "right_ankle", "left_foot_index", "right_foot_index",
-    )
-]  # fmt: skip
+    LANDMARK_NAMES.index("nose"),
+    *landmark_rows("ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index"),
+]
 """Landmarks at which the feature map is seen."""
 
-HIPS = [LANDMARK_NAMES.index("left_hip"), LANDMARK_NAMES.index("right_hip")]
+HIPS = landmark_rows("hip")
 
 RESIDUAL_M = 0.1
 """Unit of the network's outputs."""
@@ -112,7 +109,7 @@ def depth_features(
         [
             (places[..., :2] / (_WINDOW_PX / 2) - 1).reshape(count, -1),
             places[..., 2] / (_WINDOW_PX / 2),
-            1 / (1 + np.exp(-odds)),
+            sigmoid(odds),
             metres.reshape(count, -1),
             sight,
             sampled[:, MAP_ROWS].reshape(count, -1),

@@ -14,7 +14,7 @@ from app.vision.dense import DenseNetwork
 from app.vision.depth import HIPS
 from app.vision.landmark_features import LANDMARKS
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES
+from app.vision.people import LANDMARK_NAMES, landmark_rows
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,9 @@ class Doubt:
     right: float
 
 
-_LIMBS = [
-    LANDMARK_NAMES.index(f"{side}_{part}")
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-    for side in ("left", "right")
-]
-_FACE = [LANDMARK_NAMES.index(name) for name in ("nose", "left_ear", "right_ear")]
-_SHOULDERS = [LANDMARK_NAMES.index(f"{side}_shoulder") for side in ("left", "right")]
+_LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+_FACE = [LANDMARK_NAMES.index("nose"), *landmark_rows("ear")]
+_SHOULDERS = landmark_rows("shoulder")
 _WINDOW_PX = 256
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.vision.dense import DenseNetwork, softmax
 from app.vision.odds import logit
-from app.vision.people import LANDMARK_NAMES
+from app.vision.people import landmark_rows
 
 FramePostureName = Literal["standing", "bending", "crouching", "sitting", "all_fours", "lying"]
 
@@ -48,12 +48,9 @@ class FramePosture:
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 
 
-def _rows(part: str) -> list[int]:
-    return [LANDMARK_NAMES.index(f"{side}_{part}") for side in ("left", "right")]
-
-
-_SHOULDERS, _HIPS, _KNEES, _ANKLES = (_rows(p) for p in ("shoulder", "hip", "knee", "ankle"))
-_WRISTS, _EARS = _rows("wrist"), _rows("ear")
+_SHOULDERS, _HIPS, _KNEES, _ANKLES, _WRISTS, _EARS = (
+    landmark_rows(part) for part in ("shoulder", "hip", "knee", "ankle", "wrist", "ear")
+)
 _EXTENT = [*_SHOULDERS, *_HIPS, *_KNEES, *_ANKLES, *_EARS]
 
 

@@ -35,6 +35,17 @@ COCO_LANDMARKS = [LANDMARK_NAMES.index(name) for name in COCO_NAMES]
 """Row of the landmark for each COCO keypoint."""
 
 
+def landmark_rows(*parts: str) -> list[int]:
+    """Rows of paired landmarks, part by part, left before right.
+
+    Examples
+    --------
+    >>> landmark_rows("shoulder", "hip")
+    [11, 12, 23, 24]
+    """
+    return [LANDMARK_NAMES.index(f"{side}_{part}") for part in parts for side in ("left", "right")]
+
+
 def coco_rows(*parts: str) -> list[int]:
     """Rows of the COCO keypoints on both sides whose names end in one of ``parts``."""
     return [row for row, name in enumerate(COCO_NAMES) if name.endswith(parts)]

@@ -18,9 +18,10 @@ from app.vision.blazepose import PoseReading
 from app.vision.body_reading import body_of
 from app.vision.depth import Depths, network_depths
 from app.vision.frame_posture import FRAME_POSTURES
-from app.vision.people import LANDMARK_NAMES
 from app.vision.photograph_models import PhotographModels, photograph_models
 from app.vision.sight import PinholeCamera
+from index.build.calibrate import expected_calibration_error
+from scripts.datasets import HIPS, about_hips
 from scripts.experiments.photograph_sources import (
     LOW,
     SITTING,
@@ -29,15 +30,9 @@ from scripts.experiments.photograph_sources import (
     ReadFrame,
     read_sources,
 )
-from scripts.training.train_photograph_models import calibration_error
+from scripts.training.train_photograph_models import LANDMARK_LIMBS
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-LIMBS = [
-    LANDMARK_NAMES.index(f"{side}_{part}")
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-    for side in ("left", "right")
-]
-HIPS = (6, 7)
 SURE = 0.8
 
 GROUPS = {
@@ -54,11 +49,6 @@ TRUTHS = (UPRIGHT, SITTING, LOW)
 Asked = tuple[ReadFrame, PoseReading, NDArray[np.float64]]
 
 
-def hip_centred(joints: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Limb joints ``(12, 3)`` about the middle of the hips."""
-    return np.asarray(joints - joints[list(HIPS)].mean(axis=0))
-
-
 def aligned(joints: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Joints moved, turned and scaled onto the truth (Procrustes)."""
     one, other = joints - joints.mean(axis=0), truth - truth.mean(axis=0)
@@ -71,7 +61,7 @@ def aligned(joints: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[
 
 def distance_mm(joints: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float]:
     """Mean distance about the hips, and after Procrustes, in mm."""
-    joints, truth = hip_centred(joints), hip_centred(truth)
+    joints, truth = about_hips(joints), about_hips(truth)
     apart = np.linalg.norm(joints - truth, axis=1).mean()
     shape = np.linalg.norm(aligned(joints, truth) - truth, axis=1).mean()
     return float(1e3 * apart), float(1e3 * shape)
@@ -98,14 +88,14 @@ def measure_depth(frames: Sequence[ReadFrame], models: PhotographModels) -> list
             truth = frame.joints_3d
             rows.append(
                 [
-                    *distance_mm(reading.landmarks.metres[LIMBS], truth),
-                    *distance_mm(plain.points[LIMBS], truth),
-                    *distance_mm(body.points[LIMBS], truth),
+                    *distance_mm(reading.landmarks.metres[LANDMARK_LIMBS], truth),
+                    *distance_mm(plain.points[LANDMARK_LIMBS], truth),
+                    *distance_mm(body.points[LANDMARK_LIMBS], truth),
                 ]
             )
-            along = (hip_centred(body.points[LIMBS]) - hip_centred(truth)) @ body.sight[2]
+            along = (about_hips(body.points[LANDMARK_LIMBS]) - about_hips(truth)) @ body.sight[2]
             errors.append(np.abs(along))
-            sigmas.append(body.sigmas[LIMBS])
+            sigmas.append(body.sigmas[LANDMARK_LIMBS])
         mean, error, sigma = np.mean(rows, 0), np.array(errors), np.array(sigmas)
         quarter = np.digitize(sigma, np.quantile(sigma, [0.25, 0.5, 0.75]))
         by = " ".join(f"{1e3 * error[quarter == q].mean():.0f}" for q in range(4))
@@ -156,19 +146,20 @@ def measure_posture(asked: Sequence[Asked]) -> list[tuple[float, str]]:
         for truth in TRUTHS:
             rows = np.array([t == truth for t, _ in some])
             if rows.any():
-                told = rows & (sure >= 0.5)
-                wrong = (told & ~right).sum() / rows.sum()
+                answered = rows & (sure >= 0.5)
+                wrong = (answered & ~right).sum() / rows.sum()
                 shares = np.bincount(best[rows], minlength=len(names)) / rows.sum()
                 parts.append(
-                    f"{truth} {rows.sum()}: right {(told & right).sum() / rows.sum():.2f}, wrong "
-                    f"{wrong:.2f} ("
+                    f"{truth} {rows.sum()}: right {(answered & right).sum() / rows.sum():.2f}, "
+                    f"wrong {wrong:.2f} ("
                     + " ".join(f"{n[:6]} {s:.2f}" for n, s in zip(names, shares, strict=True))
                     + ")"
                 )
         lines.append(
             (
                 float(right.mean()),
-                f"{source}: right {right.mean():.3f}, ECE {calibration_error(sure, right):.3f}, "
+                f"{source}: right {right.mean():.3f}, "
+                f"ECE {expected_calibration_error(sure, right):.3f}, "
                 f"above {SURE} {(sure > SURE).mean():.2f}, of them right "
                 f"{right[sure > SURE].mean():.3f}\n    " + "\n    ".join(parts),
             )
@@ -181,10 +172,10 @@ def measure_low(asked: Sequence[Asked]) -> list[str]:
     lines = []
     for source in sorted({frame.source for frame, _, _ in asked}):
         low = np.array([f.truth == LOW for f, _, _ in asked if f.source == source])
-        told = np.array([_grouped(p)[2] > 0.5 for f, _, p in asked if f.source == source])
+        low_found = np.array([_grouped(p)[2] > 0.5 for f, _, p in asked if f.source == source])
         if low.any():
-            false = f"{100 * told[~low].mean():.1f} %" if (~low).any() else "-"
-            lines.append(f"{source}: recall {100 * told[low].mean():.1f} %, false {false}")
+            false = f"{100 * low_found[~low].mean():.1f} %" if (~low).any() else "-"
+            lines.append(f"{source}: recall {100 * low_found[low].mean():.1f} %, false {false}")
     return lines
 
 
@@ -192,7 +183,7 @@ def any_low(frames: Sequence[ReadFrame], models: PhotographModels) -> str:
     """The fall photographs: somebody who is probably a person is on the ground."""
     shares = {}
     for truth in (LOW, "not " + LOW):
-        told = []
+        detected = []
         for frame in frames:
             if frame.source != "Ambianic" or frame.truth != truth:
                 continue
@@ -203,8 +194,8 @@ def any_low(frames: Sequence[ReadFrame], models: PhotographModels) -> str:
                 posture = models.frame_posture(reading, body, doubt)
                 low = _grouped(posture.probabilities)[2] > 0.5
                 hit |= bool(low and doubt.person > 0.5)
-            told.append(hit)
-        shares[truth] = 100 * np.mean(told)
+            detected.append(hit)
+        shares[truth] = 100 * np.mean(detected)
     return f"fall photographs, anybody on the ground: {shares[LOW]:.1f} %, others " + (
         f"{shares['not ' + LOW]:.1f} %"
     )
@@ -216,7 +207,7 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> list
     for frame in frames:
         if frame.joints_2d is None or frame.visible is None:
             continue
-        middle = frame.joints_2d[list(HIPS)].mean(axis=0)
+        middle = frame.joints_2d[HIPS].mean(axis=0)
         for reading in frame.readings:
             box = reading.landmarks.box()
             if not (box.x <= middle[0] <= box.right and box.y <= middle[1] <= box.bottom):
@@ -224,7 +215,9 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> list
             body = models.body(reading, PinholeCamera.of_frame(frame.shape))
             doubt = models.doubts(reading, body)
             trunk = np.linalg.norm(frame.joints_2d[:2].mean(0) - middle)
-            apart = np.linalg.norm(reading.landmarks.positions[LIMBS] - frame.joints_2d, axis=1)
+            apart = np.linalg.norm(
+                reading.landmarks.positions[LANDMARK_LIMBS] - frame.joints_2d, axis=1
+            )
             size = max(float(trunk), 0.2 * float(np.ptp(frame.joints_2d, axis=0).max()))
             seen = frame.visible
             given.append(doubt)
@@ -235,7 +228,7 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> list
         lines.append(
             f"LSP ({len(given)} readings): a person above 0.5 in "
             f"{np.mean([d.person > 0.5 for d in given]):.3f}; landmarks right {true.mean():.2f}, "
-            f"expected {sure.mean():.2f}, ECE {calibration_error(sure, true):.3f}"
+            f"expected {sure.mean():.2f}, ECE {expected_calibration_error(sure, true):.3f}"
         )
     for frame in frames:
         if frame.source != "odd":

@@ -23,7 +23,7 @@ from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box
 from app.vision.people import Detection
 from app.vision.person_reader import attenuate_visibility_at_border
-from scripts.datasets import read_pose2sim
+from scripts.datasets import read_frames, read_lsp, read_pose2sim
 
 LOW, UPRIGHT, SITTING, ANY = "on the ground", "upright", "sitting", ""
 """Truths that the labels of real frames know; ANY where posture is not asked."""
@@ -85,16 +85,11 @@ class ReadFrame:
 
 def _frames(path: Path, per_second: float) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     """Frames of a video at a rate, each with its time in seconds."""
-    video = cv2.VideoCapture(str(path))
-    rate, due, number = video.get(cv2.CAP_PROP_FPS) or 25.0, 0.0, 0
-    while True:
-        done, frame = video.read()
-        if not done:
-            return
+    rate, due = cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FPS) or 25.0, 0.0
+    for number, frame in read_frames(path):
         if number / rate + 1e-6 >= due:
-            yield number / rate, np.asarray(frame, np.uint8)
+            yield number / rate, frame
             due += 1 / per_second
-        number += 1
 
 
 def pose2sim(real: Path) -> Iterator[Shown]:
@@ -177,20 +172,8 @@ def odd(real: Path) -> Iterator[Shown]:
 
 def lsp(real: Path) -> Iterator[Shown]:
     """Sports photographs with limb joints: whether landmarks are right."""
-    document = json.loads((real / "lsp" / "joints.json").read_text())
-    parts = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-    rows = [
-        document["joint_names"].index(f"{side}_{part}")
-        for part in parts
-        for side in ("left", "right")
-    ]
-    for person in document["people"]:
-        image = cv2.imread(str(real / "lsp" / person["image"]))
-        if image is not None:
-            yield Shown(
-                "LSP", person["image"], np.asarray(image, np.uint8), ANY, None, None,
-                np.array(person["joints_2d"])[rows], np.array(person["visible"])[rows].astype(bool),
-            )  # fmt: skip
+    for one in read_lsp(real / "lsp"):
+        yield Shown("LSP", one.name, one.frame, ANY, None, None, one.limbs, one.visible)
 
 
 SOURCES = {"pose2sim": pose2sim, "homes": homes, "upfall": upfall, "falls": falls, "odd": odd,

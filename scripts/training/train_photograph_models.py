@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import roc_auc_score
 
 from app.vision.dense import DenseNetwork
 from app.vision.depth import (
@@ -41,7 +42,7 @@ from app.vision.frame_posture import FRAME_POSTURES, posture_features, trusted
 from app.vision.landmark_features import LANDMARKS
 from app.vision.models import MODELS
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES
+from app.vision.people import landmark_rows
 from app.vision.photograph_models import FILE
 from app.vision.sight import (
     ASSUMED_FOV_DEG,
@@ -50,6 +51,7 @@ from app.vision.sight import (
     roll_rotation,
     to_line_of_sight,
 )
+from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import averaged, fit_dense, moved_outputs, scaled_outputs
 from scripts.training.photograph_data import WindowRows, joined, read_rows
 
@@ -69,11 +71,8 @@ RIGHT_WITHIN, RIGHT_SHARE = 0.2, 0.75
 MIN_SHOWN = 6
 """Landmarks shown, of 33, below which nobody can say whether a window shows a person."""
 
-LIMBS = [
-    LANDMARK_NAMES.index(f"{side}_{part}")
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-    for side in ("left", "right")
-]
+LANDMARK_LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+"""Rows of the limb joints among the landmarks."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +111,13 @@ def places_in_frame(rows: WindowRows) -> NDArray[np.float64]:
 
 def right_landmarks(rows: WindowRows) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Whether each limb joint is right ``(N, 12)``, and the share of those shown ``(N,)``."""
-    apart = np.linalg.norm(places_in_frame(rows) - rows.places, axis=2)[:, LIMBS]
+    apart = np.linalg.norm(places_in_frame(rows) - rows.places, axis=2)[:, LANDMARK_LIMBS]
     trunk = np.linalg.norm(
         rows.places[:, 11:13].mean(axis=1) - rows.places[:, 23:25].mean(axis=1), axis=1
     )
     size = np.maximum(trunk, 0.2 * np.ptp(rows.places, axis=1).max(axis=1))
     right = apart < RIGHT_WITHIN * size[:, None]
-    shown = rows.shown[:, LIMBS]
+    shown = rows.shown[:, LANDMARK_LIMBS]
     share = (right & shown).sum(axis=1) / np.maximum(shown.sum(axis=1), 1)
     return right, share
 
@@ -251,17 +250,6 @@ def train_doubt(
         features, np.column_stack([person, right]), 2, loss,
         hidden=(32,), epochs=epochs, seed=seed, batch=64, dropout=0.2, noise=0.2, decay=0.1,
     )  # fmt: skip
-
-
-def calibration_error(sure: NDArray[np.float64], true: NDArray[np.bool_]) -> float:
-    """Expected calibration error over ten bins."""
-    bins = np.minimum((sure * 10).astype(int), 9)
-    return float(
-        sum(
-            (bins == b).mean() * abs(sure[bins == b].mean() - true[bins == b].mean())
-            for b in np.unique(bins)
-        )
-    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -401,9 +389,12 @@ def report_depth(
     held: WindowRows, found: Depths, truth: NDArray[np.float64], rows: NDArray[np.bool_], say: Any
 ) -> None:
     """Depth of limb joints before and after, and whether sigmas rank errors."""
-    own = np.abs(network_depths(held.world) - truth)[rows][:, LIMBS]
-    error, sigma = np.abs(found.metres - truth)[rows][:, LIMBS], found.sigmas[rows][:, LIMBS]
-    shown = held.shown[rows][:, LIMBS]
+    own = np.abs(network_depths(held.world) - truth)[rows][:, LANDMARK_LIMBS]
+    error, sigma = (
+        np.abs(found.metres - truth)[rows][:, LANDMARK_LIMBS],
+        found.sigmas[rows][:, LANDMARK_LIMBS],
+    )
+    shown = held.shown[rows][:, LANDMARK_LIMBS]
     quartile = np.digitize(sigma, np.quantile(sigma, [0.25, 0.5, 0.75]))
     by = " ".join(f"{1e3 * error[quartile == q].mean():.0f}" for q in range(4))
     say(
@@ -418,7 +409,8 @@ def report_posture(given: NDArray[np.float64], classes: NDArray[np.int64], say: 
     best, sure = given.argmax(axis=1), given.max(axis=1)
     right = best == classes
     say(
-        f"posture right {right.mean():.3f}, ECE {calibration_error(sure, right):.3f}, above 0.8: "
+        f"posture right {right.mean():.3f}, ECE {expected_calibration_error(sure, right):.3f}, "
+        "above 0.8: "
         f"{(sure > 0.8).mean():.2f} of windows, right {right[sure > 0.8].mean():.3f}"
     )
     for number, name in enumerate(FRAME_POSTURES):
@@ -428,7 +420,7 @@ def report_posture(given: NDArray[np.float64], classes: NDArray[np.int64], say: 
 
 
 def report_doubt(network: DenseNetwork, held: WindowRows, depths: Depths, say: Any) -> None:
-    """How well people and right landmarks are told from others."""
+    """How well people and right landmarks are distinguished from others."""
     decided = _decided(held) & (held.scene % 2 == 1)
     given = DoubtModel(network).probabilities(_doubt_inputs(held, depths)[decided])
     person = (held.posture >= 0)[decided]
@@ -436,18 +428,13 @@ def report_doubt(network: DenseNetwork, held: WindowRows, depths: Depths, say: A
     right = person & (share[decided] >= RIGHT_SHARE)
     own = held.presence[decided]
     say(
-        f"person: AUC {auc(given[:, 0], person):.3f} (the network's presence "
-        f"{auc(own, person):.3f}), ECE {calibration_error(given[:, 0], person):.3f}; right: AUC "
-        f"{auc(given[:, 1], right):.3f} ({auc(own, right):.3f}), "
-        f"ECE {calibration_error(given[:, 1], right):.3f}, share {right.mean():.2f}"
+        f"person: AUC {roc_auc_score(person, given[:, 0]):.3f} (the network's presence "
+        f"{roc_auc_score(person, own):.3f}), "
+        f"ECE {expected_calibration_error(given[:, 0], person):.3f}; "
+        "right: AUC "
+        f"{roc_auc_score(right, given[:, 1]):.3f} ({roc_auc_score(right, own):.3f}), "
+        f"ECE {expected_calibration_error(given[:, 1], right):.3f}, share {right.mean():.2f}"
     )
-
-
-def auc(scores: NDArray[np.floating], true: NDArray[np.bool_]) -> float:
-    """Area under the curve."""
-    ranks = np.argsort(np.argsort(scores)) + 1
-    positive, negative = true.sum(), (~true).sum()
-    return float((ranks[true].sum() - positive * (positive + 1) / 2) / (positive * negative))
 
 
 if __name__ == "__main__":

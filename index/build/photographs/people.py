@@ -24,16 +24,10 @@ from index.build.photographs.materials import (
     Materials,
     cloth,
 )
+from index.skeleton import COCO17
 
 PARTS = ("skin", "eyes", "mouth", "brows", "top", "bottom", "shoes", "hair", "hat")
 SKIN, EYES, MOUTH, BROWS, TOP, BOTTOM, SHOES, HAIR, HAT = range(len(PARTS))
-
-COCO_NAMES = (
-    "nose", "left_eye", "right_eye", "left_ear", "right_ear",
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
-    "left_wrist", "right_wrist", "left_hip", "right_hip",
-    "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
 
 LANDMARK_NAMES = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
@@ -43,7 +37,7 @@ LANDMARK_NAMES = (
     "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
     "left_heel", "right_heel", "left_foot_index", "right_foot_index",
 )  # fmt: skip
-"""The 33 landmarks that BlazePose reads."""
+"""The 33 landmarks that BlazePose reads, as in ``app.vision.people``, which lies above."""
 
 MIRRORED = np.array(
     [
@@ -105,11 +99,11 @@ def _coco_regressor() -> NDArray[np.float64]:
     """Weights ``(17, 19158)`` of the vertices that make a keypoint."""
     import anny.keypoints
 
-    regressor = anny.keypoints.KeypointsRegressor.coco(_model(), labels=list(COCO_NAMES))
+    regressor = anny.keypoints.KeypointsRegressor.coco(_model(), labels=list(COCO17.names))
     weights = {name: value.numpy() for name, value in regressor.named_buffers()}
     if "regression_indices" not in weights:
         return np.asarray(weights["regression_weights"], np.float64)
-    dense = np.zeros((len(COCO_NAMES), len(_model().template_vertices)))
+    dense = np.zeros((len(COCO17.names), len(_model().template_vertices)))
     np.put_along_axis(dense, weights["regression_indices"], weights["regression_weights"], axis=1)
     return dense
 
@@ -223,7 +217,7 @@ def _landmark_weights(avatar: Avatar, base: BaseMesh) -> NDArray[np.float64]:
     weights = np.zeros((len(LANDMARK_NAMES), len(avatar.bones), 4))
     homogeneous = np.hstack([base.vertices, np.ones((len(base.vertices), 1))])
     regressor = _coco_regressor()
-    for row, name in enumerate(COCO_NAMES):
+    for row, name in enumerate(COCO17.names):
         used = np.flatnonzero(np.abs(regressor[row]) > 1e-9)
         shares = regressor[row, used][:, None] * base.dense_weights[used]
         weights[LANDMARK_NAMES.index(name)] = shares.T @ homogeneous[used]
