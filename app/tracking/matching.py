@@ -118,7 +118,7 @@ def _growth(before: Box, after: Box) -> float:
 
 
 def _size(box: Box) -> float:
-    """Length of a body: a person who falls keeps it, though not the height."""
+    """Length of a body: unlike the height, it stays the same in a fall."""
     return max(box.width, box.height)
 
 

@@ -55,7 +55,7 @@ class DetectorParameters:
     min_movenet_score: float = 0.02  # Lower scores are ignored.
     min_probability: float = 1e-4  # Scores are this far from 0 and 1 before log odds are taken.
     # Log odds added to a detection where a person was seen a moment ago. People do not vanish, but
-    # one who falls is blurred, then lies in a pose that detectors hardly know.
+    # a falling person is blurred, and then lies in a pose that detectors rarely recognise.
     expected_log_odds: float = 1.0
     min_expected_share: float = 0.5  # Of a box, that must be within reach of that person.
     # Height in the overview from which people are taken from it; smaller ones are taken from the
