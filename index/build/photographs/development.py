@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Generator = np.random.Generator
 
-DARK, INFRARED, GREY = 0.08, 0.06, 0.06
-"""Shares of pictures that are dark, taken in infrared, or grey."""
+DARK, INFRARED, GREY, SOFT = 0.08, 0.06, 0.06, 0.15
+"""Shares of pictures that are dark, taken in infrared, grey, or enlarged from fewer pixels."""
 
 
 def develop(
@@ -60,9 +60,25 @@ def develop(
     if chance < DARK + INFRARED + GREY and chance > DARK + INFRARED:
         image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     if generator.random() < 0.8:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, int(generator.integers(25, 96))]
-        image = cv2.imdecode(cv2.imencode(".jpg", np.ascontiguousarray(image), quality)[1], 1)
+        image = _compressed(np.ascontiguousarray(image), int(generator.integers(25, 96)))
+    if generator.random() < SOFT:
+        image = _enlarged(image, generator)
     return np.ascontiguousarray(image)
+
+
+def _enlarged(image: NDArray[np.uint8], generator: Generator) -> NDArray[np.uint8]:
+    """As a film of fewer pixels that was enlarged, its compression as well."""
+    rows, columns = image.shape[:2]
+    smaller = generator.uniform(1.3, 2.5)
+    size = (max(8, round(columns / smaller)), max(8, round(rows / smaller)))
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    small = _compressed(small, int(generator.integers(20, 80)))
+    return np.asarray(cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def _compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR), np.uint8)
 
 
 def _smeared(picture: NDArray[np.float32], generator: Generator) -> NDArray[np.float32]:

@@ -104,6 +104,12 @@ def chair(
     return joined(parts)
 
 
+def helmet(head: NDArray[np.float64], materials: Materials, generator: Generator) -> Mesh:
+    """Shell about the middle ``(3,)`` of the ears."""
+    shell = materials.add(surface(generator))
+    return ellipsoid(head + np.array([0.0, 0.06, -0.01]), [0.12, 0.12, 0.15], shell)
+
+
 def desk(floor: float, top: float, near: float, materials: Materials, generator: Generator) -> Mesh:
     """Table from ``near`` along z on, with what lies on it."""
     plate = materials.add(surface(generator))
@@ -113,6 +119,10 @@ def desk(floor: float, top: float, near: float, materials: Materials, generator:
     parts += _legs((left + 0.05, near + 0.05), (right - 0.05, far - 0.05), floor, top, 0.025, plate)
     if generator.random() < 0.35:
         parts.append(box([left, floor + 0.1, far - 0.05], [right, top - 0.04, far - 0.03], plate))
+    elif generator.random() < 0.15:
+        hem = max(floor, top - generator.uniform(0.15, 0.7))
+        cover = materials.add(cloth(generator))
+        parts.append(box([left - 0.01, hem, near - 0.01], [right + 0.01, top + 0.01, far], cover))
     for _ in range(generator.integers(0, 4)):
         x, z = generator.uniform(left, right - 0.1), generator.uniform(near + 0.15, far - 0.05)
         size = generator.uniform([0.05, 0.02, 0.02], [0.45, 0.4, 0.08])
@@ -178,6 +188,66 @@ def blanket(
     return sheet(x, z, draped.astype(np.float64), materials.add(cloth(generator)))
 
 
+def lap_blanket(
+    body: NDArray[np.float32], floor: float, seat: float, materials: Materials, generator: Generator
+) -> Mesh:
+    """Cloth over the legs of somebody who sits towards +z."""
+    legs = body[(body[:, 1] < seat + 0.22) & (body[:, 2] > 0.05)]
+    hem = floor + generator.uniform(0.05, 0.35)
+    return blanket(legs, hem, 0.98, materials, generator)
+
+
+def cycle(floor: float, saddle: float, materials: Materials, generator: Generator) -> Mesh:
+    """Bicycle, scooter or motorcycle towards +z, its saddle below the origin."""
+    frame, tyre = materials.add(surface(generator, pale=0.15)), materials.add(surface(generator))
+    motor = generator.random() < 0.4
+    radius = generator.uniform(0.24, 0.3) if motor else generator.uniform(0.28, 0.36)
+    rear = np.array([0.0, floor + radius, -generator.uniform(0.35, 0.55)])
+    front = np.array([0.0, floor + radius, generator.uniform(0.55, 0.8)])
+    head = np.array([0.0, max(saddle, floor + 0.75), front[2] - 0.15])
+    bar = head + np.array([0.0, generator.uniform(0.05, 0.25), -0.02])
+    crank = np.array([0.0, floor + 0.3, 0.08])
+    seat = np.array([0.0, saddle - 0.03, -0.05])
+    grip = np.array([generator.uniform(0.2, 0.38), 0.0, 0.0])
+    thick = 0.035 if motor else 0.018
+    parts = [wheel(place, [1, 0, 0], radius, 0.05 if motor else 0.018, tyre)
+             for place in (rear, front)]  # fmt: skip
+    parts += [
+        tube(start, end, thick, frame, 7)
+        for start, end in ((seat, crank), (seat, head), (crank, head), (crank, rear), (seat, rear),
+                           (bar, front), (bar - grip, bar + grip))
+    ]  # fmt: skip
+    if not motor:
+        parts.append(ellipsoid(seat, [0.09, 0.04, 0.14], tyre, 7))
+        return joined(parts)
+    paint = materials.add(surface(generator, pale=0.25))
+    parts.append(box([-0.13, saddle - 0.12, -0.6], [0.13, saddle, 0.2], tyre))
+    parts.append(box([-0.16, floor + 0.25, -0.5], [0.16, saddle - 0.12, 0.05], paint))
+    if generator.random() < 0.5:
+        shield = [-0.22, floor + 0.25, head[2] - 0.06], [0.22, head[1], head[2]]
+        parts.append(box(*shield, paint))
+    else:
+        parts.append(ellipsoid([0, saddle, 0.3], [0.13, 0.14, 0.22], paint, 8))
+    return joined(parts)
+
+
+def walking_frame(materials: Materials, generator: Generator) -> Mesh:
+    """Four legs, rails for the hands and bars between, open to -z; with wheels or a seat."""
+    metal = materials.add(surface(generator, pale=0.6))
+    wide, deep = generator.uniform(0.24, 0.3), generator.uniform(0.2, 0.3)
+    high = generator.uniform(0.78, 0.95)
+    parts = _legs((-wide, -deep), (wide, deep), 0.0, high, 0.014, metal)
+    for up in (high, 0.45 * high):
+        parts += [tube([x, up, -deep], [x, up, deep], 0.014, metal) for x in (-wide, wide)]
+        parts.append(tube([-wide, up - 0.03, deep], [wide, up - 0.03, deep], 0.014, metal))
+    if generator.random() < 0.5:
+        parts += [wheel([x, 0.08, z], [1, 0, 0], 0.08, 0.015, metal)
+                  for x in (-wide, wide) for z in (-deep, deep)]  # fmt: skip
+        cloth_row = materials.add(cloth(generator))
+        parts.append(box([-wide, 0.5, -0.05], [wide, 0.56, deep], cloth_row, 2))
+    return joined(parts)
+
+
 def cupboard(materials: Materials, generator: Generator) -> Mesh:
     """A box of any size."""
     size = generator.uniform([0.2, 0.3, 0.2], [0.8, 1.9, 0.5]) * [1, generator.random() ** 0.5, 1]
@@ -212,6 +282,11 @@ def empty_bed(materials: Materials, generator: Generator) -> Mesh:
         heights = top + 0.03 + 0.35 * np.maximum(lumps, 0).astype(np.float64)
         parts.append(sheet(x, z, heights, materials.add(cloth(generator))))
     return joined(parts)
+
+
+def empty_cycle(materials: Materials, generator: Generator) -> Mesh:
+    """Parked bicycle, scooter or motorcycle."""
+    return cycle(0.0, generator.uniform(0.75, 0.95), materials, generator)
 
 
 def bag(materials: Materials, generator: Generator) -> Mesh:
@@ -312,11 +387,11 @@ Maker = Callable[[Materials, Generator], Mesh]
 
 CLUTTER: tuple[Maker, ...] = (
     cupboard, cupboard, cupboard, empty_table, empty_table, empty_chair, empty_chair, empty_bed,
-    bag, plant,
+    bag, plant, walking_frame,
 )  # fmt: skip
 SUBJECTS: tuple[Maker, ...] = (
-    animal, animal, animal, bag, bag, heap, bust, plant, empty_chair, empty_table, empty_bed,
-    cupboard,
+    animal, animal, animal, animal, bag, bag, heap, bust, plant, empty_chair, empty_table,
+    empty_bed, cupboard, empty_cycle,
 )  # fmt: skip
 """What windows without anybody are about."""
 

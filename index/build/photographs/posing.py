@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ CLASS_OF_POSTURE = {
     "kneeling": "crouching", "sitting": "sitting", "crawling": "all_fours", "lying": "lying",
 }  # fmt: skip
 
-SHARES = {"standing": 0.3, "bending": 0.12, "crouching": 0.12, "sitting": 0.2, "all_fours": 0.06,
+SHARES = {"standing": 0.27, "bending": 0.12, "crouching": 0.11, "sitting": 0.24, "all_fours": 0.06,
           "lying": 0.2}  # fmt: skip
 """How often each is asked for."""
 
@@ -38,6 +39,8 @@ HELD_OUT_SUBJECTS = ("13", "86", "127", "16")
 
 _CLASS_ROWS = np.array([CLASSES.index(CLASS_OF_POSTURE[posture]) for posture in POSTURES])
 
+
+Support = Literal["ground", "seat", "cycle"]
 
 REACHING_DOWN_ABOVE = 0.65
 """Height of the pelvis, in legs, above which hands on the ground are those of somebody who bends.
@@ -109,14 +112,15 @@ class Pose:
     rotations : (B, 3, 3) float64 array
         World rotations of the clip's bones.
     bones : Bones
-    carried : bool
-        Whether something carries the body at the seat: it then sits however far it leans.
+    support : str
+        What carries the body: on a seat it sits however far it leans, on a cycle whatever the legs
+        do.
     """
 
     clip: Clip
     rotations: NDArray[np.float64]
     bones: Bones
-    carried: bool = False
+    support: Support = "ground"
 
     def turn(self, rows: NDArray[np.int64], turn: NDArray[np.float64]) -> None:
         """Turn some bones, as they are in the world."""
@@ -147,6 +151,18 @@ class Pose:
         out = about(np.array([0.0, 1.0, 0.0]), spread if side == 0 else -spread)
         self.turn(self.bones.thighs[side], out @ about(axis, -thigh))
         self.turn(self.bones.shanks[side], about(axis, thigh + shank))
+
+    def spread_arms(
+        self, angles: NDArray[np.float64], scatter: float, generator: np.random.Generator
+    ) -> None:
+        """Turn the left and the right arm outward, as they rest beside a body that lies."""
+        front = np.cross(self.aside, [0.0, 1.0, 0.0])
+        for side, angle in enumerate(angles):
+            chance = about(_direction(generator), generator.normal(0, scatter))
+            outward = about(front, float(angle if side == 0 else -angle))
+            self.turn(self.bones.arms[side], chance @ outward)
+            bend = about(front, generator.normal(0, 0.7))
+            self.turn(self.bones.forearms[side], bend)
 
     def turn_arms(self, forward: float, scatter: float, generator: np.random.Generator) -> None:
         """Turn both arms forward, and each a little by chance."""
@@ -246,13 +262,20 @@ def bend_over(pose: Pose, generator: np.random.Generator) -> None:
     pose.turn(pose.bones.head, about(pose.aside, float(-angle * generator.uniform(0, 0.5))))
 
 
+RIDERS = 0.1
+"""Share of those who sit."""
+
+
 def sit(pose: Pose, generator: np.random.Generator) -> None:
-    """Sit on something, with any legs, or on the ground with the legs stretched out."""
+    """Sit on something, with any legs, on the ground with the legs stretched out, or on a cycle."""
+    if generator.random() < RIDERS:
+        ride(pose, generator)
+        return
     on_ground = generator.random() < 0.25
     lean = np.deg2rad(generator.normal(-2, 16) if generator.random() < 0.75
                       else generator.uniform(-50, 45))  # fmt: skip
     alike = generator.random() < 0.6
-    pose.carried = not on_ground
+    pose.support = "ground" if on_ground else "seat"
     if on_ground:
         lean = np.deg2rad(generator.normal(5, 18))
     elif generator.random() < 0.12:
@@ -271,6 +294,25 @@ def sit(pose: Pose, generator: np.random.Generator) -> None:
     pose.turn_arms(float(np.deg2rad(generator.uniform(-10, 70))), 0.35, generator)
     if generator.random() < 0.5:
         pose.turn(pose.bones.head, about(pose.aside, float(np.deg2rad(generator.uniform(0, 45)))))
+
+
+def ride(pose: Pose, generator: np.random.Generator) -> None:
+    """Sit on a cycle, the hands at its bar: pedalling, or with both feet on rests."""
+    pose.support = "cycle"
+    pedals = generator.random() < 0.6
+    crank = generator.uniform(0, 2 * np.pi)
+    thigh, shank = generator.uniform(55, 95), generator.uniform(-20, 40)
+    spread = float(np.deg2rad(generator.uniform(0, 8 if pedals else 22)))
+    for side in (0, 1):
+        if pedals:
+            high = np.sin(crank + side * np.pi)
+            thigh, shank = 50 + 28 * high, 12 + 22 * np.cos(crank + side * np.pi)
+        pose.fold_leg(side, float(np.deg2rad(thigh)), float(np.deg2rad(shank)), spread)
+    lean = np.deg2rad(generator.uniform(-3, 55 if pedals else 25))
+    pose.lean(float(lean), 0.6)
+    reach = float(lean + np.deg2rad(generator.uniform(35, 75)))
+    pose.turn_arms(reach, 0.12, generator)
+    pose.turn(pose.bones.head, about(pose.aside, float(-lean * generator.uniform(0, 0.8))))
 
 
 def _cross_legs(pose: Pose, generator: np.random.Generator) -> None:
@@ -332,12 +374,17 @@ def lie(pose: Pose, generator: np.random.Generator) -> None:
     """Lie on the back, the belly, a side or between, legs drawn up or not, propped up or not."""
     if generator.random() < 0.5:
         drawn = np.deg2rad(generator.uniform(0, 110))
+        # Mostly the feet rest as well.
+        least = 0.5 if generator.random() < 0.7 else -0.9
         for side in (0, 1):
             thigh = drawn * generator.uniform(0.6, 1.2)
-            pose.fold_leg(side, float(thigh), float(thigh * generator.uniform(-0.9, 0.9)))
+            pose.fold_leg(side, float(thigh), float(thigh * generator.uniform(least, 1.0)))
     if generator.random() < 0.3:
         pose.lean(float(np.deg2rad(generator.uniform(-15, 55))), 0.4)
-    pose.turn_arms(float(np.deg2rad(generator.uniform(-20, 150))), 0.5, generator)
+    if generator.random() < 0.6:
+        pose.spread_arms(np.deg2rad(generator.uniform(5, 165, 2)), 0.25, generator)
+    else:
+        pose.turn_arms(float(np.deg2rad(generator.uniform(-20, 150))), 0.5, generator)
     # What was up points backwards, turned about the long axis; then a slope.
     roll = generator.uniform(0, 2 * np.pi)
     if generator.random() < 0.6:

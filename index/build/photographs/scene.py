@@ -26,6 +26,7 @@ from index.build.photographs.posing import (
     CLASSES,
     SHARES,
     PoseSource,
+    Support,
     classes_of,
     read_pose_source,
 )
@@ -55,10 +56,15 @@ MIN_DEPTH_M, NEAREST_M = 0.12, 0.35
 """Things nearer to the camera than the first are not drawn; people are not nearer than the second.
 """
 
+COMPANIONS, HIDDEN, TABLES, WALKING_FRAMES = 0.14, 0.22, 0.42, 0.07
+"""Shares: of people with a second person near them; of subjects behind a thing; of those on chairs
+who sit at a table; of people with a walking frame at hand."""
+
 EMPTY = -1
 """Class of pictures that show nobody."""
 
 _SHADOW_PIXELS, _SHADOW_REACH_M = 256, 2.6
+_EARS = [7, 8]
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
 
 
@@ -115,6 +121,7 @@ class _Body:
     joints: NDArray[np.float64]
     posture: int
     seat: float
+    support: Support
 
     def placed(self, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Mesh:
         return self.mesh.placed(turn, shift)
@@ -166,11 +173,12 @@ class Studio:
             return None
         floor, around = _support(wanted, body, materials, generator)
         things = list(around)
-        if generator.random() < 0.08:
-            other = self._body("standing", materials, generator)
+        if generator.random() < COMPANIONS:
+            posture = str(generator.choice(["standing", "bending", "crouching"], p=[0.6, 0.2, 0.2]))
+            other = self._body(posture, materials, generator)
             if other is not None:
                 turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
-                away = generator.uniform(0.7, 2.5) * _level(generator)
+                away = generator.uniform(0.45, 2.5) * _level(generator)
                 low = float(other.mesh.vertices[:, 1].min())
                 things.append(other.placed(turn, away + np.array([0, floor - low, 0])))
         return _photograph(body.mesh, body, things, floor, materials, generator)
@@ -196,7 +204,8 @@ class Studio:
         )
         joints = posed_points(person.avatar, turned)[0]
         posture = int(classes_of(joints[None])[0])
-        if pose.carried and CLASSES[posture] in ("bending", "crouching"):
+        leans = pose.support == "seat" and CLASSES[posture] in ("bending", "crouching")
+        if leans or pose.support == "cycle":
             posture = CLASSES.index("sitting")
         if CLASSES[posture] != wanted or (wanted == "lying" and not _rests(joints)):
             return None
@@ -213,7 +222,7 @@ class Studio:
             rows[person.parts],
         )  # fmt: skip
         seat = float(np.quantile(vertices[person.seat, 1], 0.02))
-        return _Body(mesh, landmarks, joints[:JOINTS], posture, seat)
+        return _Body(mesh, landmarks, joints[:JOINTS], posture, seat, pose.support)
 
 
 def _rests(joints: NDArray[np.float64]) -> bool:
@@ -233,25 +242,12 @@ def _support(
     """Height of the floor, and what somebody sits on, at or lies on."""
     vertices = body.mesh.vertices
     low = float(vertices[:, 1].min())
+    if body.support == "cycle":
+        return _cycle(body, low, materials, generator)
+    if wanted == "sitting" and body.seat - low > 0.2:
+        return _seat(body, low, materials, generator)
     if wanted == "sitting":
-        things = []
-        floor = low
-        if body.seat - low > 0.2:
-            if generator.random() < 0.15:
-                floor -= generator.uniform(0, 0.25)
-            near = np.abs(vertices[:, 1] - body.seat - 0.2) < 0.2
-            behind = float(np.quantile(vertices[near, 2], 0.02)) - 0.02
-            things.append(furniture.chair(floor, body.seat + 0.01, behind, materials, generator))
-            if generator.random() < 0.3:
-                lap = float(vertices[vertices[:, 2] > 0.15][:, 1].min(initial=0.0))
-                top = max(floor + generator.uniform(0.62, 0.8), min(0.12, lap + 0.3))
-                near_z = generator.uniform(0.2, 0.5)
-                things.append(furniture.desk(floor, top, near_z, materials, generator))
-        elif generator.random() < 0.4:
-            floor -= generator.uniform(0.25, 0.6)
-            chair = furniture.chair(floor, low + 0.02, -0.6, materials, generator)
-            things.append(chair)
-        return floor, things
+        return _sitting_low(vertices, low, materials, generator)
     if wanted == "lying" and generator.random() < 0.5:
         floor = low - generator.choice([generator.uniform(0.02, 0.1), generator.uniform(0.25, 0.7)])
         axis = body.joints[_NECK] - body.joints[_PELVIS]
@@ -260,11 +256,69 @@ def _support(
         along = vertices @ turn.T
         ends = (float(along[:, 2].min()), float(along[:, 2].max()))
         things = [furniture.bed(floor, low + 0.03, ends, materials, generator)]
-        if generator.random() < 0.3:
-            share = generator.uniform(0.25, 0.8)
+        if generator.random() < 0.4:
+            share = generator.uniform(0.25, 0.85)
             things.append(furniture.blanket(along, low + 0.03, share, materials, generator))
         return floor, [thing.placed(turn.T, np.zeros(3)) for thing in things]
+    if wanted in ("standing", "bending", "lying") and generator.random() < WALKING_FRAMES:
+        frame = furniture.walking_frame(materials, generator)
+        if wanted != "lying":
+            return low, [frame.placed(np.eye(3), [0.0, low, generator.uniform(0.2, 0.45)])]
+        turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
+        away = generator.uniform(0.3, 0.9) * _level(generator)
+        return low, [frame.placed(turn, away + np.array([0, low, 0]))]
     return low, []
+
+
+def _cycle(
+    body: _Body, low: float, materials: Materials, generator: np.random.Generator
+) -> tuple[float, list[Mesh]]:
+    floor = min(low, body.seat - 0.6) - generator.uniform(0.02, 0.2)
+    things = [furniture.cycle(floor, body.seat + 0.01, materials, generator)]
+    if generator.random() < 0.35:
+        head = body.landmarks[_EARS].mean(axis=0)
+        things.append(furniture.helmet(head, materials, generator))
+    return floor, things
+
+
+def _seat(
+    body: _Body, low: float, materials: Materials, generator: np.random.Generator
+) -> tuple[float, list[Mesh]]:
+    """A chair or the like; perhaps a table before it, or a blanket over the legs."""
+    vertices, floor = body.mesh.vertices, low
+    if generator.random() < 0.15:
+        floor -= generator.uniform(0, 0.25)
+    near = np.abs(vertices[:, 1] - body.seat - 0.2) < 0.2
+    behind = float(np.quantile(vertices[near, 2], 0.02)) - 0.02
+    things = [furniture.chair(floor, body.seat + 0.01, behind, materials, generator)]
+    chance = generator.random()
+    if chance < TABLES:
+        lap = float(vertices[vertices[:, 2] > 0.15][:, 1].min(initial=0.0))
+        top = max(floor + generator.uniform(0.62, 0.8), min(0.12, lap + 0.3))
+        near_z = generator.uniform(0.15, 0.5)
+        things.append(furniture.desk(floor, top, near_z, materials, generator))
+    elif chance < TABLES + 0.08:
+        things.append(furniture.lap_blanket(vertices, floor, body.seat, materials, generator))
+    return floor, things
+
+
+def _sitting_low(
+    vertices: NDArray[np.float32], low: float, materials: Materials, generator: np.random.Generator
+) -> tuple[float, list[Mesh]]:
+    """On the ground, on a sofa or a bed with the legs along it."""
+    chance = generator.random()
+    if chance < 0.55:
+        return low, []
+    floor = low - generator.uniform(0.25, 0.6)
+    if chance < 0.75:
+        return floor, [furniture.chair(floor, low + 0.02, -0.6, materials, generator)]
+    ends = (-generator.uniform(0.2, 0.6), float(vertices[:, 2].max()))
+    things = [furniture.bed(floor, low + 0.03, ends, materials, generator)]
+    if generator.random() < 0.5:
+        share = generator.uniform(0.4, 0.8)
+        legs = vertices[vertices[:, 1] < low + 0.35]
+        things.append(furniture.blanket(legs, low + 0.03, share, materials, generator))
+    return floor, things
 
 
 def _clutter(
@@ -336,7 +390,7 @@ def _photograph(
     inside = (np.abs(plane) < edge).all(axis=1).mean()
     if extent > 6 or inside < 0.3:
         return None
-    hides = bool(generator.random() < 0.16)
+    hides = bool(generator.random() < HIDDEN)
     things = things + _clutter(camera, target, floor, hides, materials, generator)
     room = build_room(np.stack([camera.place, low, high]), floor, generator)
     light = _light(room, generator)
