@@ -236,8 +236,6 @@ class Estimator:
             return tuple(job.map(lambda pair: fit_poses(self.index, *pair, scene.camera, n), pairs))
 
     def detect(self, frame: bytes, job: Job) -> tuple[ObservedPerson, ...]:
-        """Find the people of a frame by their boxes alone, those of the highest scores first."""
-        job.checkpoint()
-        pixels = self._decoder.decode_frame(frame)
-        job.checkpoint()
-        return self.finder.detect(pixels)
+        """Find the people of a frame without their poses, those of the highest scores first."""
+        scene = self.find_people(Upload(frame), job, evidence="silhouette")
+        return tuple(sorted(scene.people, key=lambda one: -(one.detection_score or 0.0)))

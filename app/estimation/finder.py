@@ -57,16 +57,14 @@ class PeopleFinder:
         source, detections = self._detect(upload, background, job)
         people = self._observe(source, detections, upload, background, landmarks, job)
         if source != "boxes":
-            # A detection without a silhouette is unlikely to be a person.
-            people = [person for person in people if person.silhouette is not None]
+            # A detection without a silhouette is unlikely to be a person. Detectors cut off
+            # foreheads, feet and outstretched arms that the silhouette shows.
+            people = [
+                replace(person, box=person.box.joined(person.silhouette.box))
+                for person in people
+                if person.silhouette is not None
+            ]
         return people if landmarks else [without_landmarks(person) for person in people]
-
-    def detect(self, frame: NDArray[np.uint8]) -> tuple[ObservedPerson, ...]:
-        """Find people by their boxes alone, those of the highest scores first."""
-        return tuple(
-            ObservedPerson(found.box, "detector", found.score, None)
-            for found in self.detector.detect(frame)[: self.max_persons]
-        )
 
     def read(
         self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job

@@ -191,10 +191,6 @@ class UploadDecoder:
             pixels=pixels,
         )
 
-    def decode_frame(self, data: bytes) -> NDArray[np.uint8]:
-        """Decode a photograph, ``(H, W, 3)`` uint8, BGR."""
-        return self._decode("frame", data, decode_image)
-
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:
             return decode(data, max_pixels=self.max_pixels)

@@ -75,6 +75,13 @@ class Box:
         height = min(self.bottom, other.bottom) - max(self.y, other.y)
         return max(0.0, width) * max(0.0, height)
 
+    def joined(self, other: Box) -> Box:
+        """The smallest box that holds both."""
+        return Box.from_edges(
+            min(self.x, other.x), min(self.y, other.y),
+            max(self.right, other.right), max(self.bottom, other.bottom),
+        )  # fmt: skip
+
     def iou(self, other: Box) -> float:
         """Intersection over union with another box, 0 to 1."""
         shared = self.intersection(other)

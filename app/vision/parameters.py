@@ -143,6 +143,8 @@ class SilhouetteParameters:
     # Landmarks from this visibility widen a box, with a margin of this share of its longer side.
     min_visibility: float = 0.5
     landmark_margin: float = 0.04
+    # From the ears to the crown, in distances from the shoulders to the ears.
+    crown: float = 0.7
     min_part: float = 0.1  # Relative to the largest part; smaller ones are dropped.
     max_hole: float = 0.01  # Relative to the mask; larger holes stay.
 

@@ -12,8 +12,10 @@ from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
 from app.vision.parameters import DEFAULTS, SilhouetteParameters
-from app.vision.people import Silhouette, silhouette_from_mask
+from app.vision.people import Silhouette, landmark_rows, silhouette_from_mask
 from app.vision.truncation import with_truncation
+
+_EARS, _SHOULDERS = landmark_rows("ear"), landmark_rows("shoulder")
 
 
 def silhouettes_of(
@@ -77,11 +79,14 @@ def silhouettes_from_labels(image: LabelImage) -> list[Silhouette]:
 
 
 def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParameters) -> Box:
-    """A box widened to the visible landmarks."""
+    """A box widened to the visible landmarks and, where the ears are visible, to the crown."""
     visible = reading.landmarks.visibility >= parameters.min_visibility
     if not visible.any():
         return box
     positions = reading.landmarks.positions[visible]
+    if visible[_EARS].all() and visible[_SHOULDERS].all():
+        ears, shoulders = (reading.landmarks.positions[rows].mean(0) for rows in (_EARS, _SHOULDERS))
+        positions = np.vstack([positions, ears + parameters.crown * (ears - shoulders)])
     margin = parameters.landmark_margin * max(box.width, box.height)
     left, top = (positions.min(axis=0) - margin).tolist()
     right, bottom = (positions.max(axis=0) + margin).tolist()
