@@ -171,16 +171,15 @@ def _judged(
     person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
 ) -> ObservedPerson:
     """A person with what rendered people have taught: depths, posture and reliability."""
-    models = photograph_models()
-    body = models.body(reading, camera)
-    doubt = models.doubts(reading, body)
+    judged = photograph_models().judge(reading, camera)
+    body = judged.body
     return replace(
         person,
         landmarks=replace(
             landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
         ),
-        frame_posture=models.frame_posture(reading, body, doubt),
-        reliability=doubt.right,
+        frame_posture=judged.posture,
+        reliability=judged.doubt.right,
     )
 
 

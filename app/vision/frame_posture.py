@@ -136,12 +136,17 @@ def posture_features(
 
 @dataclass(frozen=True)
 class PostureModel:
-    """Estimates postures.
+    """Estimates postures by the mean of two networks.
+
+    One sees no feature map, so that surroundings unlike any rendered ones cannot decide alone.
 
     Parameters
     ----------
-    network : DenseNetwork
-        Scores of :data:`FRAME_POSTURES`.
+    by_body : DenseNetwork
+        Scores of :data:`FRAME_POSTURES`, by :func:`posture_features` and
+        :func:`app.vision.doubt.doubt_features`.
+    by_surroundings : DenseNetwork
+        The same, by :func:`app.vision.landmark_features.region_features` too.
     trust : (2,) float64 array
         Logarithm of the factor on the scores where landmarks are as likely right as wrong, and how
         it grows with the log odds of right landmarks: the less of a person is seen, the less
@@ -149,18 +154,23 @@ class PostureModel:
         Calibrated on held-out renders.
     """
 
-    network: DenseNetwork
+    by_body: DenseNetwork
+    by_surroundings: DenseNetwork
     trust: NDArray[np.float64]
 
-    def probabilities(
-        self, features: NDArray[np.float64], right: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Probabilities ``(N, 6)`` of features ``(N, F)`` whose landmarks are right ``(N,)``."""
-        return trusted(self.network(features), right, self.trust)
+    def scores(
+        self, body: NDArray[np.float64], surroundings: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Scores ``(N, 6)`` of features of bodies ``(N, F)`` and their surroundings ``(N, M)``."""
+        both = self.by_surroundings(np.hstack([body, surroundings]))
+        return np.asarray((self.by_body(body) + both) / 2, np.float32)
 
-    def estimate(self, features: NDArray[np.float64], right: float) -> FramePosture:
-        """The posture of one body, of features ``(F,)`` and the chance of right landmarks."""
-        return FramePosture(self.probabilities(features[None], np.array([right]))[0])
+    def estimate(
+        self, body: NDArray[np.float64], surroundings: NDArray[np.float32], right: float
+    ) -> FramePosture:
+        """The posture of one body, of features ``(F,)``, ``(M,)`` and how likely they are right."""
+        scores = self.scores(body[None], surroundings[None])
+        return FramePosture(trusted(scores, np.array([right]), self.trust)[0])
 
 
 def trusted(

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.people import landmark_rows
+
 LANDMARKS = 33
 _WINDOW_PX = 256
+_TRUNK, _LEGS = landmark_rows("shoulder", "hip"), landmark_rows("knee", "ankle")
 
 
 def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -35,3 +38,12 @@ def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArr
     top = (1 - across) * maps[rows, y, x] + across * maps[rows, y, x + 1]
     bottom = (1 - across) * maps[rows, y + 1, x] + across * maps[rows, y + 1, x + 1]
     return np.asarray((1 - down) * top + down * bottom, np.float32)
+
+
+def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Means over the trunk and over the legs ``(N, 2 C)`` of a map at the landmarks ``(N, 33, C)``.
+
+    They show what surrounds a body: a seat, a blanket, a table in front of the legs.
+    """
+    parts = [sampled[:, rows].astype(np.float32).mean(axis=1) for rows in (_TRUNK, _LEGS)]
+    return np.hstack(parts)

@@ -17,12 +17,22 @@ from app.vision.dense import DenseNetwork
 from app.vision.depth import DepthModel
 from app.vision.doubt import Doubt, DoubtModel, doubt_features
 from app.vision.frame_posture import FramePosture, PostureModel, posture_features
+from app.vision.landmark_features import region_features, sample_map
 from app.vision.models import FOLDER, network_path
 from app.vision.network_pass import NetworkPass
 from app.vision.sight import PinholeCamera
 from app.vision.tflite import NetworkError
 
 FILE = FOLDER / "photograph_models.npz"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the models make of a reading."""
+
+    body: Body3D
+    doubt: Doubt
+    posture: FramePosture
 
 
 @dataclass(frozen=True)
@@ -48,29 +58,36 @@ class PhotographModels:
             given, reading.window, camera, depths, landmarks.positions, landmarks.visibility
         )
 
-    def frame_posture(self, reading: PoseReading, body: Body3D, doubt: Doubt) -> FramePosture:
-        """The posture of a reading whose body and doubt are known."""
-        box = reading.landmarks.box()
-        features = posture_features(
-            body.points[None],
-            reading.landmarks.visibility[None],
-            np.array([reading.window.roll_deg]),
-            np.array([reading.presence]),
-            np.array([box.width / box.height]),
-        )
-        return self.posture.estimate(features[0], doubt.right)
+    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
+        """A reading in three dimensions, how far to trust it, and its posture.
 
-    def doubts(self, reading: PoseReading, body: Body3D) -> Doubt:
-        """How far to trust a reading whose body is known."""
-        given = _given(reading)
-        features = doubt_features(
+        Raises
+        ------
+        ValueError
+            If no network read it.
+        """
+        body, given, landmarks = self.body(reading, camera), _given(reading), reading.landmarks
+        trust = doubt_features(
             given.points[None],
             given.world[None],
             np.array([given.presence]),
             given.last[None],
             body.sigmas[None],
         )
-        return self.doubt.estimate(features[0])
+        doubt = self.doubt.estimate(trust[0])
+        box = landmarks.box()
+        shape = posture_features(
+            body.points[None],
+            landmarks.visibility[None],
+            np.array([reading.window.roll_deg]),
+            np.array([reading.presence]),
+            np.array([box.width / box.height]),
+        )
+        sampled = sample_map(given.middle[None], given.points[None])
+        posture = self.posture.estimate(
+            np.hstack([shape, trust])[0], region_features(sampled)[0], doubt.right
+        )
+        return Judgement(body, doubt, posture)
 
 
 def _given(reading: PoseReading) -> NetworkPass:
@@ -92,9 +109,10 @@ def photograph_models(path: Path | None = None) -> PhotographModels:
     try:
         with np.load(path) as stored:
             arrays = dict(stored)
-        names = ("depth", "posture", "doubt")
-        depth, posture, doubt = (DenseNetwork.of(arrays, name) for name in names)
+        names = ("depth", "doubt", "posture.by_body", "posture.by_surroundings")
+        depth, doubt, by_body, by_surroundings = (DenseNetwork.of(arrays, name) for name in names)
         trust = np.asarray(arrays["posture.trust"], np.float64)
     except (OSError, KeyError, ValueError) as error:
         raise NetworkError(f"cannot read the models in {path}: {error}") from error
-    return PhotographModels(DepthModel(depth), PostureModel(posture, trust), DoubtModel(doubt))
+    posture = PostureModel(by_body, by_surroundings, trust)
+    return PhotographModels(DepthModel(depth), posture, DoubtModel(doubt))

@@ -85,7 +85,9 @@ def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParame
         return box
     positions = reading.landmarks.positions[visible]
     if visible[_EARS].all() and visible[_SHOULDERS].all():
-        ears, shoulders = (reading.landmarks.positions[rows].mean(0) for rows in (_EARS, _SHOULDERS))
+        ears, shoulders = (
+            reading.landmarks.positions[rows].mean(0) for rows in (_EARS, _SHOULDERS)
+        )
         positions = np.vstack([positions, ears + parameters.crown * (ears - shoulders)])
     margin = parameters.landmark_margin * max(box.width, box.height)
     left, top = (positions.min(axis=0) - margin).tolist()

@@ -114,9 +114,8 @@ def ask_postures(frames: Sequence[ReadFrame], models: PhotographModels) -> list[
     for frame in frames:
         if frame.readings and frame.truth:
             reading = frame.readings[0]
-            body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-            posture = models.frame_posture(reading, body, models.doubts(reading, body))
-            asked.append((frame, reading, posture.probabilities))
+            judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
+            asked.append((frame, reading, judged.posture.probabilities))
     return asked
 
 
@@ -189,11 +188,9 @@ def any_low(frames: Sequence[ReadFrame], models: PhotographModels) -> str:
                 continue
             hit = False
             for reading in frame.readings:
-                body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-                doubt = models.doubts(reading, body)
-                posture = models.frame_posture(reading, body, doubt)
-                low = _grouped(posture.probabilities)[2] > 0.5
-                hit |= bool(low and doubt.person > 0.5)
+                judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
+                low = _grouped(judged.posture.probabilities)[2] > 0.5
+                hit |= bool(low and judged.doubt.person > 0.5)
             detected.append(hit)
         shares[truth] = 100 * np.mean(detected)
     return f"fall photographs, anybody on the ground: {shares[LOW]:.1f} %, others " + (
@@ -212,8 +209,7 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> list
             box = reading.landmarks.box()
             if not (box.x <= middle[0] <= box.right and box.y <= middle[1] <= box.bottom):
                 continue
-            body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-            doubt = models.doubts(reading, body)
+            doubt = models.judge(reading, PinholeCamera.of_frame(frame.shape)).doubt
             trunk = np.linalg.norm(frame.joints_2d[:2].mean(0) - middle)
             apart = np.linalg.norm(
                 reading.landmarks.positions[LANDMARK_LIMBS] - frame.joints_2d, axis=1
@@ -235,9 +231,8 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> list
             continue
         said = []
         for reading, score in zip(frame.readings, frame.scores, strict=True):
-            body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-            doubt = models.doubts(reading, body)
-            posture = models.frame_posture(reading, body, doubt)
+            judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
+            posture, doubt = judged.posture, judged.doubt
             said.append(
                 f"{posture.likeliest} {posture.probabilities.max():.2f} (person "
                 f"{doubt.person:.2f}, right {doubt.right:.2f}, presence {reading.presence:.2f}, "
@@ -255,8 +250,8 @@ def measure_presence(frames: Sequence[ReadFrame], models: PhotographModels) -> l
         for frame in frames:
             if frame.source == source and frame.readings:
                 reading = frame.readings[0]
-                body = models.body(reading, PinholeCamera.of_frame(frame.shape))
-                chances.append(models.doubts(reading, body).person)
+                judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
+                chances.append(judged.doubt.person)
         low = np.quantile(chances, 0.05)
         lines.append(f"{source}: above 0.5 {np.mean(np.array(chances) > 0.5):.3f}, 5 % {low:.2f}")
     return lines

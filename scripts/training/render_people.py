@@ -1,7 +1,7 @@
 """Render people as photographs and let the landmark network read them.
 
-    python -m scripts render-people --out FOLDER --count 21000
-    python -m scripts render-people --out OTHER --count 1500 --seed 7 --held-out
+    python -m scripts render-people --out FOLDER --seed 1
+    python -m scripts render-people --out OTHER --count 2000 --seed 7 --held-out
 
 Writes ``windows-NNNN.npz``, 500 photographs each, with what was true in them (see
 :mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--out", type=Path, help="folder to write to")
-    parser.add_argument("--count", type=int, default=21_000, help="photographs")
+    parser.add_argument("--count", type=int, default=10_000, help="photographs")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
     parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")

@@ -1,9 +1,9 @@
 r"""Train what rendered people teach: depth, posture and doubt.
 
-    python -m scripts render-people --out /tmp/photographs/train --count 21000 --seed 1
-    python -m scripts render-people --out /tmp/photographs/held --count 1500 --seed 7 \
-        --held-out
-    python -m scripts train-photographs --train /tmp/photographs/train \
+    python -m scripts render-people --out /tmp/photographs/train-1 --seed 1
+    python -m scripts render-people --out /tmp/photographs/train-2 --seed 2
+    python -m scripts render-people --out /tmp/photographs/held --count 2000 --seed 7 --held-out
+    python -m scripts train-photographs --train /tmp/photographs/train-1 /tmp/photographs/train-2 \
         --held-out /tmp/photographs/held
 
 Writes ``app/vision/models/photograph_models.npz``; the same bytes for the same windows. Everything
@@ -38,8 +38,8 @@ from app.vision.depth import (
     sight_features,
 )
 from app.vision.doubt import DoubtModel, doubt_features
-from app.vision.frame_posture import FRAME_POSTURES, posture_features, trusted
-from app.vision.landmark_features import LANDMARKS
+from app.vision.frame_posture import FRAME_POSTURES, PostureModel, posture_features, trusted
+from app.vision.landmark_features import LANDMARKS, region_features
 from app.vision.models import MODELS
 from app.vision.odds import sigmoid
 from app.vision.people import landmark_rows
@@ -58,8 +58,8 @@ from scripts.training.photograph_data import WindowRows, joined, read_rows
 SEEN_FROM = 0.3
 """The network's presence from which a window teaches depth and posture."""
 
-ENSEMBLE = 4
-"""Networks of which the posture's is the mean."""
+ENSEMBLE = 3
+"""Networks of which each of the posture's two is the mean."""
 
 NOBODY_FROM = 0.1
 """The network's presence from which a window without people is taken for one by it."""
@@ -181,7 +181,7 @@ def bodies(rows: WindowRows, sights: Sights, depths: Depths) -> NDArray[np.float
 
 
 def posture_inputs(rows: WindowRows, sights: Sights, depths: Depths) -> NDArray[np.float64]:
-    """Features of the posture model."""
+    """Shapes of the bodies, for the posture model."""
     places = places_in_frame(rows)
     width, height = (np.ptp(places[..., axis], axis=1) for axis in (0, 1))
     return posture_features(
@@ -194,8 +194,9 @@ def posture_inputs(rows: WindowRows, sights: Sights, depths: Depths) -> NDArray[
 
 
 def train_posture(
-    features: NDArray[np.float64], classes: NDArray[np.int64], epochs: int, seed: int
-) -> DenseNetwork:
+    features: NDArray[np.floating], classes: NDArray[np.int64], epochs: int, seed: int,
+    **options: Any,
+) -> DenseNetwork:  # fmt: skip
     """The mean of a few networks with one hidden layer: their scores differ by chance."""
     import torch
 
@@ -206,7 +207,7 @@ def train_posture(
         [
             fit_dense(
                 features, classes[:, None].astype(np.float32), len(FRAME_POSTURES), loss,
-                hidden=(48,), epochs=epochs, seed=seed + number, batch=64, dropout=0.1, noise=0.1,
+                epochs=epochs, seed=seed + number, batch=64, **options,
             )
             for number in range(ENSEMBLE)
         ]
@@ -335,9 +336,22 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     report_doubt(doubt, held, found, say)
     right = DoubtModel(doubt).probabilities(_doubt_inputs(held, found))[:, 1]
 
-    features = posture_inputs(train, sights, crossed)
-    posture = train_posture(features[teaches], train.posture[teaches], epochs, seed + 10)
-    scores = posture(posture_inputs(held, held_sights, found))
+    seen_bodies = [
+        np.hstack([posture_inputs(rows, cameras, depths), _doubt_inputs(rows, depths)])
+        for rows, cameras, depths in ((train, sights, crossed), (held, held_sights, found))
+    ]
+    around = [region_features(rows.sampled) for rows in (train, held)]
+    classes = train.posture[teaches]
+    by_body = train_posture(
+        seen_bodies[0][teaches], classes, epochs, seed + 10,
+        hidden=(48,), dropout=0.3, noise=0.3,
+    )  # fmt: skip
+    by_surroundings = train_posture(
+        np.hstack([seen_bodies[0], around[0]])[teaches], classes, epochs, seed + 20,
+        hidden=(96,), dropout=0.4, noise=0.5, decay=0.1,
+    )  # fmt: skip
+    posture = PostureModel(by_body, by_surroundings, np.zeros(2))
+    scores = posture.scores(seen_bodies[1], around[1])
     # Windows without people that the network takes for some say how sure one may be.
     asked = (held.presence > NOBODY_FROM) & calibrates
     trust = fit_trust(scores[asked], right[asked], held.posture[asked])
@@ -345,7 +359,9 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     tests = seen & ~calibrates
     report_posture(trusted(scores, right, trust)[tests], held.posture[tests], say)
     arrays: dict[str, Any] = {"posture.trust": trust}
-    for name, network in (("depth", depth), ("posture", posture), ("doubt", doubt)):
+    networks = {"depth": depth, "doubt": doubt, "posture.by_body": by_body,
+                "posture.by_surroundings": by_surroundings}  # fmt: skip
+    for name, network in networks.items():
         arrays |= network.arrays(name)
     return arrays
 
@@ -381,7 +397,7 @@ def _doubt(train: WindowRows, depths: Depths, epochs: int, seed: int) -> DenseNe
     person = train.posture >= 0
     return train_doubt(
         _doubt_inputs(train, depths)[decided], person[decided],
-        (person & (share >= RIGHT_SHARE))[decided], epochs, seed + 20,
+        (person & (share >= RIGHT_SHARE))[decided], epochs, seed + 30,
     )  # fmt: skip
 
 

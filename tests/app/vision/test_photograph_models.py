@@ -131,11 +131,10 @@ def test_walkers_stand_and_are_people(
 ) -> None:
     models, camera = photograph_models(), PinholeCamera.of_frame(street.shape)
     for reading in readings:
-        body = models.body(reading, camera)
-        doubt = models.doubts(reading, body)
-        assert models.frame_posture(reading, body, doubt).likeliest == "standing"
-        assert doubt.person > 0.8
-        assert 0 <= doubt.right <= doubt.person <= 1
+        judged = models.judge(reading, camera)
+        assert judged.posture.likeliest == "standing"
+        assert judged.doubt.person > 0.8
+        assert 0 <= judged.doubt.right <= judged.doubt.person <= 1
 
 
 def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
@@ -177,12 +176,14 @@ def test_asphalt_is_nobody(landmark_network: LandmarkNetwork, street: NDArray[np
     models, camera = photograph_models(), PinholeCamera.of_frame(street.shape)
     for box in (Box(100, 200, 30, 80), Box(60, 30, 30, 80)):
         reading = landmark_network.read(street, PersonWindow.about_box(box))
-        assert models.doubts(reading, models.body(reading, camera)).person < 0.5
+        assert models.judge(reading, camera).doubt.person < 0.5
 
 
 def test_what_ships_is_small() -> None:
     assert FILE.stat().st_size < 3_000_000
-    assert photograph_models().posture.network.biases[-1].shape == (len(FRAME_POSTURES),)
+    posture = photograph_models().posture
+    for network in (posture.by_body, posture.by_surroundings):
+        assert network.biases[-1].shape == (len(FRAME_POSTURES),)
 
 
 def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:
