@@ -38,6 +38,7 @@ from scripts.datasets import (
     read_pose2sim_joints,
 )
 from scripts.helpers import encoded, estimate, track
+from scripts.metrics import percent
 
 MIN_CUT_PX, SAME_PERSON = 180, 0.3
 """Minimum height of people who are cut off, and minimum overlap (IoU) of a box with theirs."""
@@ -112,11 +113,6 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         "upfall": upfall(estimator, sorted((real / "upfall").glob("*.mp4"))),
         "street": street(estimator, real / "vtest" / "vtest.avi"),
     }
-
-
-def percent(values: Sequence[float] | NDArray[np.generic]) -> float:
-    """Return the mean in percent."""
-    return 100 * float(np.mean(np.asarray(values, np.float64)))
 
 
 def is_low(person: Person) -> bool:
@@ -357,13 +353,12 @@ def upfall(estimator: Estimator, files: Sequence[Path]) -> dict[str, object]:
         "false_alarms": sum(daily),
         "low_of_upright": percent([low for one in upright for low in one.low]),
         "low_of_lying": percent([low for one in lying for low in one.low]),
-        "postures": {
-            name: _right_or_none([right for one in some for right in one.postures])
-            for name, some in by_activity.items()
-        },
-        "actions": {
-            name: _right_or_none([right for one in some for right in one.actions])
-            for name, some in by_activity.items()
+        **{
+            kind: {
+                name: _right_or_none([right for one in some for right in getattr(one, kind)])
+                for name, some in by_activity.items()
+            }
+            for kind in ("postures", "actions")
         },
     }
 
