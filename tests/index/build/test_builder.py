@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.build.splits import entries_of, split, split_by_clip
 from index.posture import LOW, POSTURES, classify_postures
+from tests.index.toys import walk, write_clip
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -99,19 +99,14 @@ class TestSplit:
 
 
 @pytest.fixture(scope="module")
-def ground_motion(
-    motion_folder: Path,
-    write_clip: Callable[..., Path],
-    walking: Callable[..., list[dict[str, tuple[float, float, float]]]],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Path:
+def ground_motion(motion_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The motion folder with a second manifest, of somebody who sits."""
     folder = tmp_path_factory.mktemp("ground") / "mocap"
     shutil.copytree(motion_folder, folder)
     legs = {"LeftLeg": (0.0, 0.0, 80.0), "RightLeg": (0.0, 0.0, 80.0)}
     seated = [
         {**frame, **legs, "LeftUpLeg": (-15.0, 0.0, thigh), "RightUpLeg": (15.0, 0.0, thigh)}
-        for frame, thigh in zip(walking(30), np.linspace(-85, -75, 30).tolist(), strict=True)
+        for frame, thigh in zip(walk(30), np.linspace(-85, -75, 30).tolist(), strict=True)
     ]
     write_clip(folder / "bvh" / "rest.bvh", seated)
     (folder / MANIFESTS[1]).write_text(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +9,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from index.build.motion import MANIFESTS, METRES_PER_UNIT, MotionError, read_clip, read_manifest
-
-Angles = dict[str, tuple[float, float, float]]
-Write = Callable[..., Path]
-Walk = Callable[..., list[Angles]]
+from tests.index.toys import Angles, walk, write_clip
 
 HEADER = "clip,subject,action,start_frame,end_frame,fps,description\n"
 
 
 @pytest.fixture
-def clip(tmp_path: Path, write_clip: Write, walking: Walk) -> Path:
+def clip(tmp_path: Path) -> Path:
     """A sound clip of 20 frames to spoil."""
-    return write_clip(tmp_path / "stroll.bvh", walking(20))
+    return write_clip(tmp_path / "stroll.bvh", walk(20))
 
 
 class TestSoundClip:
@@ -50,9 +46,7 @@ class TestSoundClip:
         # LHipJoint's child starts away from it; Hips skips joints without an offset.
         assert_allclose(read.tips[read.bones.index("LHipJoint")], (0.09, -0.04, 0))
 
-    def test_world_rotations_compose_along_the_chain(
-        self, tmp_path: Path, write_clip: Write
-    ) -> None:
+    def test_world_rotations_compose_along_the_chain(self, tmp_path: Path) -> None:
         # 30 degrees about z at the shoulder and 40 at the elbow: 70 at the forearm.
         bent: Angles = {"LeftArm": (30.0, 0.0, 0.0), "LeftForeArm": (40.0, 0.0, 0.0)}
         read = read_clip(write_clip(tmp_path / "bent.bvh", [bent, bent]))
@@ -66,21 +60,17 @@ class TestSpeeds:
         assert_allclose(read_clip(clip).speeds, np.zeros(20))
 
     @pytest.mark.parametrize("climb", [0.0, 2.0])
-    def test_are_metres_per_second_along_the_ground(
-        self, tmp_path: Path, write_clip: Write, walking: Walk, climb: float
-    ) -> None:
+    def test_are_metres_per_second_along_the_ground(self, tmp_path: Path, climb: float) -> None:
         # 0.3 ahead and 0.4 aside are half a unit a frame, 30 frames a second.
-        file = write_clip(tmp_path / "away.bvh", walking(40), (0.4, climb, 0.3))
+        file = write_clip(tmp_path / "away.bvh", walk(40), (0.4, climb, 0.3))
         assert_allclose(read_clip(file).speeds, np.full(40, 15 * METRES_PER_UNIT), rtol=1e-3)
 
-    def test_of_a_single_frame_is_zero(
-        self, tmp_path: Path, write_clip: Write, walking: Walk
-    ) -> None:
-        file = write_clip(tmp_path / "still.bvh", walking(1), (1.0, 1.0, 1.0))
+    def test_of_a_single_frame_is_zero(self, tmp_path: Path) -> None:
+        file = write_clip(tmp_path / "still.bvh", walk(1), (1.0, 1.0, 1.0))
         assert_allclose(read_clip(file).speeds, [0.0])
 
-    def test_follow_who_stops(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-        file = write_clip(tmp_path / "stops.bvh", walking(60), (0.0, 0.0, 1.0))
+    def test_follow_who_stops(self, tmp_path: Path) -> None:
+        file = write_clip(tmp_path / "stops.bvh", walk(60), (0.0, 0.0, 1.0))
         head, motion = file.read_text().split("0.0333333\n")
         rows = motion.splitlines()
         place = " ".join(rows[30].split()[:3])
@@ -93,14 +83,14 @@ class TestSpeeds:
 
 
 class TestDroppedFrames:
-    def test_t_poses(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-        read = read_clip(write_clip(tmp_path / "calibrated.bvh", [{}, {}, {}, *walking(20)]))
+    def test_t_poses(self, tmp_path: Path) -> None:
+        read = read_clip(write_clip(tmp_path / "calibrated.bvh", [{}, {}, {}, *walk(20)]))
         assert read.t_poses == 3
         assert read.broken[:3].all()
         assert not read.broken[4:].any()
 
-    def test_single_frame_jump(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-        frames = walking(20)
+    def test_single_frame_jump(self, tmp_path: Path) -> None:
+        frames = walk(20)
         frames[9] = {**frames[9], "LeftUpLeg": (100.0, 0.0, 90.0)}
         read = read_clip(write_clip(tmp_path / "flip.bvh", frames))
         # The frame and its neighbours, between which the bone jumps there and back.
@@ -110,10 +100,8 @@ class TestDroppedFrames:
         assert not read.broken[11:].any()
         assert read.t_poses == 0
 
-    def test_short_run_between_two_jumps(
-        self, tmp_path: Path, write_clip: Write, walking: Walk
-    ) -> None:
-        frames = walking(30)
+    def test_short_run_between_two_jumps(self, tmp_path: Path) -> None:
+        frames = walk(30)
         for frame in range(10, 14):
             frames[frame] = {**frames[frame], "RightArm": (-75.0, 90.0, 90.0)}
         read = read_clip(write_clip(tmp_path / "run.bvh", frames))
@@ -121,14 +109,14 @@ class TestDroppedFrames:
         assert not read.broken[:9].any()
         assert not read.broken[15:].any()
 
-    def test_cut_within_a_clip(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
+    def test_cut_within_a_clip(self, tmp_path: Path) -> None:
         # From frame 12 on an arm is elsewhere: the frames on both sides of the cut go.
-        frames = walking(30)
+        frames = walk(30)
         frames[12:] = [{**frame, "RightArm": (-75.0, 90.0, 90.0)} for frame in frames[12:]]
         read = read_clip(write_clip(tmp_path / "cut.bvh", frames))
         assert np.flatnonzero(read.broken).tolist() == [11, 12]
 
-    def test_fast_but_smooth_motion_stays(self, tmp_path: Path, write_clip: Write) -> None:
+    def test_fast_but_smooth_motion_stays(self, tmp_path: Path) -> None:
         # 50 degrees a frame, sustained: a spin, not a fault.
         spin: list[Angles] = [
             {"Hips": (0.0, 50.0 * frame, 0.0), "LeftArm": (-75.0, 0.0, 60.0),

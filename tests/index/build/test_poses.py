@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from index.build.motion import MotionError, Segment
 from index.build.poses import Poses, farthest_points, merged, read_poses
+from tests.index.toys import walk, write_clip
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:
@@ -40,10 +40,8 @@ def test_refuses_a_missing_clip(motion_folder: Path) -> None:
         read_poses(motion_folder, [Segment("ghost", "s1", "walk", 0, 3)])
 
 
-def test_heads_of_whole_subjects_are_held_level(
-    tmp_path: Path, write_clip: Callable[..., Path], walking: Callable[..., list]
-) -> None:
-    hanging = [{**frame, "Head": (0.0, 0.0, 15.0)} for frame in walking(60)]
+def test_heads_of_whole_subjects_are_held_level(tmp_path: Path) -> None:
+    hanging = [{**frame, "Head": (0.0, 0.0, 15.0)} for frame in walk(60)]
     for name in ("one", "two"):
         write_clip(tmp_path / "bvh" / f"{name}.bvh", hanging)
     segments = [Segment(name, "s1", "walk", 0, 60) for name in ("one", "two")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,17 +11,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from index.build.body import Avatar, retarget
 from index.build.motion import CMU, RIG_FILE, MotionError, Rig, Segment, read_clip, read_rig
 from index.build.poses import joints_of, read_poses
-
-Write = Callable[..., Path]
-Walk = Callable[..., list[dict[str, tuple[float, float, float]]]]
+from tests.index.toys import walk, write_clip
 
 JOINTS = {"LeftArm": "arm.L", "RightArm": "arm.R", "Spine": "torso", "LowerBack": "torso"}
 
 
 @pytest.fixture
-def clip(tmp_path: Path, write_clip: Write, walking: Walk) -> Path:
+def clip(tmp_path: Path) -> Path:
     """The clip of CMU's rig."""
-    return write_clip(tmp_path / "ours" / "bvh" / "stroll.bvh", walking(20))
+    return write_clip(tmp_path / "ours" / "bvh" / "stroll.bvh", walk(20))
 
 
 @pytest.fixture
@@ -62,8 +59,8 @@ def test_one_joint_of_the_file_may_turn_several_of_ours(renamed: Path) -> None:
     assert_array_equal(read.offsets[spine], read.offsets[back])
 
 
-def test_the_unit_scales_paths(tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-    file = write_clip(tmp_path / "run.bvh", walking(40), (0.0, 0.0, 2.0))
+def test_the_unit_scales_paths(tmp_path: Path) -> None:
+    file = write_clip(tmp_path / "run.bvh", walk(40), (0.0, 0.0, 2.0))
     metres = read_clip(file, Rig(metres_per_unit=0.01)).speeds
     assert_allclose(metres * CMU.metres_per_unit, read_clip(file).speeds * 0.01)
 
