@@ -41,6 +41,9 @@ property_settings.register_profile(
 property_settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
+SHARED = Path(os.environ.get("SHARED", ROOT.parent / "shared")).resolve()
+"""Data beside the project; tests that need them skip where they are absent."""
+
 PIXELS_PER_METRE = 100.0
 CANVAS = 256
 WALKERS = ROOT / "tests" / "data" / "walkers.jpg"

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +18,7 @@ import pytest
 
 from tests.conftest import Photo
 from tests.support.balancer import CONFIGURATION, Balancer, Replica
+from tests.support.programs import run
 from tests.support.service import check_problem, eventually, sample, send
 from tests.support.videos import numbered_frames, write_video
 
@@ -80,13 +79,7 @@ def logged(log: Path, identifier: str) -> dict[str, Any]:
     ids=["listed", "named"],
 )
 def test_the_configuration_is_valid_without_a_warning(servers: dict[str, str]) -> None:
-    checked = subprocess.run(
-        ["haproxy", "-c", "-f", str(CONFIGURATION)],
-        env={**os.environ, **servers},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    checked = run("haproxy", "-c", "-f", CONFIGURATION, **servers)
     assert checked.returncode == 0, checked.stderr
     assert "[WARNING]" not in checked.stderr
 

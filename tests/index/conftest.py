@@ -6,7 +6,6 @@ neither torch nor shared data are needed.
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,10 +20,9 @@ from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
 from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
+from tests.conftest import SHARED
 from tests.index.helpers import random_network
 from tests.index.toys import box_avatar, walk, write_clip
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="session")
@@ -122,8 +120,6 @@ def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The project's shared data; tests that need it skip where it is not."""
-    # Tests link to it from elsewhere, so a relative path will not do.
-    folder = Path(os.environ.get("SHARED", ROOT.parent / "shared")).resolve()
-    if not (folder / "mocap" / "manifest.csv").is_file():
-        pytest.skip(f"no shared data at {folder}; set SHARED to its path")
-    return folder
+    if not (SHARED / "mocap" / "manifest.csv").is_file():
+        pytest.skip(f"no shared data at {SHARED}; set SHARED to its path")
+    return SHARED

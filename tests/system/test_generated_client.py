@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 import json
-import subprocess
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT, Photo, Server
+from tests.support.programs import run
 from tests.support.videos import write_video
 
 pytestmark = pytest.mark.slow
@@ -26,8 +27,8 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Any:
     command = [sys.executable, "-m", "openapi_python_client", "generate"]
     command += ["--path", str(ROOT / "openapi.json"), "--output-path", str(folder / "out")]
     # Its formatter, ruff, stands beside the interpreter.
-    path = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin"}
-    result = subprocess.run(command, capture_output=True, text=True, check=False, env=path)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    result = run(*command, PATH=path)
     assert result.returncode == 0, result.stderr
     assert "WARNING" not in result.stdout + result.stderr, result.stdout + result.stderr
     sys.path.insert(0, str(folder / "out"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,13 +13,13 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT, Photo, Server
+from tests.support.programs import run
 
 pytestmark = pytest.mark.slow
 
 # The first it says of every document of OpenAPI 3.1; the second also of one reduced to a single
 # route and two plain models, where no schema lacks a name.
 ABOUT_ITSELF = ("OpenAPI 3.1 support is still in beta", "Failed to get the schema name: null")
-SLOWEST_S = 300
 
 
 def generate(generator: str, folder: Path) -> Path:
@@ -30,10 +29,7 @@ def generate(generator: str, folder: Path) -> Path:
     if shutil.which("java") is None:
         pytest.skip("needs Java, which openapi-generator runs on")
     command = [program, "generate", "-i", str(ROOT / "openapi.json"), "-g", generator]
-    result = subprocess.run(
-        [*command, "-o", str(folder)],
-        capture_output=True, text=True, check=False, timeout=SLOWEST_S,
-    )  # fmt: skip
+    result = run(*command, "-o", folder)
     said = result.stdout + result.stderr
     assert result.returncode == 0, said
     warnings = [line for line in said.splitlines() if re.search(r"\b(WARN|ERROR)\b", line)]

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import ROOT, Photo, Server
+from tests.support.programs import output_of, run
 
 pytestmark = pytest.mark.slow
 SOURCES = Path(__file__).parent / "typescript"
-
-
-def run(folder: Path, *command: str) -> str:
-    """Run a program of Node.js in a folder; return what it writes."""
-    ended = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, check=False, timeout=300
-    )
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    return ended.stdout
 
 
 @pytest.fixture(scope="module")
@@ -31,18 +22,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("needs npm")
     copy = tmp_path_factory.mktemp("typescript") / "client"
     shutil.copytree(SOURCES, copy, ignore=shutil.ignore_patterns("node_modules"))
-    installed = subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund", "--no-package-lock"],
-        cwd=copy,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    installed = run("npm", "install", "--no-audit", "--no-fund", "--no-package-lock", cwd=copy)
     if installed.returncode != 0:
         pytest.skip(f"npm install failed: {installed.stderr.strip()[-200:]}")
-    run(copy, "node", "generate.mjs", str(ROOT / "openapi.json"), "api.ts")
-    run(copy, "npx", "--no-install", "tsc")
+    output_of("node", "generate.mjs", ROOT / "openapi.json", "api.ts", cwd=copy)
+    output_of("npx", "--no-install", "tsc", cwd=copy)
     return copy
 
 
@@ -51,7 +35,8 @@ def test_it_uploads_a_frame_and_reads_poses_problems_and_pictures(
 ) -> None:
     (folder / "frame.png").write_bytes(photo.frame_png)
     (folder / "mask.png").write_bytes(photo.mask_png)
-    said = json.loads(run(folder, "node", "client.js", server.url, "frame.png", "mask.png"))
+    command = ("node", "client.js", server.url, "frame.png", "mask.png")
+    said = json.loads(output_of(*command, cwd=folder))
     (entries,) = said["entries"]
     assert len(entries) == 3
     assert entries[0] == photo.entry

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -30,8 +28,7 @@ from index.build.simulate import Simulation
 from index.build.splits import entries_of, split, split_by_clip
 from index.posture import LOW, POSTURES, classify_postures
 from tests.index.toys import walk, write_clip
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests.support.programs import output_of
 
 
 class TestPlan:
@@ -203,24 +200,16 @@ def small_mocap(shared: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def build(mocap: Path, out: Path, hash_seed: str = "0") -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "scripts", "build", "--mocap", mocap, "--out", out,
-               "--entries", "480", "--bodies", "1", "--views", "4"]  # fmt: skip
-    return subprocess.Popen(
-        list(map(str, command)), cwd=ROOT, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, env={**os.environ, "PYTHONHASHSEED": hash_seed},
-    )  # fmt: skip
-
-
 @pytest.mark.slow
 def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> None:
     # An index is called after its folder.
     folders = [tmp_path / parent / "index" for parent in ("one", "two")]
     for seed, folder in enumerate(folders):
         folder.parent.mkdir()
-        process = build(small_mocap, folder, hash_seed=str(seed))
-        printed, complaint = process.communicate(timeout=900)
-        assert process.returncode == 0, complaint
+        printed = output_of(
+            sys.executable, "-m", "scripts", "build", "--mocap", small_mocap, "--out", folder,
+            "--entries", "480", "--bodies", "1", "--views", "4", PYTHONHASHSEED=str(seed),
+        )  # fmt: skip
         assert "in T-pose" in printed
         assert "entries in" in printed
     one, two = (load_index(folder) for folder in folders)

@@ -26,6 +26,7 @@ from index.build.simulate import Simulation, bounded_map, simulate
 from tests.conftest import ROOT
 from tests.index.build.test_simulate import assert_same
 from tests.support.ports import free_ports
+from tests.support.programs import run
 
 distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
 from index.build import cluster as module  # noqa: E402
@@ -111,11 +112,8 @@ def test_says_that_no_worker_joined() -> None:
 @pytest.mark.slow
 def test_an_unreachable_scheduler_ends_the_command_in_a_sentence(tmp_path: Path) -> None:
     address = f"tcp://127.0.0.1:{free_ports(1)[0]}"
-    built = subprocess.run(
-        [sys.executable, "-m", "scripts", "build", "--scheduler", address,
-         "--out", str(tmp_path / "out" / "index")],
-        cwd=ROOT, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+    command = ("build", "--scheduler", address, "--out", tmp_path / "out" / "index")
+    built = run(sys.executable, "-m", "scripts", *command)
     assert built.returncode == 1
     assert built.stderr == f"build: no Dask scheduler answers at {address}\n"
     assert list(tmp_path.iterdir()) == []
