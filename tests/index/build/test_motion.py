@@ -56,7 +56,7 @@ class TestSoundClip:
 
 
 class TestSpeeds:
-    def test_of_somebody_who_walks_on_the_spot_are_zero(self, clip: Path) -> None:
+    def test_of_walking_on_the_spot_are_zero(self, clip: Path) -> None:
         assert_allclose(read_clip(clip).speeds, np.zeros(20))
 
     @pytest.mark.parametrize("climb", [0.0, 2.0])
