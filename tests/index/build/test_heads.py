@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from index.build.motion import Clip
-from index.build.poses import MIN_UPRIGHT_FRAMES, Poses, with_level_heads
+from index.build.parameters import POSES
+from index.build.poses import Poses, with_level_heads
 from index.skeleton import JOINT_NAMES
 
 HEAD = JOINT_NAMES.index("head")
@@ -92,13 +93,13 @@ def test_frames_that_are_not_upright_or_broken_do_not_count(clip: Clip) -> None:
 
 def test_who_is_hardly_seen_upright_is_corrected_as_the_others_are(clip: Clip) -> None:
     clips = [hanging(clip, degrees, seed=seed) for seed, degrees in enumerate((10.0, 20.0, 60.0))]
-    rare = hanging(clip, 50.0, frames=MIN_UPRIGHT_FRAMES - 1, seed=4)
+    rare = hanging(clip, 50.0, frames=POSES.min_upright_frames - 1, seed=4)
     usual = np.median([np.median(pitches_deg(one)) for one in clips])
     *_, after = with_level_heads([*clips, rare], ["a", "b", "c", "d"])
     assert_allclose(pitches_deg(after), pitches_deg(rare) - usual, atol=1e-6)
 
 
 def test_without_enough_upright_frames_nothing_moves(clip: Clip) -> None:
-    rare = hanging(clip, 50.0, frames=MIN_UPRIGHT_FRAMES - 1)
+    rare = hanging(clip, 50.0, frames=POSES.min_upright_frames - 1)
     (after,) = with_level_heads([rare], ["a"])
     assert_array_equal(after.rotations, rare.rotations)

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from index.build.body import Avatar, facing_yaw
-from index.build.poses import SIDES, TRUNK_BELOW_M, Poses, joints_of, laid_down, lay_down, side_of
+from index.build.parameters import POSES
+from index.build.poses import SIDES, Poses, joints_of, laid_down, lay_down, side_of
 from index.posture import POSTURES, classify_postures
 from index.skeleton import JOINT_NAMES, NATIVE
 
@@ -80,7 +81,7 @@ class TestLayDown:
         heights = joints_of(laid, avatars[0])[..., 1]
         heights -= heights.min(axis=1, keepdims=True)
         trunk = heights[:, [JOINT_NAMES.index(name) for name in ("pelvis", "chest")]]
-        assert trunk.max() < TRUNK_BELOW_M
+        assert trunk.max() < POSES.trunk_below_m
 
     def test_same_seed_same_poses(self, poses: Poses, laid: Poses, avatars: list[Avatar]) -> None:
         again = lay_down(poses, avatars[0], len(poses), seed=0)
