@@ -17,7 +17,7 @@ from index.files import ArtefactError
 from index.search import UnavailableError
 from index.store import PoseIndex
 from tests.conftest import build_tiny_index
-from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.milvus_server import why_milvus_cannot_run
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
     from index.milvus import (
@@ -33,13 +33,6 @@ if why_milvus_cannot_run() is None or TYPE_CHECKING:
 pytestmark = pytest.mark.skipif(
     why_milvus_cannot_run() is not None, reason=str(why_milvus_cannot_run())
 )
-
-
-@pytest.fixture(scope="module")
-def milvus(milvus_process: MilvusProcess) -> Iterator[Milvus]:
-    connection = Milvus(milvus_process.address, 30.0)
-    yield connection
-    connection.close()
 
 
 def saved(index: PoseIndex, folder: Path) -> PoseIndex:
