@@ -29,6 +29,7 @@ from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND
 from index.skeleton import LIMB_ROWS, LIMBS, POINT_NAMES
 from scripts.datasets import (
+    POSE2SIM_CAMERAS,
     Athlete,
     Photograph,
     about_hips,
@@ -48,7 +49,6 @@ NEAR_OF_TRUNK, NEAR_OF_HEIGHT = 0.2, 0.1
 
 TRUNK_TILTS = {"upright": (0, 45), "horizontal": (45, 135), "inverted": (135, 181)}
 CUTS = tuple(itertools.product(("head", "feet"), (0.2, 0.35, 0.5)))
-CAMERAS = ("cam01", "cam03")
 
 FALL_VIDEOS = (("video_3", 80, 90), ("video_5", 120, 135))
 """Videos, the frame before which everybody stands, and the one from which a person has fallen."""
@@ -108,7 +108,9 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             "not_fall": fallen(estimator, sorted((real / "falls" / "not-fall").glob("*.jpg"))),
         },
         "cut_off": cut_off(estimator, read_pennfudan(real / "pennfudan")[1::2]),
-        "leaning": {camera: leaning(estimator, real / "pose2sim", camera) for camera in CAMERAS},
+        "leaning": {
+            camera: leaning(estimator, real / "pose2sim", camera) for camera in POSE2SIM_CAMERAS
+        },
         "fall_videos": fall_videos(estimator, real / "falls"),
         "upfall": upfall(estimator, sorted((real / "upfall").glob("*.mp4"))),
         "street": street(estimator, real / "vtest" / "vtest.avi"),
