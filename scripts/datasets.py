@@ -19,6 +19,9 @@ from scripts.results import ROOT
 
 MAX_PIXELS = 50_000_000
 HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
+POSE2SIM_CAMERAS = ("cam01", "cam03")
+VTEST_FRAMES = 20
+"""Frames of the street video that are marked, evenly chosen."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +225,7 @@ def read_frames(video: Path) -> Iterator[tuple[int, NDArray[np.uint8]]]:
         number += 1
 
 
-def read_vtest(folder: Path, count: int) -> list[tuple[int, NDArray[np.uint8]]]:
+def read_vtest(folder: Path, count: int = VTEST_FRAMES) -> list[tuple[int, NDArray[np.uint8]]]:
     """Read ``count`` evenly chosen frames of the street video."""
     video = folder / "vtest.avi"
     total = int(cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FRAME_COUNT))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from app.vision.geometry import Boxes, iou_matrix
 
@@ -18,6 +18,11 @@ Scored = tuple[Boxes, NDArray[np.float64]]
 
 FOUND_FROM = 0.5
 """Minimum overlap (IoU) at which a labelled person counts as found."""
+
+
+def percent(values: ArrayLike) -> float:
+    """Return the mean in percent."""
+    return 100 * float(np.mean(np.asarray(values, np.float64)))
 
 
 def detection_figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[str, float]:

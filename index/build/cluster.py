@@ -11,17 +11,14 @@ from contextlib import contextmanager
 from distributed import Client, KilledWorker, rpc
 from distributed.scheduler import NoWorkerError
 
+from index.build.parameters import RENDERING
 from index.build.shard_files import ShardError
-
-CONNECT_S = 5.0
-"""How long a scheduler may take to answer."""
-
-FIRST_WORKER_S = 60.0
-"""How long the first worker may take to join."""
 
 
 @contextmanager
-def cluster_executor(address: str, first_worker_s: float = FIRST_WORKER_S) -> Iterator[Executor]:
+def cluster_executor(
+    address: str, first_worker_s: float = RENDERING.first_worker_s
+) -> Iterator[Executor]:
     """Connect to a Dask scheduler; leaving the context cancels what still runs.
 
     Dask gives the task of a worker that dies to another one; workers may come and go.
@@ -72,14 +69,14 @@ def _connect(address: str) -> Client:
     try:
         # A client would wait for ever for a stranger, and complain at exit.
         asyncio.run(_check_scheduler(address))
-        return Client(address, timeout=CONNECT_S, set_as_default=False)
+        return Client(address, timeout=RENDERING.connect_s, set_as_default=False)
     # A stranger's answer, read as Dask's, may mean anything.
     except Exception as error:
         raise ShardError(f"no Dask scheduler answers at {address}") from error
 
 
 async def _check_scheduler(address: str) -> None:
-    async with rpc(address, timeout=CONNECT_S) as remote:
-        identity = await asyncio.wait_for(remote.identity(), CONNECT_S)
+    async with rpc(address, timeout=RENDERING.connect_s) as remote:
+        identity = await asyncio.wait_for(remote.identity(), RENDERING.connect_s)
     if identity["type"] != "Scheduler":
         raise ValueError(f"expected a scheduler, got a {identity['type']}")

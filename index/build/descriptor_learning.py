@@ -21,21 +21,9 @@ from scipy.linalg import eigh
 
 from descriptor.descriptor import DiscriminantDescriptor, moment_block
 from index.build.noise import degrade_all
+from index.build.parameters import LEARNING
 from index.build.simulate import BLOCK, Simulation
 from index.skeleton import JOINTS, camera_rotation, project
-
-ANCHORS = 20_000
-"""Number of silhouettes whose nearest skeletons are searched."""
-
-NEAREST = 5
-"""Number of nearest skeletons of each."""
-
-NOISE_WEIGHT = 0.25
-"""Weight of the faults of real silhouettes against differences of body, clothes and pose."""
-
-SCALE_PX = 5.0
-SCALE_M = 0.11
-"""Joint differences, in the normalised frame and in space, with equal weight."""
 
 Faults = Callable[
     [NDArray[np.uint8], NDArray[np.floating], np.random.Generator],
@@ -154,8 +142,8 @@ def measure_scatter(
     import faiss
 
     poses = _pose_vectors(simulation)
-    anchors = np.random.default_rng(seed).permutation(len(poses))[:ANCHORS]
-    squares, neighbours = faiss.knn(poses[anchors], poses, min(NEAREST + 1, len(poses)))
+    anchors = np.random.default_rng(seed).permutation(len(poses))[: LEARNING.anchors]
+    squares, neighbours = faiss.knn(poses[anchors], poses, min(LEARNING.nearest + 1, len(poses)))
     # Nearer skeletons say more about what to ignore.
     closeness = 1.0 / (squares[:, 1:] / (2 * JOINTS) + 0.05)
     within = _within(simulation, anchors, neighbours[:, 1:], closeness, recipe)
@@ -169,8 +157,8 @@ def _pose_vectors(simulation: Simulation) -> NDArray[np.float32]:
     for start in range(0, len(vectors), BLOCK):
         rows = slice(start, start + BLOCK)
         joints_3d, joints_2d = view_joints(simulation, rows)
-        vectors[rows, : 2 * JOINTS] = joints_2d.reshape(-1, 2 * JOINTS) / SCALE_PX
-        vectors[rows, 2 * JOINTS :] = joints_3d.reshape(-1, 3 * JOINTS) / SCALE_M
+        vectors[rows, : 2 * JOINTS] = joints_2d.reshape(-1, 2 * JOINTS) / LEARNING.scale_px
+        vectors[rows, 2 * JOINTS :] = joints_3d.reshape(-1, 3 * JOINTS) / LEARNING.scale_m
     return vectors
 
 
@@ -183,7 +171,7 @@ def _within(
 ) -> NDArray[np.float64]:
     """Mean square difference ``(F, F)`` of anchors ``(A,)`` and neighbours ``(A, N)``, weighted."""
     products: NDArray[np.float64] | float = 0.0
-    step = BLOCK // (1 + NEAREST)
+    step = BLOCK // (1 + LEARNING.nearest)
     for start in range(0, len(anchors), step):
         block = slice(start, start + step)
         rows = np.concatenate([anchors[block, None], neighbours[block]], axis=1)
@@ -234,11 +222,11 @@ def _noise_scatter(
     faults: Faults,
 ) -> NDArray[np.float64]:
     """Mean square change ``(F, F)`` of the moments by faults."""
-    some = np.sort(anchors[: ANCHORS // 4])
+    some = np.sort(anchors[: LEARNING.anchors // 4])
     silhouettes, joints_2d = simulation.silhouettes(some), view_joints(simulation, some)[1]
     rough, _ = faults(silhouettes, joints_2d, np.random.default_rng(seed))
     noise = recipe.block(rough) - recipe.block(silhouettes)
-    return NOISE_WEIGHT * (noise.T.astype(np.float64) @ noise) / len(noise)
+    return LEARNING.noise_weight * (noise.T.astype(np.float64) @ noise) / len(noise)
 
 
 def _directions(

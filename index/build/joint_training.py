@@ -14,6 +14,7 @@ from torch import nn
 
 from descriptor.silhouette import HEIGHT, WIDTH
 from index.build.noise import degrade
+from index.build.parameters import NETWORK, VIEWS
 from index.network import (
     AXES,
     BINS,
@@ -33,18 +34,6 @@ from index.network import (
 )
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
-
-ROLLED_DEG = 30.0
-"""Entries rolled by more than this were wider than high and rotated upright."""
-
-DEGRADED_SHARE = 0.5
-"""Share of the silhouettes that are also shown degraded."""
-
-FLIPPED_SHARE = 0.25
-"""Share of the silhouettes whose border pixels are flipped at random."""
-
-FLIPS = 0.2
-"""Largest share of the border pixels that are flipped."""
 
 _BLOCK = 4096
 
@@ -161,7 +150,7 @@ class Examples:
         cls, index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
     ) -> Examples:
         """Examples of some entries of an index, and of a degraded share of them."""
-        worse = generator.random(len(rows)) < DEGRADED_SHARE
+        worse = generator.random(len(rows)) < NETWORK.degraded_share
         numbers = np.concatenate([rows, rows[worse]])
         degraded = np.arange(len(numbers)) >= len(rows)
         bits = np.empty((len(numbers), HEIGHT * WIDTH // 32), np.uint8)
@@ -177,7 +166,8 @@ class Examples:
             pictures = network_input(silhouettes)[..., 0].astype(np.uint8)
             bits[block] = np.packbits(pictures.reshape(len(pictures), -1), axis=1)
             points[block, :, :2], points[block, :, 2] = points_2d, points_3d[..., 2]
-        return cls(bits, points, np.abs(index.entries["roll_deg"][numbers]) > ROLLED_DEG)
+        rolls_deg = np.abs(index.entries["roll_deg"][numbers])
+        return cls(bits, points, rolls_deg > VIEWS.max_own_roll_deg)
 
     def take(
         self, rows: NDArray[np.integer], generator: np.random.Generator
@@ -202,7 +192,7 @@ class Examples:
         turned = self.stood_up[rows] & (generator.random(len(rows)) < 0.5)
         pictures[turned] = pictures[turned, ::-1, ::-1]
         points[turned, :, :2] = (WIDTH - 1, HEIGHT - 1) - points[turned, :, :2]
-        noisy = generator.random(len(rows)) < FLIPPED_SHARE
+        noisy = generator.random(len(rows)) < NETWORK.flipped_share
         pictures[noisy] = _flipped(pictures[noisy], generator)
         return input_planes(pictures), bin_positions(points[:, :JOINTS])
 
@@ -215,7 +205,7 @@ def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDA
         for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1))
     ]
     border = np.any([neighbour != pictures for neighbour in shifted], axis=0)
-    share = FLIPS * generator.random((len(pictures), 1, 1))
+    share = NETWORK.max_flips * generator.random((len(pictures), 1, 1))
     flips = border & (generator.random(pictures.shape, np.float32) < share)
     return np.where(flips, 1 - pictures, pictures)
 

@@ -23,6 +23,8 @@ import pybvh
 from numpy.typing import NDArray
 from pybvh.rotations import euler_to_rotmat
 
+from index.build.parameters import MOTION
+
 RIG_FILE = "rig.json"
 
 METRES_PER_UNIT = 0.05644
@@ -77,28 +79,12 @@ def read_rig(folder: Path) -> Rig:
     return Rig(dict(joints), float(unit))
 
 
-T_POSE_BELOW_DEG = 6.0
-"""Mean joint angle from the zero pose (arms out, legs straight) below which a frame is one.
-
-The calibration poses at the start of some clips stay below 5.8, living ones above 6.1.
-"""
-
-JUMP_ABOVE_DEG = 45.0
-"""A bone is broken that turns more than this in 1/30 s, and far more than before and after."""
-
-JUMP_RATIO = 4.0
-
-SPEED_WINDOW = 7
-"""Frames before and after over which speed is measured: half a second at 30 fps."""
-
 MANIFESTS = ("manifest.csv", "manifest-ground.csv")
 """The second one, of people near the ground, may be missing."""
 
 RENAMED = {"get-up": "get-up-or-fall"}
 """A single frame shows no direction: getting up played backwards is a fall."""
 
-SHORT_RUN = 8
-"""Frames between two jumps that are as broken as the jumps: a bone flipped and flipped back."""
 
 _UNRELIABLE = re.compile("Thumb|Finger|Hand.*[0-9]|Index|ToeBase")
 """CMU's hands and toes carry too few markers for their rotations to mean much."""
@@ -247,7 +233,8 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
         if parent >= 0:
             rotations[:, bone] = rotations[:, parent] @ local[:, bone]
     reliable = [b for b, name in enumerate(names) if b and not _UNRELIABLE.search(name)]
-    t_pose = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2)) < T_POSE_BELOW_DEG
+    angles_deg = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2))
+    t_pose = angles_deg < MOTION.t_pose_below_deg
     jump = _jumps(local[:, [0, *reliable]]) & ~t_pose
     bones, rows = _named(names, rig, file)
     positions = rig.metres_per_unit * np.asarray(bvh.root_pos, np.float64)
@@ -282,8 +269,8 @@ def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...
 def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.float64]:
     """Horizontal speed ``(F,)`` of a path ``(F, 3)`` in metres, y up."""
     frames = np.arange(len(positions))
-    start = np.maximum(frames - SPEED_WINDOW, 0)
-    end = np.minimum(frames + SPEED_WINDOW, len(positions) - 1)
+    start = np.maximum(frames - MOTION.speed_window, 0)
+    end = np.minimum(frames + MOTION.speed_window, len(positions) - 1)
     path = positions[:, (0, 2)]
     lengths = np.linalg.norm(path[end] - path[start], axis=1)
     return np.asarray(lengths / (np.maximum(end - start, 1) * frame_time_s))
@@ -306,11 +293,13 @@ def _jumps(local: NDArray[np.float64]) -> NDArray[np.bool_]:
     steps = np.rad2deg(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
     padded = np.pad(steps, ((2, 2), (0, 0)), mode="edge")
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
-    broke = np.flatnonzero(((steps > JUMP_ABOVE_DEG) & (steps > JUMP_RATIO * around)).any(axis=1))
+    broke = np.flatnonzero(
+        ((steps > MOTION.jump_above_deg) & (steps > MOTION.jump_ratio * around)).any(axis=1)
+    )
     for step in broke:
         marked[step : step + 2] = True
     for step, following in pairwise(broke):
-        if following - step <= SHORT_RUN:
+        if following - step <= MOTION.short_run:
             marked[step : following + 2] = True
     return marked
 

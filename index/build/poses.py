@@ -24,14 +24,9 @@ from index.build.body import (
     turned_to_front,
 )
 from index.build.motion import Clip, MotionError, Segment, read_clip, read_rig
+from index.build.parameters import POSES
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
-
-UPRIGHT_ABOVE = np.cos(np.deg2rad(25.0))
-"""Vertical part of the trunk's axis from which a frame counts as upright."""
-
-MIN_UPRIGHT_FRAMES = 100
-"""Subjects with fewer upright frames are given the median pitch of the others."""
 
 
 def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Clip, ...]:
@@ -48,7 +43,7 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
         pitches[subject].append(_upright_pitches(clip))
     all_pitches = {subject: np.concatenate(parts) for subject, parts in pitches.items()}
     middle = {
-        s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= MIN_UPRIGHT_FRAMES
+        s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= POSES.min_upright_frames
     }
     usual = float(np.median(list(middle.values()))) if middle else 0.0
     return tuple(
@@ -59,7 +54,8 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
 
 def _upright_pitches(clip: Clip) -> NDArray[np.float64]:
     """How far the head looks up, in radians, in upright frames."""
-    upright = clip.rotations[:, clip.bone("Spine1"), 1, 1] > UPRIGHT_ABOVE
+    upright_above = np.cos(np.deg2rad(POSES.upright_within_deg))
+    upright = clip.rotations[:, clip.bone("Spine1"), 1, 1] > upright_above
     forward = clip.rotations[upright & ~clip.broken, clip.bone("Head"), :, 2]
     return np.asarray(np.arcsin(np.clip(forward[:, 1], -1, 1)))
 
@@ -76,9 +72,6 @@ def _pitched(clip: Clip, angle: float) -> Clip:
 
 SIDES = ("back", "left", "belly", "right")
 """Parts of the body that a pose lies on, by quarters of the turn about the body's long axis."""
-
-TRUNK_BELOW_M = 0.3
-"""Pelvis and chest of a lying body are at most this far above its lowest joint."""
 
 
 def laid_down(
@@ -262,7 +255,7 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
     heights = joints[..., 1] - joints[..., 1].min(axis=1, keepdims=True)
     trunk = heights[:, [JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("chest")]].max(axis=1)
     lies = classify_postures(joints, BODY_UP) == POSTURES.index("lying")
-    return laid.take(np.flatnonzero(lies & (trunk < TRUNK_BELOW_M)))
+    return laid.take(np.flatnonzero(lies & (trunk < POSES.trunk_below_m)))
 
 
 def merged(parts: Sequence[Poses]) -> Poses:

@@ -15,16 +15,11 @@ from index.build.calibrate import Queries, calibrate
 from index.build.garments import make_avatars
 from index.build.joint_training import TrainingConfig, in_whole_numbers, train
 from index.build.motion import read_manifest
+from index.build.parameters import NETWORK
 from index.build.splits import CALIBRATION_AVATARS, NOT_HELD_OUT, entries_of, split
 from index.network import JointNetwork, network_input
 from index.reranker import RERANKING_FEATURES, RankingModel
 from index.store import PoseIndex
-
-SCALE_SAMPLE = 400
-"""Number of silhouettes that show how large values become within the network."""
-
-FINISHING_SHARE = 0.2
-"""Passes over all silhouettes, as a share of those without the clips kept for the confidence."""
 
 
 def train_reranker(
@@ -79,7 +74,7 @@ def train_reranker(
     reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
     everything = entries_of(index, segments)
     log(f"Going on with {len(everything):,} silhouettes.")
-    finish = replace(config, passes=FINISHING_SHARE * config.passes, rate=config.rate / 2)
+    finish = replace(config, passes=NETWORK.finishing_share * config.passes, rate=config.rate / 2)
     layers = train(index, everything, finish, start=layers, log=log)
     training: dict[str, Any] = {
         "index": index.version,
@@ -95,7 +90,7 @@ def train_reranker(
 
 def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
     """The trained network in whole numbers, scaled to the values of some of the entries."""
-    some = rows[:: max(1, len(rows) // SCALE_SAMPLE)]
+    some = rows[:: max(1, len(rows) // NETWORK.scale_sample)]
     return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 

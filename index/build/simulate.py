@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
+from index.build.parameters import RENDERING
 from index.build.poses import Poses
 from index.build.shard_files import (
     code_version,
@@ -34,11 +35,6 @@ from index.store import SKELETON_DTYPE
 BLOCK = 4096
 """Silhouettes unpacked and described at a time."""
 
-SHARD_POSES = 100
-"""Poses rendered at a time: a second or two of work."""
-
-MAX_PENDING = 128
-"""Shards handed out at a time: enough for the threads of a large cluster, 40 MB of transforms."""
 
 Result = TypeVar("Result")
 
@@ -179,8 +175,8 @@ def _shards(
         retargeted = retargeting(int(poses.clip[row]), avatar)
         return np.asarray(pose_transforms(avatars[avatar], retargeted, rotations)[0])
 
-    for start in range(0, len(poses), SHARD_POSES):
-        rows = np.arange(start, min(start + SHARD_POSES, len(poses)))
+    for start in range(0, len(poses), RENDERING.shard_poses):
+        rows = np.arange(start, min(start + RENDERING.shard_poses, len(poses)))
         numbers = range(bodies * start, bodies * (rows[-1] + 1))
         yield Shard(
             first=numbers.start,
@@ -226,7 +222,7 @@ def bounded_map(
     executor: Executor,
     function: Callable[..., Result],
     tasks: Iterable[tuple[Any, ...]],
-    max_pending: int = MAX_PENDING,
+    max_pending: int = RENDERING.max_pending,
 ) -> Iterator[Result]:
     """Call a function with each task's arguments; results in order, ``max_pending`` at a time.
 

@@ -10,22 +10,11 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg
 from index.build.body import Avatar, posed_points
+from index.build.parameters import VIEWS
 from index.build.render import render, skin
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
 from index.store import ENTRY_DTYPE
-
-ELEVATIONS_DEG = (-5.0, 60.0)
-"""From a little below the height of the pelvis to a steep surveillance view."""
-
-GROUND_ELEVATIONS_DEG = (5.0, 70.0)
-"""For bodies that lie or crawl."""
-
-DISTANCES_M = (3.0, 20.0)
-"""From a room to a car park."""
-
-ROLL_STD_DEG = 2.0
-"""Cameras are rolled a little."""
 
 VIEW_DTYPE = np.dtype(
     [("azimuth_deg", "<f4"), ("elevation_deg", "<f4"), ("roll_deg", "<f4"), ("distance", "<f4")]
@@ -35,7 +24,7 @@ VIEW_DTYPE = np.dtype(
 def sample_views(
     count: int,
     generator: np.random.Generator,
-    elevations_deg: tuple[float, float] = ELEVATIONS_DEG,
+    elevations_deg: tuple[float, float] = VIEWS.elevations_deg,
 ) -> NDArray[np.void]:
     """Cameras spread over the hemisphere, with jitter.
 
@@ -54,15 +43,11 @@ def sample_views(
     # Stratified as well, in another order; the power crowds them towards eye level.
     heights = generator.permutation((np.arange(count) + generator.random(count)) / count)
     views["elevation_deg"] = low + (high - low) * heights**1.8
-    views["roll_deg"] = generator.normal(0.0, ROLL_STD_DEG, count)
-    nearest, farthest = np.log(DISTANCES_M)
+    views["roll_deg"] = generator.normal(0.0, VIEWS.roll_std_deg, count)
+    nearest, farthest = np.log(VIEWS.distances_m)
     views["distance"] = np.exp(generator.uniform(nearest, farthest, count))
     return views
 
-
-FORESHORTENED_OF = 2
-"""Cameras sampled for each one kept of a pose laid down: a body that lies across the picture looks
-like one that stands."""
 
 _NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
 
@@ -134,9 +119,9 @@ def render_bodies(shard: Shard, avatars: Sequence[Avatar]) -> RenderedShard:
         # As SeedSequence.spawn would give the body, whatever its shard.
         seed = np.random.SeedSequence(shard.seed, spawn_key=(number,))
         cameras = sample_views(
-            (FORESHORTENED_OF if foreshortened else 1) * views,
+            (VIEWS.foreshortened_of if foreshortened else 1) * views,
             np.random.default_rng(seed),
-            GROUND_ELEVATIONS_DEG if near_ground else ELEVATIONS_DEG,
+            VIEWS.ground_elevations_deg if near_ground else VIEWS.elevations_deg,
         )
         if foreshortened:
             cameras = most_foreshortened(cameras, points[0], views)

@@ -28,6 +28,7 @@ from app.tracking.session import CameraSession
 from index import DEFAULT_PATH
 from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
+from scripts.datasets import read_frames
 from scripts.outputs import check_outputs
 
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
@@ -109,14 +110,11 @@ def contact_sheet(cells: Sequence[Picture]) -> Picture:
 
 def frames_of(video: Path, stride: int) -> Iterator[tuple[float, Picture]]:
     """Yield time in seconds and BGR pixels of every ``stride``-th frame."""
-    capture = cv2.VideoCapture(str(video))
-    fps = _fps(capture)
-    number = 0
-    while (read := capture.read())[0]:
+    fps, number = _fps(cv2.VideoCapture(str(video))), -1
+    for number, pixels in read_frames(video):
         if number % stride == 0:
-            yield number / fps, np.asarray(read[1], np.uint8)
-        number += 1
-    if not number:
+            yield number / fps, pixels
+    if number < 0:
         raise SystemExit(f"track-video: expected a video that OpenCV reads, got {video}")
 
 

@@ -31,8 +31,8 @@ from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 
-KNOWN, UNSEEN = 2925, 608
-"""The paper's numbers of training and test silhouettes."""
+KNOWN = 2925
+"""The paper's number of training silhouettes."""
 
 FRAMES = {"walk": 28, "basketball": 28, "jump": 28, "climb": 27}
 UNSEEN_FRAMES = {"walk": 5, "basketball": 5, "jump": 5, "climb": 4}

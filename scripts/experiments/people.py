@@ -29,6 +29,7 @@ from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND
 from index.skeleton import LIMB_ROWS, LIMBS, POINT_NAMES
 from scripts.datasets import (
+    POSE2SIM_CAMERAS,
     Athlete,
     Photograph,
     about_hips,
@@ -38,6 +39,7 @@ from scripts.datasets import (
     read_pose2sim_joints,
 )
 from scripts.helpers import encoded, estimate, track
+from scripts.metrics import percent
 
 MIN_CUT_PX, SAME_PERSON = 180, 0.3
 """Minimum height of people who are cut off, and minimum overlap (IoU) of a box with theirs."""
@@ -47,7 +49,6 @@ NEAR_OF_TRUNK, NEAR_OF_HEIGHT = 0.2, 0.1
 
 TRUNK_TILTS = {"upright": (0, 45), "horizontal": (45, 135), "inverted": (135, 181)}
 CUTS = tuple(itertools.product(("head", "feet"), (0.2, 0.35, 0.5)))
-CAMERAS = ("cam01", "cam03")
 
 FALL_VIDEOS = (("video_3", 80, 90), ("video_5", 120, 135))
 """Videos, the frame before which everybody stands, and the one from which a person has fallen."""
@@ -107,16 +108,13 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             "not_fall": fallen(estimator, sorted((real / "falls" / "not-fall").glob("*.jpg"))),
         },
         "cut_off": cut_off(estimator, read_pennfudan(real / "pennfudan")[1::2]),
-        "leaning": {camera: leaning(estimator, real / "pose2sim", camera) for camera in CAMERAS},
+        "leaning": {
+            camera: leaning(estimator, real / "pose2sim", camera) for camera in POSE2SIM_CAMERAS
+        },
         "fall_videos": fall_videos(estimator, real / "falls"),
         "upfall": upfall(estimator, sorted((real / "upfall").glob("*.mp4"))),
         "street": street(estimator, real / "vtest" / "vtest.avi"),
     }
-
-
-def percent(values: Sequence[float] | NDArray[np.generic]) -> float:
-    """Return the mean in percent."""
-    return 100 * float(np.mean(np.asarray(values, np.float64)))
 
 
 def is_low(person: Person) -> bool:
@@ -357,13 +355,12 @@ def upfall(estimator: Estimator, files: Sequence[Path]) -> dict[str, object]:
         "false_alarms": sum(daily),
         "low_of_upright": percent([low for one in upright for low in one.low]),
         "low_of_lying": percent([low for one in lying for low in one.low]),
-        "postures": {
-            name: _right_or_none([right for one in some for right in one.postures])
-            for name, some in by_activity.items()
-        },
-        "actions": {
-            name: _right_or_none([right for one in some for right in one.actions])
-            for name, some in by_activity.items()
+        **{
+            kind: {
+                name: _right_or_none([right for one in some for right in getattr(one, kind)])
+                for name, some in by_activity.items()
+            }
+            for kind in ("postures", "actions")
         },
     }
 

@@ -27,6 +27,7 @@ from app.vision.parameters import DEFAULTS
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
 from scripts.datasets import (
+    POSE2SIM_CAMERAS,
     Marks,
     Photograph,
     as_array,
@@ -53,8 +54,6 @@ from scripts.experiments.real_poses import (
 )
 from scripts.metrics import FOUND_FROM, reliability, rightness
 
-CAMERAS = ("cam01", "cam03")
-VTEST_FRAMES = 20
 SCORES = {"default": DEFAULTS.detector.min_score, "sure": 0.5}
 """Minimum detection scores."""
 
@@ -83,7 +82,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     street = {way: trials_of(shown, estimator, way) for way in WAYS}
     videos, pose2sim = measure_pose2sim(folder / "pose2sim", estimator, options.step)
     own = cross_validated(street[BOTH])
-    frames = read_vtest(folder / "vtest", VTEST_FRAMES)
+    frames = read_vtest(folder / "vtest")
     return {
         "detection": measure_detection(photographs, all_candidates(photographs, detector)),
         "lying": measure_lying(photographs, estimator),
@@ -128,7 +127,7 @@ def measure_pose2sim(
     """Return trials in the true boxes of both cameras, and figures of each kind of evidence."""
     together: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
-    for camera in CAMERAS:
+    for camera in POSE2SIM_CAMERAS:
         frames = read_pose2sim(folder, camera, step)
         shown = in_video(frames, estimator)
         trials = {way: trials_of(shown, estimator, way) for way in WAYS}

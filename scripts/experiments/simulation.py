@@ -35,7 +35,7 @@ from index.reranker import RankingModel
 from index.rotations import RotatedQuery, find_rotated_candidates, silhouette_rotations
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
-from scripts.metrics import confusion, reliability
+from scripts.metrics import confusion, percent, reliability
 from scripts.training.held_out import strict_index
 
 ASKED = QueryCounts(upright=4000, near_ground=2000, laid_down=1200)
@@ -128,15 +128,11 @@ def _errors(error_px: NDArray[np.float64], error_m: NDArray[np.float64]) -> Figu
     right = error_px < RIGHT_BELOW_PX
     return {
         "queries": len(right),
-        "right_1": _percent(right[:, 0]),
-        "right_7": _percent(right.any(axis=1)),
+        "right_1": percent(right[:, 0]),
+        "right_7": percent(right.any(axis=1)),
         "first_mm": 1000 * float(error_m[:, 0].mean()),
         "best_mm": 1000 * float(error_m.min(axis=1).mean()),
     }
-
-
-def _percent(right: NDArray[np.bool_] | np.bool_) -> float:
-    return 100 * float(np.mean(right))
 
 
 def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figures]:
@@ -159,7 +155,7 @@ def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figur
         "network_order_weights_and_fit": summary(answered),
         "network_alone": {
             "queries": len(queries),
-            "right_1": _percent(right_by_itself(index.reranker, queries)),
+            "right_1": percent(right_by_itself(index.reranker, queries)),
         },
     }
 
@@ -224,7 +220,7 @@ def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figu
     """Return the figures of each group of postures."""
     right = voted_postures(trial) == postures
     return {
-        name: {**summary(trial, rows), "posture_right": _percent(right[rows])}
+        name: {**summary(trial, rows), "posture_right": percent(right[rows])}
         for name, rows in posture_groups(postures).items()
     }
 
@@ -234,10 +230,10 @@ def posture_shares(postures: NDArray[np.int64], trial: Trial) -> Figures:
     voted, lying = voted_postures(trial), POSTURES.index("lying")
     nearest = np.take_along_axis(trial.postures, trial.error_m.argmin(axis=1)[:, None], axis=1)
     return {
-        "all": _percent(voted == postures),
-        "lying_or_not": _percent((voted == lying) == (postures == lying)),
-        "nearest_in_3d": _percent(nearest[:, 0] == postures),
-        "any_of_seven": _percent((trial.postures == postures[:, None]).any(axis=1)),
+        "all": percent(voted == postures),
+        "lying_or_not": percent((voted == lying) == (postures == lying)),
+        "nearest_in_3d": percent(nearest[:, 0] == postures),
+        "any_of_seven": percent((trial.postures == postures[:, None]).any(axis=1)),
     }
 
 
@@ -280,12 +276,12 @@ def limits(trial: Trial) -> Figures:
     right_px = outlines[twin, trial.error_px[twin].argmin(axis=1)]
     either_side = np.minimum(first, trial.twin_error_px[:, 0])
     return {
-        "wrong": _percent(wrong),
-        "near": _percent(near),
-        "right_with_either_side": _percent(either_side < RIGHT_BELOW_PX),
-        "twin": _percent(twin),
+        "wrong": percent(wrong),
+        "near": percent(near),
+        "right_with_either_side": percent(either_side < RIGHT_BELOW_PX),
+        "twin": percent(twin),
         "twin_wrong_outline_px": float(wrong_px.mean()),
         "twin_right_outline_px": float(right_px.mean()),
-        "twin_wrong_outline_nearer": _percent(wrong_px < right_px),
-        "not_covered": _percent(wrong & ~near & ~twin),
+        "twin_wrong_outline_nearer": percent(wrong_px < right_px),
+        "not_covered": percent(wrong & ~near & ~twin),
     }

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.facing import azimuth_deg
-from app.estimation.results import Person
+from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.parameters import DEFAULTS
+from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.build.body import Phenotype
@@ -112,14 +113,11 @@ def run(options: argparse.Namespace) -> dict[str, object] | None:
 
 def measure(sequences: Sequences) -> dict[str, object]:
     """Compare single frames with tracks."""
-    single = [alone(*sequence) for sequence in sequences]
-    tracks = [smooth(filmed, smoothed(filmed, persons)) for filmed, persons in sequences]
-    variants = {
-        name: summary([
-            smooth(filmed, smoothed(filmed, persons, **left_out)) for filmed, persons in sequences
-        ])
-        for name, left_out in VARIANTS.items()
-    }  # fmt: skip
+    single = [
+        estimated(filmed, [person.hypotheses[0] for person in persons])
+        for filmed, persons in sequences
+    ]
+    tracks = [smooth(filmed, persons) for filmed, persons in sequences]
     return {
         "sequences": len(sequences),
         "cameras": VIEWS,
@@ -131,7 +129,10 @@ def measure(sequences: Sequences) -> dict[str, object]:
             }
             for name, rows in groups([filmed for filmed, _ in sequences]).items()
         },
-        "variants": variants,
+        "variants": {
+            name: summary([smooth(filmed, persons, **left_out) for filmed, persons in sequences])
+            for name, left_out in VARIANTS.items()
+        },
     }
 
 
@@ -162,14 +163,13 @@ def film_segments(
     return film(poses, subjects, avatars, SEED, views=views)
 
 
-def alone(filmed: Filmed, persons: Sequence[Person]) -> Estimated:
-    """Take the first hypothesis of every frame."""
-    first = [person.hypotheses[0] for person in persons]
+def estimated(filmed: Filmed, poses: Sequence[SmoothedPose | ProjectedHypothesis]) -> Estimated:
+    """Put the poses of a sequence, one for each frame, beside the truth."""
     return Estimated(
         filmed,
-        np.array([placed.points_3d for placed in first]),
-        np.array([placed.points_2d for placed in first]),
-        np.array([placed.confidence for placed in first]),
+        np.array([pose.points_3d for pose in poses]),
+        np.array([pose.points_2d for pose in poses]),
+        np.array([pose.confidence for pose in poses]),
     )
 
 
@@ -184,15 +184,9 @@ def smoothed(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> li
     return [update for update in updates if update is not None]
 
 
-def smooth(filmed: Filmed, updates: Sequence[Smoothed]) -> Estimated:
-    """Put smooth poses beside the truth."""
-    poses = [update.pose for update in updates]
-    return Estimated(
-        filmed,
-        np.array([pose.points_3d for pose in poses]),
-        np.array([pose.points_2d for pose in poses]),
-        np.array([pose.confidence for pose in poses]),
-    )
+def smooth(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> Estimated:
+    """Estimate a sequence by its smooth poses."""
+    return estimated(filmed, [one.pose for one in smoothed(filmed, persons, **parameters)])
 
 
 def summary(estimated: Sequence[Estimated]) -> dict[str, float]:
@@ -226,7 +220,7 @@ def fit(shared: Path) -> None:
             ),
         )
         features += [one.confidence_features for one in poses]
-        right.append(smooth(filmed, poses).measures()["right"] > 0)
+        right.append(estimated(filmed, [one.pose for one in poses]).measures()["right"] > 0)
     fitted = LogisticRegression(C=1e3).fit(np.array(features), np.concatenate(right))
     print(f"offset {fitted.intercept_[0]:.2f}, weights {np.round(fitted.coef_[0], 2).tolist()}")
 

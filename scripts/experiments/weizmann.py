@@ -31,7 +31,7 @@ from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.session import CameraSession
-from descriptor.descriptor import Arrays, Descriptor, DiagonalDescriptor
+from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
 from index import DEFAULT_PATH
 from scripts.experiments.paper_data import nearest
@@ -165,12 +165,8 @@ def _film(field: str, masks: Mask, expected: str) -> Film:
     return Film(person, action, tuple(mask for mask in np.moveaxis(masks, 2, 0) if mask.any()))
 
 
-@dataclass(frozen=True)
 class Pixels:
     """A silhouette as its own descriptor."""
-
-    name: str = "pixels"
-    dimension: int = HEIGHT * WIDTH
 
     def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
         """Return the pixels ``(B, 6144)`` of silhouettes ``(B, 128, 48)``."""
@@ -179,14 +175,6 @@ class Pixels:
     def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the pixels of the mirrored silhouettes."""
         return vectors.reshape(-1, HEIGHT, WIDTH)[:, :, ::-1].reshape(vectors.shape)
-
-    def parameters(self) -> dict[str, object]:
-        """Return the name."""
-        return {"name": self.name}
-
-    def arrays(self) -> Arrays:
-        """Return none."""
-        return {}
 
 
 @dataclass(frozen=True)
@@ -227,7 +215,11 @@ def stretches(vectors: NDArray[np.float32], frames: int) -> NDArray[np.float32]:
 
 
 def leave_one_person_out(
-    recordings: Sequence[Recording], descriptor: Descriptor, *, mirrored: bool, frames: int = 1
+    recordings: Sequence[Recording],
+    descriptor: Descriptor | Pixels,
+    *,
+    mirrored: bool,
+    frames: int = 1,
 ) -> Recognition:
     """Recognise the recordings of each person by those of all others.
 

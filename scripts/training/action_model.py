@@ -15,7 +15,7 @@ from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
 from index.skeleton import JOINT_NAMES, POINT_NAMES, camera_rotation
-from scripts.film import CLIP_FPS, on_ground, unbroken_stretches
+from scripts.film import CLIP_FPS, ELEVATIONS_DEG, on_ground, unbroken_stretches
 
 ACTIONS = (
     "arm-circle", "jump", "jumping-jack", "knee-raise", "lie", "punch",
@@ -48,7 +48,6 @@ PACE_M_S, FASTEST_TEMPO = (0.7, 1.9), 2.0
 """Walking speeds, and the fastest tempo used to reach them: half of the clips' walkers are
 deliberately slower than 0.65 m/s."""
 ON_THE_SPOT_M_S = 0.25
-ELEVATIONS_DEG = (2.0, 40.0)
 ELEVATION_ERROR_DEG = (-4.0, 9.0)
 """Mean and deviation of the error of a camera's estimated elevation."""
 

@@ -12,7 +12,7 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from app.api.tracking_schemas import CameraList, CameraState, TrackResponse
+from app.api.tracking_schemas import CameraList, CameraState
 from app.estimation.finder import PeopleFinder
 from tests.conftest import Photo, Server, Serving
 from tests.support.service import check_problem, eventually, sample, send
@@ -24,16 +24,6 @@ def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any)
 
 
 class TestTrackFrame:
-    def test_a_frame_is_answered_and_tracked(self, client: TestClient, photo: Photo) -> None:
-        response = send(client, photo, timestamp="12.5")
-        assert response.headers["x-session"] == "new"
-        answer = TrackResponse.model_validate_json(response.content)
-        assert (answer.camera_id, answer.frame_index, answer.timestamp) == ("yard", 0, 12.5)
-        assert answer.reset is None
-        (person,) = answer.persons
-        assert person.track_id >= 1
-        assert person.age_frames == 1
-
     def test_the_next_frame_finds_the_session_warm(self, client: TestClient, photo: Photo) -> None:
         states = sessions_of(client, photo, "yard", "yard", "yard", "gate")
         assert states == ["new", "warm", "warm", "new"]

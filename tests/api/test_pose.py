@@ -13,8 +13,7 @@ from fastapi.testclient import TestClient
 
 from app.api.overlay import LEGEND
 from app.api.schemas import PoseResponse
-from app.vision.people import LANDMARK_NAMES
-from index.skeleton import COCO17, KEYPOINT_SETS, NATIVE, POINT_NAMES
+from index.skeleton import KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex
 from tests.conftest import WALKERS, Photo, photograph, png
 
@@ -116,88 +115,8 @@ def test_keypoint_sets_select_points_of_the_entry(
         assert [joint["x"], joint["y"], joint["z"]] == pytest.approx(own[row], abs=2e-3)
 
 
-def test_compact_joints_are_the_same_numbers(client: TestClient, photo: Photo) -> None:
-    for keypoints in ("native", "coco17", "h36m17"):
-        full, compact = (
-            ask(client, photo, keypoints=keypoints, joints=form)["persons"][0]["hypotheses"]
-            for form in ("full", "compact")
-        )
-        for one, other in zip(full, compact, strict=True):
-            for field in ("joints_3d", "joints_2d"):
-                numbers = [value for joint in one[field] for value in joint.values()]
-                assert other[f"{field}_flat"] == numbers
-                assert other[field] is one[f"{field}_flat"] is None
-
-
-def test_hypotheses_come_without_joints(client: TestClient, photo: Photo) -> None:
-    full, none = (ask(client, photo, joints=form) for form in ("full", "none"))
-    PoseResponse.model_validate(none)
-    joints = ("joints_3d", "joints_2d", "joints_3d_flat", "joints_2d_flat")
-    for one, other in zip(
-        full["persons"][0]["hypotheses"], none["persons"][0]["hypotheses"], strict=True
-    ):
-        assert [other[field] for field in joints] == [None] * 4
-        assert {**other, "joints_3d": one["joints_3d"], "joints_2d": one["joints_2d"]} == one
-
-
-def test_people_come_left_to_right(client: TestClient, tiny_index: PoseIndex) -> None:
-    mask = np.zeros((240, 320), np.uint8)
-    for label, left in ((1, 200), (2, 20), (3, 110)):
-        mask |= photograph(tiny_index, label, left).mask * label
-    files = {"frame": png(np.zeros((240, 320, 3), np.uint8)), "mask": png(mask)}
-    # By the silhouettes alone: what is read in a black frame is no pose.
-    persons = post(client, files, evidence="silhouette")["persons"]
-    for person, (number, left) in zip(persons, ((2, 20), (3, 110), (1, 200)), strict=True):
-        joints = points(person["hypotheses"][0]["joints_2d"])
-        expected = photograph(tiny_index, number, left).joints_2d
-        # Its pose, up to interpolation with near neighbours; the persons are 90 px apart.
-        assert np.linalg.norm(joints - expected, axis=1).mean() < 3
-    labels = decoded(client.post("/silhouette", files=files).content)
-    assert np.array_equal(labels, np.array([0, 3, 1, 2], np.uint8)[mask])
-
-
 STREET = WALKERS.read_bytes()
 BOXES = json.dumps([[135, 162, 40, 105]])
-
-
-def test_people_are_detected_with_keypoints(client: TestClient) -> None:
-    persons = post(client, {"frame": STREET})["persons"]
-    assert len(persons) >= 3
-    assert {person["source"] for person in persons} == {"detector"}
-    for person in persons:
-        assert 0 < person["detection_score"] <= 1
-        assert person["silhouette"]["segmenter"] == "network"
-        assert person["facing"]["evidence"] == "image"
-        seen, box = person["observed_keypoints"], person["box"]
-        assert len(seen) == 17
-        for name, keypoint in zip(COCO17.names, seen, strict=True):
-            if keypoint is None:
-                continue
-            assert keypoint["name"] == name
-            assert 0 < keypoint["score"] <= 1
-            assert abs(keypoint["x"] - box["x"] - box["width"] / 2) < box["width"]
-            assert abs(keypoint["y"] - box["y"] - box["height"] / 2) < 0.6 * box["height"]
-        assert sum(keypoint is not None for keypoint in seen) >= 12
-
-
-def test_all_landmarks_are_returned_on_request(client: TestClient) -> None:
-    coco, blaze = (
-        post(client, {"frame": STREET}, observed=observed)["persons"]
-        for observed in ("coco17", "blazepose33")
-    )
-    for few, all_of_them in zip(coco, blaze, strict=True):
-        seen = all_of_them.pop("observed_keypoints")
-        assert len(seen) == len(LANDMARK_NAMES) == 33
-        for name, landmark in zip(LANDMARK_NAMES, seen, strict=True):
-            assert landmark is None or landmark["name"] == name
-        by_name = dict(zip(LANDMARK_NAMES, seen, strict=True))
-        assert [by_name[name] for name in COCO17.names] == few.pop("observed_keypoints")
-        # Metres about the middle of the hips.
-        assert sum(by_name[f"{side}_hip"]["z"] for side in ("left", "right")) == pytest.approx(
-            0, abs=0.05
-        )
-        assert all(abs(landmark["z"]) < 1.2 for landmark in seen if landmark)
-        assert all_of_them == few, "the keypoint set of the photograph changes no pose"
 
 
 def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: Photo) -> None:
@@ -275,20 +194,6 @@ def test_a_difference_from_the_background_is_a_person(client: TestClient, photo:
     (boxed,) = client.post("/pose", files=files, data=given).json()["persons"]
     assert boxed["source"] == "boxes"
     assert boxed["silhouette"]["segmenter"] == "background"
-
-
-def test_an_empty_street_has_no_persons(client: TestClient) -> None:
-    frame = png(np.full((240, 320, 3), 200, np.uint8))
-    assert client.post("/pose", files={"frame": frame}).json()["persons"] == []
-    empty = png(np.zeros((240, 320), np.uint8))
-    answer = client.post("/pose", files={"frame": frame, "mask": empty}).json()
-    assert answer["persons"] == []
-    assert answer["image"] == {
-        "width": 320,
-        "height": 240,
-        "fov_deg": 60,
-        "fov_given": False,
-    }
 
 
 COLUMNS = np.arange(320)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import socket
-import subprocess
 import sys
 
 import pytest
 
 from app.settings import Settings, SettingsError, read_settings
-from tests.conftest import ROOT
+from tests.support.programs import output_of, run
 
 
 @pytest.mark.parametrize(
@@ -123,30 +121,15 @@ def test_an_invalid_list_of_keys_reveals_none(monkeypatch: pytest.MonkeyPatch) -
 
 def test_reading_settings_loads_no_native_library() -> None:
     code = "import sys, app.settings; print(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.split()
+    loaded = output_of(sys.executable, "-c", code).split()
     assert {"ai_edge_litert", "cv2", "faiss", "numpy"}.isdisjoint(loaded)
-
-
-def start(**environment: str) -> subprocess.CompletedProcess[str]:
-    """Run ``python -m app`` until it ends by itself."""
-    return subprocess.run(
-        [sys.executable, "-m", "app"],
-        cwd=ROOT,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("POSE_MAX_PIXELS", "abc"), ("PORT", "99999"), ("HOST", "nowhere.invalid")]
 )
 def test_an_invalid_setting_ends_the_start_with_one_sentence(name: str, value: str) -> None:
-    ended = start(**{name: value})
+    ended = run(sys.executable, "-m", "app", **{name: value})
     assert ended.returncode == 1
     assert ended.stdout == ""
     assert ended.stderr.startswith(f"{name}: expected ")
@@ -157,7 +140,8 @@ def test_an_invalid_setting_ends_the_start_with_one_sentence(name: str, value: s
 def test_a_port_in_use_ends_the_start_with_one_sentence(workers: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        ended = start(HOST="127.0.0.1", PORT=str(port), WORKERS=workers, POSE_MAX_CAMERAS="0")
+        settings = {"PORT": str(port), "WORKERS": workers, "POSE_MAX_CAMERAS": "0"}
+        ended = run(sys.executable, "-m", "app", HOST="127.0.0.1", **settings)
     assert ended.returncode == 1
     assert ended.stderr == (
         f"PORT: expected a free port, got {port}, which another program uses on 127.0.0.1\n"

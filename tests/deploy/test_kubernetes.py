@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from app.main import create_app
 from app.settings import VARIABLES, Settings
 from scripts.figures import measured
 from tests.conftest import ROOT
+from tests.support.programs import output_of
 
 DEPLOY = ROOT / "deploy"
 BALANCER = (DEPLOY / "haproxy.cfg").read_text()
@@ -105,9 +105,7 @@ class TestKustomize:
     def built(folder: Path) -> list[Document]:
         if shutil.which("kubectl") is None:
             pytest.skip("needs kubectl")
-        command = ["kubectl", "kustomize", str(folder)]
-        text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        return list(yaml.safe_load_all(text))
+        return list(yaml.safe_load_all(output_of("kubectl", "kustomize", folder)))
 
     def test_the_balancer_gets_the_one_configuration(self) -> None:
         built = self.built(DEPLOY)

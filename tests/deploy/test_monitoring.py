@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from app.settings import VARIABLES
 from tests.conftest import ROOT, Photo
+from tests.support.programs import output_of
 
 ALERTS = ROOT / "deploy" / "alerts.yml"
 CASES = Path(__file__).with_name("alerts_cases.yml")
@@ -119,11 +119,6 @@ needs_promtool = pytest.mark.skipif(
 )
 
 
-def promtool(*arguments: str) -> None:
-    found = subprocess.run(["promtool", *arguments], capture_output=True, text=True, check=False)
-    assert found.returncode == 0, found.stdout + found.stderr
-
-
 @needs_promtool
 def test_prometheus_reads_the_expressions_of_the_dashboard(tmp_path: Path) -> None:
     variables = {"$job": "pose", "$instance": ".+", "$__rate_interval": "5m"}
@@ -135,7 +130,7 @@ def test_prometheus_reads_the_expressions_of_the_dashboard(tmp_path: Path) -> No
             rules.append({"record": f"rule:{len(rules)}", "expr": expression})
     file = tmp_path / "rules.yml"
     file.write_text(yaml.safe_dump({"groups": [{"name": "dashboard", "rules": rules}]}))
-    promtool("check", "rules", str(file))
+    output_of("promtool", "check", "rules", file)
 
 
 @needs_promtool
@@ -145,7 +140,7 @@ def test_alerts_go_off_when_they_should_and_not_before(tmp_path: Path) -> None:
     rules = {"groups": [{"name": "pose", "rules": bare}]}
     (tmp_path / "alerts.yml").write_text(yaml.safe_dump(rules))
     shutil.copy(CASES, tmp_path)
-    promtool("test", "rules", str(tmp_path / CASES.name))
+    output_of("promtool", "test", "rules", tmp_path / CASES.name)
 
 
 def test_every_alert_has_a_case() -> None:

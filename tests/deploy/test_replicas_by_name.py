@@ -7,7 +7,6 @@ import re
 import shutil
 import socket
 import struct
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ import httpx
 import pytest
 
 from tests.support.balancer import CONFIGURATION, Balancer
+from tests.support.programs import output_of
 
 pytestmark = [
     pytest.mark.slow,
@@ -136,8 +136,7 @@ def test_cameras_move_only_when_replicas_change(names: NameServer, balancer: Bal
 
 
 def version() -> tuple[int, ...]:
-    text = subprocess.run(["haproxy", "-v"], capture_output=True, text=True, check=True).stdout
-    found = re.search(r"version (\d+)\.(\d+)", text)
+    found = re.search(r"version (\d+)\.(\d+)", output_of("haproxy", "-v"))
     assert found is not None
     return tuple(map(int, found.groups()))
 

@@ -8,7 +8,6 @@ import json
 import lzma
 import re
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,8 +23,7 @@ from index import artefact, files
 from index.artefact import find_artefact, load_index, save_index
 from index.files import ArtefactError, npy_bytes
 from index.store import PoseIndex
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.programs import run
 
 
 @pytest.fixture
@@ -240,7 +238,7 @@ pathlib.Path.write_text = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
 """
         before = contents(saved)
-        ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False)
+        ended = run(sys.executable, "-c", script)
         assert ended.returncode == -signal.SIGKILL
         assert contents(saved) == before
         save_index(dataclasses.replace(toy_index, name="newer"), saved)
@@ -262,7 +260,7 @@ pathlib.Path.rename = rename_or_die
 save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
 """
         before = contents(saved)
-        ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False)
+        ended = run(sys.executable, "-c", script)
         assert ended.returncode == -signal.SIGKILL
         assert not saved.exists()
         with files.staging(saved):

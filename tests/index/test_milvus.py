@@ -17,7 +17,7 @@ from index.files import ArtefactError
 from index.search import UnavailableError
 from index.store import PoseIndex
 from tests.conftest import build_tiny_index
-from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
+from tests.support.milvus_server import why_milvus_cannot_run
 
 if why_milvus_cannot_run() is None or TYPE_CHECKING:
     from index.milvus import (
@@ -33,13 +33,6 @@ if why_milvus_cannot_run() is None or TYPE_CHECKING:
 pytestmark = pytest.mark.skipif(
     why_milvus_cannot_run() is not None, reason=str(why_milvus_cannot_run())
 )
-
-
-@pytest.fixture(scope="module")
-def milvus(milvus_process: MilvusProcess) -> Iterator[Milvus]:
-    connection = Milvus(milvus_process.address, 30.0)
-    yield connection
-    connection.close()
 
 
 def saved(index: PoseIndex, folder: Path) -> PoseIndex:
@@ -148,7 +141,7 @@ class TestSearch:
         with pytest.raises(ArtefactError, match="holds other vectors"):
             check_vectors(other, published)
 
-    def test_a_collection_that_is_gone_is_told(self, milvus: Milvus) -> None:
+    def test_a_missing_collection_is_reported(self, milvus: Milvus) -> None:
         with pytest.raises(UnavailableError, match="answered with an error") as caught:
             milvus.search("poses_gone", np.zeros((1, 48), np.float32), 1)
         assert caught.value.reason == "refused"
@@ -218,7 +211,7 @@ class TestPublish:
         assert milvus.count(name, 0, 10**9) == len(fresh)
 
 
-def test_a_server_that_is_not_there_is_told_at_once() -> None:
+def test_an_unreachable_server_is_reported_at_once() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     milvus = Milvus(f"127.0.0.1:{port}", 5.0)

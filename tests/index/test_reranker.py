@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,8 +14,7 @@ from index.artefact import load_index, save_index
 from index.files import ArtefactError
 from index.reranker import FILES, MANIFEST, WEIGHTS, RankingModel, load_reranker, save_reranker
 from index.store import PoseIndex
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.programs import output_of
 
 
 @pytest.fixture
@@ -107,10 +104,7 @@ def test_number_of_threads_does_not_matter(reranked: PoseIndex, tmp_path: Path) 
     )
     answers = []
     for threads in ("1", "2"):
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(tmp_path / "index")],
-            env=environment, cwd=ROOT, capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        answers.append([float(word) for word in done.stdout.split()])
+        limits = {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        said = output_of(sys.executable, "-c", code, tmp_path / "index", **limits)
+        answers.append([float(word) for word in said.split()])
     assert_allclose(*answers, rtol=1e-12)

@@ -6,8 +6,8 @@ import argparse
 import importlib
 import inspect
 import re
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,20 +15,16 @@ import pytest
 from scripts.__main__ import COMMANDS
 from scripts.evaluate import EXPERIMENTS
 from tests.conftest import ROOT
+from tests.support.programs import run
 
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "scripts", *arguments],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+RUN = partial(run, sys.executable, "-m", "scripts")
 
 
 def test_all_commands_are_listed_with_a_line() -> None:
-    listed = run()
+    listed = RUN()
     assert listed.returncode == 0
     assert re.findall(r"^  ([\w-]+) +\S", listed.stdout, re.MULTILINE) == list(COMMANDS)
-    unknown = run("evalute")
+    unknown = RUN("evalute")
     assert unknown.returncode == 2
     assert unknown.stderr.startswith("scripts: expected a command, got 'evalute'\n")
 
@@ -49,7 +45,7 @@ def test_every_command_is_there(name: str) -> None:
 )
 def test_without_data(command: str, tmp_path: Path) -> None:
     name, *names = command.split()
-    ended = run(name, *names, "--shared", str(tmp_path))
+    ended = RUN(name, *names, "--shared", tmp_path)
     assert ended.returncode == 1
     assert ended.stderr.splitlines()[-1].startswith(f"{name}: ")
     assert "Traceback" not in ended.stderr

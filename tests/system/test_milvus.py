@@ -33,13 +33,6 @@ ALIAS = "served"
 
 
 @pytest.fixture(scope="module")
-def milvus(milvus_process: MilvusProcess) -> Iterator[Milvus]:
-    connection = Milvus(milvus_process.address, 30.0)
-    yield connection
-    connection.close()
-
-
-@pytest.fixture(scope="module")
 def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of two versions whose answers differ in the subject."""
     folder = tmp_path_factory.mktemp("artefacts")
@@ -155,18 +148,6 @@ class TestServing:
         assert value(server, "pose_index_info", name=others.name, version=others.version) == 1
         assert value(server, "pose_camera_sessions_ended_total", reason="index") == 1
         publish(milvus, sticks, ALIAS)
-
-    def test_a_version_without_an_artefact_is_reported(
-        self, milvus_process: MilvusProcess, server: Server, index_path: Path, others: PoseIndex,
-        tmp_path: Path, milvus: Milvus,
-    ) -> None:  # fmt: skip
-        save_index(others, tmp_path / "others")
-        with serving(milvus_process, tmp_path) as refusing:
-            detail = wait_for_detail(refusing, "expected an artefact of version sha256:")
-            assert others.version in detail
-            # It is looked for again.
-            save_index(load_index(index_path), tmp_path / "sticks")
-            wait_until(f"{refusing.url}/readyz")
 
 
 @needs_milvus

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -18,9 +16,10 @@ from app.main import create_app
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from index.artefact import load_index
+from tests.conftest import SHARED
+from tests.support.programs import run
 
-ROOT = Path(__file__).resolve().parents[2]
-MOCAP = Path(os.environ.get("SHARED", ROOT.parent / "shared")).resolve() / "mocap"
+MOCAP = SHARED / "mocap"
 
 CLIPS = {"jump_train_1": "jump", "basketball_train_1": "basketball", "14_30": "kneel"}
 
@@ -52,9 +51,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, *options in COMMANDS:
         place = "--out" if name == "build" else "--index"
         command = [sys.executable, "-m", "scripts", name, "--mocap", mocap, place, out, *options]
-        done = subprocess.run(
-            list(map(str, command)), cwd=ROOT, capture_output=True, text=True, timeout=900
-        )
+        done = run(*command, timeout_s=900)
         assert done.returncode == 0, done.stderr
         assert "ends of" in done.stdout
     return out

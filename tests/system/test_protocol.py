@@ -20,11 +20,6 @@ pytestmark = pytest.mark.anyio
 HEAD = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 class Hasty(HttpProtocol):
     """A protocol with short timeouts."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -17,15 +16,9 @@ from app.serving.runtime import VERSION
 from app.vision.models import MODELS
 from index import DEFAULT_PATH
 from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
+from tests.support.programs import output_of
 
 pytestmark = pytest.mark.slow
-
-
-def run(*command: str | Path) -> str:
-    """Run a program; return what it writes."""
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    return ended.stdout
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +30,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / file, source)
     for package in ("app", "descriptor", "index"):
         shutil.copytree(ROOT / package, source / package)
-    run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", folder, source)
+    output_of(sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", folder, source)
     (built,) = folder.glob("*.whl")
     return built
 
@@ -46,9 +39,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """The service as a fresh environment has it, started in an empty folder."""
     folder = tmp_path_factory.mktemp("installed")
-    run(sys.executable, "-m", "venv", folder / "venv")
+    output_of(sys.executable, "-m", "venv", folder / "venv")
     python = folder / "venv" / "bin" / "python"
-    run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel)
+    output_of(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel)
     empty = folder / "empty"
     empty.mkdir()
     server = start_server(None, empty, python)

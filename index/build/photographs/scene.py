@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.body import about_vertical, pose_transforms, posed_points, retarget
+from index.build.parameters import POSES
 from index.build.photographs import furniture
 from index.build.photographs.cameras import Camera, sample_camera
 from index.build.photographs.development import develop
@@ -39,7 +40,6 @@ from index.build.photographs.raster import (
     vertex_normals,
 )
 from index.build.photographs.rooms import Room, build_room
-from index.build.poses import TRUNK_BELOW_M
 from index.build.render import skin
 from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
 
@@ -228,7 +228,7 @@ class Studio:
 def _rests(joints: NDArray[np.float64]) -> bool:
     """Whether the trunk of a body that lies is on the ground rather than on the limbs."""
     trunk = joints[[_PELVIS, JOINT_NAMES.index("chest")], 1]
-    return bool(trunk.max() - joints[:JOINTS, 1].min() < TRUNK_BELOW_M)
+    return bool(trunk.max() - joints[:JOINTS, 1].min() < POSES.trunk_below_m)
 
 
 def _level(generator: np.random.Generator) -> NDArray[np.float64]:

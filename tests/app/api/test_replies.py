@@ -10,21 +10,16 @@ import pytest
 from app.api.replies import (
     ReplyForm,
     joint_fields,
-    sequence_end_reply,
-    sequence_frame_reply,
     track_reply,
 )
-from app.api.schemas import JointForm
-from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackResponse
+from app.api.tracking_schemas import TrackResponse
 from app.estimation.estimator import Estimator
 from app.estimation.facing import Facing
 from app.estimation.results import Estimate
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.summary import VideoSummary
-from app.tracking.video_run import VideoEnd
-from index.skeleton import KEYPOINT_SETS, NATIVE
+from index.skeleton import NATIVE
 from tests.conftest import Photo
 
 EVENT = Event("fell", 3, "instant", 12.34567, 0.93, ("kitchen",), "17")
@@ -75,31 +70,6 @@ def test_a_tracked_reply_adds_results_over_time(frame: TrackedFrame, estimator: 
     assert (event.zones, event.caller_track_id) == (["kitchen"], "17")
 
 
-@pytest.mark.parametrize("form", ["full", "compact", "none"])
-@pytest.mark.parametrize("keypoints", ["native", "coco17"])
-def test_smoothed_joints_have_the_format_of_hypotheses(
-    frame: TrackedFrame, estimator: Estimator, form: JointForm, keypoints: str
-) -> None:
-    wanted = ReplyForm(KEYPOINT_SETS[keypoints], joints=form)  # type: ignore[index]
-    (person,) = track_reply(frame, "yard", estimator.index, wanted).model_dump()["persons"]
-    best = person["hypotheses"][0]
-    given = [
-        name
-        for name in ("joints_3d", "joints_2d", "joints_3d_flat", "joints_2d_flat")
-        if person["pose"][name] is not None
-    ]
-    assert (
-        given
-        == {
-            "full": ["joints_3d", "joints_2d"],
-            "compact": ["joints_3d_flat", "joints_2d_flat"],
-            "none": [],
-        }[form]
-    )
-    # The smoothed pose of this fixture is the best hypothesis.
-    assert all(person["pose"][name] == best[name] for name in given)
-
-
 def test_a_person_without_a_smoothed_pose_has_null(
     frame: TrackedFrame, estimator: Estimator
 ) -> None:
@@ -109,27 +79,6 @@ def test_a_person_without_a_smoothed_pose_has_null(
     )
     (person,) = TrackResponse.model_validate_json(reply.model_dump_json()).persons
     assert (person.pose, person.action) == (None, None)
-
-
-def test_a_video_has_frame_lines_and_an_end_line(frame: TrackedFrame, estimator: Estimator) -> None:
-    line = sequence_frame_reply(frame, 80, estimator.index, ReplyForm(NATIVE)).model_dump_json()
-    assert line.startswith('{"type":"frame","video_frame":80,')
-    assert SequenceFrame.model_validate_json(line).frame_index == 40
-    summary = VideoSummary()
-    for timestamp in np.arange(3) / 10:
-        summary.add(replace(frame, timestamp=float(timestamp)))
-    end = SequenceEnd.model_validate_json(
-        sequence_end_reply(summary, VideoEnd("complete", "the video ended")).model_dump_json()
-    )
-    assert (end.reason, end.detail, end.frames, len(end.events)) == (
-        "complete",
-        "the video ended",
-        3,
-        3,
-    )
-    (track,) = end.tracks
-    assert (track.first_timestamp, track.last_timestamp, track.frames) == (0.0, 0.2, 3)
-    assert [posture.seconds for posture in track.postures] == [0.2]
 
 
 def test_a_joint_that_an_entry_lacks_is_null_in_every_form() -> None:

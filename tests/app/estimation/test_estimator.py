@@ -71,25 +71,6 @@ def test_network_passes_share_the_cores(cores: int, concurrency: int) -> None:
     assert copies == concurrency or threads * (copies + 1) > cores
 
 
-def test_photograph_is_evidence(walker: Person) -> None:
-    assert walker.facing is not None and walker.facing.evidence == "image"
-    assert walker.observed.landmarks is not None
-    assert walker.observed.presence is not None and walker.observed.presence > 0.9
-    assert all(placed.distance != placed.silhouette_distance for placed in walker.hypotheses)
-    assert all(0 <= placed.confidence <= 1 for placed in walker.hypotheses)
-    distances = [placed.distance for placed in walker.hypotheses]
-    assert distances == sorted(distances)
-
-
-def test_poses_lie_on_the_keypoints(walker: Person) -> None:
-    """The stick figures of the index are no walkers, but their ankles are down."""
-    keypoints = landmarks_of(walker).keypoints()
-    best = walker.hypotheses[0].points_2d
-    head, ankle = best[4], best[[13, 17]].mean(axis=0)
-    assert np.linalg.norm(head - keypoints.positions[0]) < 0.2 * WALKER.height
-    assert np.linalg.norm(ankle - keypoints.positions[15:].mean(axis=0)) < 0.2 * WALKER.height
-
-
 @pytest.mark.parametrize("source", ["detector", "boxes", "mask", "background"])
 def test_silhouette_evidence_ignores_the_photograph(
     estimator: Estimator,

@@ -20,7 +20,7 @@ from anyio import to_thread
 from app.http.request_state import request_id
 from app.scheduling.executor import Executor
 from app.scheduling.job import BusyError, ClientGoneError, DeadlineError, Job
-from app.scheduling.queue import OverloadedError, Sender, ShutdownError, SupersededError
+from app.scheduling.queue import OverloadedError, Sender, ShutdownError
 
 pytestmark = pytest.mark.anyio
 
@@ -105,24 +105,6 @@ class TestFrames:
                 tasks.start_soon(frame)
         assert set(outcomes) == {DeadlineError, OverloadedError}
         assert executor.queue.in_flight == 0
-
-    async def test_a_newer_frame_supersedes_the_waiting_one(self) -> None:
-        executor = executor_of(1)
-        let_go, outcomes = threading.Event(), list[str]()
-
-        async def frame(name: str) -> None:
-            try:
-                await run(executor, lambda _: let_go.wait(10), camera="yard")
-                outcomes.append(name)
-            except SupersededError as error:
-                outcomes.append(f"{name} {error.reason}")
-
-        async with anyio.create_task_group() as tasks:
-            for name in ("first", "second", "third"):
-                tasks.start_soon(frame, name)
-                await anyio.wait_all_tasks_blocked()
-            let_go.set()
-        assert outcomes == ["second superseded", "first", "third"]
 
     async def test_a_cancelled_request_cancels_its_work(self) -> None:
         executor = executor_of(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import pytest
 
 from app.scheduling import process
 from app.settings import Settings
-from tests.conftest import ROOT
+from tests.support.programs import output_of
 
 Host = Callable[[dict[str, str]], None]
 
@@ -105,4 +104,4 @@ def test_worker_threads_have_a_lower_priority() -> None:
 
 
 def test_importing_the_application_changes_no_process_settings() -> None:
-    subprocess.run([sys.executable, "-c", EXPORT], cwd=ROOT, check=True)
+    output_of(sys.executable, "-c", EXPORT)

@@ -18,7 +18,6 @@ from app.scheduling.queue import (
     FairQueue,
     OverloadedError,
     Sender,
-    ShutdownError,
     SupersededError,
     Ticket,
 )
@@ -327,12 +326,3 @@ class TestCameras:
         queue.check(Sender("a"), "yard")
         queue.enqueue(Sender("a"), None, "yard")
         assert queue.in_flight == 2
-
-
-async def test_closing_drops_waiting_frames() -> None:
-    queue = FairQueue(1, MAX_WAIT_S)
-    running, waiting = (queue.enqueue(Sender("a"), None) for _ in range(2))
-    queue.close()
-    assert waiting.begun.result() is ShutdownError
-    queue.release(running)
-    assert queue.in_flight == 0

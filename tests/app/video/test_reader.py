@@ -15,11 +15,6 @@ from tests.support.videos import numbered_frames, write_video
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 async def test_frames_of_an_unnamed_file_are_read(tmp_path: Path) -> None:
     with new_file() as file:
         file.write(write_video(tmp_path / "v.avi", numbered_frames(5)))

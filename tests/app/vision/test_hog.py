@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.vision.crops import resize
-from app.vision.geometry import Box, non_max_suppression
-from app.vision.hog import drop_parts, hog_margin, hog_people, hog_windows, mean_boxes
+from app.vision.geometry import Box
+from app.vision.hog import hog_margin, hog_people, hog_windows
 from app.vision.parameters import DEFAULTS
 
 HOG = DEFAULTS.hog
@@ -61,18 +61,3 @@ def test_each_person_has_one_box(street: NDArray[np.uint8], walkers: list[Box]) 
     assert (margins > 0).all()
     for walker in walkers:
         assert sum(walker.iou(Box(*box)) > 0.3 for box in boxes.tolist()) == 1
-
-
-BOXES = np.array([[0, 0, 10, 30], [1, 1, 10, 30], [7, 0, 10, 30], [1, 0, 8, 14]], float)
-MARGINS = np.array([0.9, 0.8, 0.7, 0.6])
-
-
-def test_two_people_side_by_side_stay_two() -> None:
-    kept = non_max_suppression(BOXES, MARGINS, 0.4)
-    assert kept == [0, 2, 3]
-    assert drop_parts(BOXES, kept, HOG) == [0, 2]
-
-
-def test_mean_box_leans_to_the_better() -> None:
-    (mean,) = mean_boxes(BOXES, MARGINS, [0], HOG)
-    assert 0 < mean[0] < 0.5 and mean[2] == pytest.approx(10)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +24,7 @@ from app.vision.models import (
 from app.vision.tflite import NetworkError
 from tests.conftest import ROOT
 from tests.support.ports import free_ports
+from tests.support.programs import run
 
 DOCUMENT = json.loads(MODELS.read_text())
 
@@ -89,15 +88,7 @@ def test_service_does_not_start_with_an_altered_file(tmp_path: Path, how: str) -
         shutil.copytree(ROOT / package, tmp_path / package, ignore=ignored)
     file = DOCUMENT["movenet"]["file"]
     spoil(tmp_path / "app" / "vision" / "models" / file, how)
-    ended = subprocess.run(
-        [sys.executable, "-m", "app"],
-        cwd=tmp_path,
-        env={**os.environ, "PORT": str(free_ports(1)[0])},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    ended = run(sys.executable, "-m", "app", cwd=tmp_path, PORT=str(free_ports(1)[0]))
     assert ended.returncode == 1
     assert ended.stdout == ""
     assert file in ended.stderr

@@ -107,7 +107,7 @@ def test_probabilities_of_a_posture_are_named() -> None:
         FramePosture(np.ones(3))
 
 
-def test_who_is_hardly_seen_is_told_less_surely() -> None:
+def test_a_person_who_is_hardly_seen_is_classified_less_surely() -> None:
     scores = np.repeat([[2.0, 0, 0, 0, 0, 0]], 3, axis=0)
     given = trusted(scores, np.array([0.02, 0.5, 0.95]), np.array([0.1, 0.2]))
     assert (np.diff(given[:, 0]) > 0).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +26,7 @@ from index.build.body import (
 from index.build.motion import Clip, MotionError, read_clip
 from index.build.poses import Poses
 from index.skeleton import JOINT_NAMES, NATIVE
-
-Angles = dict[str, tuple[float, float, float]]
-Write = Callable[[Path, Sequence[Angles]], Path]
+from tests.index.toys import Angles, write_clip
 
 directions = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 
@@ -79,7 +76,7 @@ def test_turned_to_front_faces_front_and_forgets_where_one_faced(degrees: float)
 
 
 @pytest.fixture(scope="module")
-def zero_clip(tmp_path_factory: pytest.TempPathFactory, write_clip: Write) -> Clip:
+def zero_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
     return read_clip(write_clip(tmp_path_factory.mktemp("zero") / "zero.bvh", [{}, {}]))
 
 
@@ -119,8 +116,7 @@ def test_poses_keep_the_lengths_of_bones(poses: Poses, avatars: list[Avatar]) ->
     assert_allclose(lengths[:, limbs], np.broadcast_to(lengths[0, limbs], (len(joints), 8)))
 
 
-def test_limbs_point_where_the_motion_says(tmp_path: Path, write_clip: Write,
-                                           avatars: list[Avatar]) -> None:  # fmt: skip
+def test_limbs_point_where_the_motion_says(tmp_path: Path, avatars: list[Avatar]) -> None:
     # The left arm raised to the vertical, the right forearm bent forward at the elbow.
     frame: Angles = {"LeftArm": (90.0, 0.0, 0.0), "RightForeArm": (0.0, 90.0, 0.0)}
     clip = read_clip(write_clip(tmp_path / "signal.bvh", [frame, frame]))

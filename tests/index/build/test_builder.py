@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import shutil
-import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +14,6 @@ from numpy.testing import assert_array_equal
 from index.artefact import load_index
 from index.build.body import Avatar
 from index.build.builder import (
-    LAID_DOWN_SHARE,
-    LOW_SHARE,
     Plan,
     QueryCounts,
     choose_poses,
@@ -26,12 +21,13 @@ from index.build.builder import (
     spread,
 )
 from index.build.motion import MANIFESTS, Segment, read_manifest
+from index.build.parameters import POSES
 from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.build.splits import entries_of, split, split_by_clip
 from index.posture import LOW, POSTURES, classify_postures
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests.index.toys import walk, write_clip
+from tests.support.programs import output_of
 
 
 class TestPlan:
@@ -99,19 +95,14 @@ class TestSplit:
 
 
 @pytest.fixture(scope="module")
-def ground_motion(
-    motion_folder: Path,
-    write_clip: Callable[..., Path],
-    walking: Callable[..., list[dict[str, tuple[float, float, float]]]],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Path:
+def ground_motion(motion_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The motion folder with a second manifest, of somebody who sits."""
     folder = tmp_path_factory.mktemp("ground") / "mocap"
     shutil.copytree(motion_folder, folder)
     legs = {"LeftLeg": (0.0, 0.0, 80.0), "RightLeg": (0.0, 0.0, 80.0)}
     seated = [
         {**frame, **legs, "LeftUpLeg": (-15.0, 0.0, thigh), "RightUpLeg": (15.0, 0.0, thigh)}
-        for frame, thigh in zip(walking(30), np.linspace(-85, -75, 30).tolist(), strict=True)
+        for frame, thigh in zip(walk(30), np.linspace(-85, -75, 30).tolist(), strict=True)
     ]
     write_clip(folder / "bvh" / "rest.bvh", seated)
     (folder / MANIFESTS[1]).write_text(
@@ -138,8 +129,8 @@ class TestChoosePoses:
     def test_each_group_has_its_share(self, pool: Poses, avatars: list[Avatar], count: int) -> None:
         groups = self.groups(choose_poses(pool, avatars[0], count, seed=0), avatars[0])
         assert len(groups) == count
-        assert groups.count("laid") == round(LAID_DOWN_SHARE * count)
-        assert groups.count("low") == round(LOW_SHARE * count)
+        assert groups.count("laid") == round(POSES.laid_down_share * count)
+        assert groups.count("low") == round(POSES.low_share * count)
 
     def test_so_has_each_beginning(self, pool: Poses, avatars: list[Avatar]) -> None:
         groups = self.groups(choose_poses(pool, avatars[0], 50, seed=0), avatars[0])
@@ -159,7 +150,7 @@ class TestChoosePoses:
         self, poses: Poses, avatars: list[Avatar]
     ) -> None:
         groups = self.groups(choose_poses(poses, avatars[0], 20, seed=0), avatars[0])
-        laid = round(LAID_DOWN_SHARE * 20)
+        laid = round(POSES.laid_down_share * 20)
         assert (groups.count("laid"), groups.count("upright")) == (laid, 20 - laid)
 
 
@@ -208,24 +199,16 @@ def small_mocap(shared: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def build(mocap: Path, out: Path, hash_seed: str = "0") -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "scripts", "build", "--mocap", mocap, "--out", out,
-               "--entries", "480", "--bodies", "1", "--views", "4"]  # fmt: skip
-    return subprocess.Popen(
-        list(map(str, command)), cwd=ROOT, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, env={**os.environ, "PYTHONHASHSEED": hash_seed},
-    )  # fmt: skip
-
-
 @pytest.mark.slow
 def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> None:
     # An index is called after its folder.
     folders = [tmp_path / parent / "index" for parent in ("one", "two")]
     for seed, folder in enumerate(folders):
         folder.parent.mkdir()
-        process = build(small_mocap, folder, hash_seed=str(seed))
-        printed, complaint = process.communicate(timeout=900)
-        assert process.returncode == 0, complaint
+        printed = output_of(
+            sys.executable, "-m", "scripts", "build", "--mocap", small_mocap, "--out", folder,
+            "--entries", "480", "--bodies", "1", "--views", "4", PYTHONHASHSEED=str(seed),
+        )  # fmt: skip
         assert "in T-pose" in printed
         assert "entries in" in printed
     one, two = (load_index(folder) for folder in folders)

@@ -7,12 +7,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from index.build.calibrate import (
-    OWN_ROLL_DEG,
     Queries,
     Trial,
     expected_calibration_error,
     run_trial,
 )
+from index.build.parameters import VIEWS
 from index.build.simulate import Simulation
 from index.posture import POSTURES
 from index.skeleton import JOINTS, camera_rotation
@@ -46,7 +46,7 @@ def test_queries_of_wide_bodies_have_the_roll_of_their_camera(
     ground_simulation: Simulation, queries: Queries
 ) -> None:
     roll_deg = ground_simulation.entries["roll_deg"]
-    stood_up = np.abs(roll_deg) > OWN_ROLL_DEG
+    stood_up = np.abs(roll_deg) > VIEWS.max_own_roll_deg
     assert 0.2 < stood_up.mean() < 0.8
     assert_array_equal(queries.roll_deg, np.where(stood_up, roll_deg, 0))
     # A camera's own roll of a few degrees is nobody's to know.

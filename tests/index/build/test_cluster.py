@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,14 @@ import pytest
 
 from index.build import simulate as simulate_module
 from index.build.body import Avatar
+from index.build.parameters import RENDERING
 from index.build.poses import Poses
 from index.build.shard_files import ShardError
 from index.build.simulate import Simulation, bounded_map, simulate
 from tests.conftest import ROOT
 from tests.index.build.test_simulate import assert_same
 from tests.support.ports import free_ports
+from tests.support.programs import run
 
 distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
 from index.build import cluster as module  # noqa: E402
@@ -44,7 +47,7 @@ def scheduler() -> Iterator[str]:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulate_module, "SHARD_POSES", 5)
+    monkeypatch.setattr(simulate_module, "RENDERING", replace(RENDERING, shard_poses=5))
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -77,14 +80,14 @@ def connect(address: str, **settings: float) -> None:
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "nonsense", "http://127.0.0.1:1"])
 def test_says_that_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CONNECT_S", 0.3)
+    monkeypatch.setattr(module, "RENDERING", replace(RENDERING, connect_s=0.3))
     address = address.format(port=free_ports(1)[0])
     with pytest.raises(ShardError, match=f"no Dask scheduler answers at {address}"):
         connect(address)
 
 
 def test_another_server_is_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CONNECT_S", 0.3)
+    monkeypatch.setattr(module, "RENDERING", replace(RENDERING, connect_s=0.3))
     with socket.create_server(("127.0.0.1", 0)) as stranger:
         address = f"tcp://127.0.0.1:{stranger.getsockname()[1]}"
         with pytest.raises(ShardError, match="no Dask scheduler answers"):
@@ -111,11 +114,8 @@ def test_says_that_no_worker_joined() -> None:
 @pytest.mark.slow
 def test_an_unreachable_scheduler_ends_the_command_in_a_sentence(tmp_path: Path) -> None:
     address = f"tcp://127.0.0.1:{free_ports(1)[0]}"
-    built = subprocess.run(
-        [sys.executable, "-m", "scripts", "build", "--scheduler", address,
-         "--out", str(tmp_path / "out" / "index")],
-        cwd=ROOT, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+    command = ("build", "--scheduler", address, "--out", tmp_path / "out" / "index")
+    built = run(sys.executable, "-m", "scripts", *command)
     assert built.returncode == 1
     assert built.stderr == f"build: no Dask scheduler answers at {address}\n"
     assert list(tmp_path.iterdir()) == []

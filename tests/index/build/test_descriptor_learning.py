@@ -20,7 +20,7 @@ def test_same_simulation_same_projection(simulation: Simulation) -> None:
     assert np.isfinite(one.projection).all()
 
 
-def test_directions_scatter_alike_within_and_are_ordered_by_what_they_tell(
+def test_directions_scatter_alike_within_and_are_ordered_by_their_variance(
     simulation: Simulation,
 ) -> None:
     # eigh(total, within) scales every direction to unit within-scatter, so the variance over

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.motion import MANIFESTS, METRES_PER_UNIT, MotionError, read_clip, read_manifest
-
-Angles = dict[str, tuple[float, float, float]]
-Write = Callable[..., Path]
-Walk = Callable[..., list[Angles]]
+from index.build.body import Avatar, retarget
+from index.build.motion import (
+    CMU,
+    MANIFESTS,
+    METRES_PER_UNIT,
+    RIG_FILE,
+    MotionError,
+    Rig,
+    Segment,
+    read_clip,
+    read_manifest,
+    read_rig,
+)
+from index.build.poses import joints_of, read_poses
+from tests.index.toys import Angles, walk, write_clip
 
 HEADER = "clip,subject,action,start_frame,end_frame,fps,description\n"
 
 
 @pytest.fixture
-def clip(tmp_path: Path, write_clip: Write, walking: Walk) -> Path:
+def clip(tmp_path: Path) -> Path:
     """A sound clip of 20 frames to spoil."""
-    return write_clip(tmp_path / "stroll.bvh", walking(20))
+    return write_clip(tmp_path / "stroll.bvh", walk(20))
 
 
 class TestSoundClip:
@@ -50,9 +60,7 @@ class TestSoundClip:
         # LHipJoint's child starts away from it; Hips skips joints without an offset.
         assert_allclose(read.tips[read.bones.index("LHipJoint")], (0.09, -0.04, 0))
 
-    def test_world_rotations_compose_along_the_chain(
-        self, tmp_path: Path, write_clip: Write
-    ) -> None:
+    def test_world_rotations_compose_along_the_chain(self, tmp_path: Path) -> None:
         # 30 degrees about z at the shoulder and 40 at the elbow: 70 at the forearm.
         bent: Angles = {"LeftArm": (30.0, 0.0, 0.0), "LeftForeArm": (40.0, 0.0, 0.0)}
         read = read_clip(write_clip(tmp_path / "bent.bvh", [bent, bent]))
@@ -62,25 +70,21 @@ class TestSoundClip:
 
 
 class TestSpeeds:
-    def test_of_somebody_who_walks_on_the_spot_are_zero(self, clip: Path) -> None:
+    def test_of_walking_on_the_spot_are_zero(self, clip: Path) -> None:
         assert_allclose(read_clip(clip).speeds, np.zeros(20))
 
     @pytest.mark.parametrize("climb", [0.0, 2.0])
-    def test_are_metres_per_second_along_the_ground(
-        self, tmp_path: Path, write_clip: Write, walking: Walk, climb: float
-    ) -> None:
+    def test_are_metres_per_second_along_the_ground(self, tmp_path: Path, climb: float) -> None:
         # 0.3 ahead and 0.4 aside are half a unit a frame, 30 frames a second.
-        file = write_clip(tmp_path / "away.bvh", walking(40), (0.4, climb, 0.3))
+        file = write_clip(tmp_path / "away.bvh", walk(40), (0.4, climb, 0.3))
         assert_allclose(read_clip(file).speeds, np.full(40, 15 * METRES_PER_UNIT), rtol=1e-3)
 
-    def test_of_a_single_frame_is_zero(
-        self, tmp_path: Path, write_clip: Write, walking: Walk
-    ) -> None:
-        file = write_clip(tmp_path / "still.bvh", walking(1), (1.0, 1.0, 1.0))
+    def test_of_a_single_frame_is_zero(self, tmp_path: Path) -> None:
+        file = write_clip(tmp_path / "still.bvh", walk(1), (1.0, 1.0, 1.0))
         assert_allclose(read_clip(file).speeds, [0.0])
 
-    def test_follow_who_stops(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-        file = write_clip(tmp_path / "stops.bvh", walking(60), (0.0, 0.0, 1.0))
+    def test_follow_who_stops(self, tmp_path: Path) -> None:
+        file = write_clip(tmp_path / "stops.bvh", walk(60), (0.0, 0.0, 1.0))
         head, motion = file.read_text().split("0.0333333\n")
         rows = motion.splitlines()
         place = " ".join(rows[30].split()[:3])
@@ -93,14 +97,14 @@ class TestSpeeds:
 
 
 class TestDroppedFrames:
-    def test_t_poses(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-        read = read_clip(write_clip(tmp_path / "calibrated.bvh", [{}, {}, {}, *walking(20)]))
+    def test_t_poses(self, tmp_path: Path) -> None:
+        read = read_clip(write_clip(tmp_path / "calibrated.bvh", [{}, {}, {}, *walk(20)]))
         assert read.t_poses == 3
         assert read.broken[:3].all()
         assert not read.broken[4:].any()
 
-    def test_single_frame_jump(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
-        frames = walking(20)
+    def test_single_frame_jump(self, tmp_path: Path) -> None:
+        frames = walk(20)
         frames[9] = {**frames[9], "LeftUpLeg": (100.0, 0.0, 90.0)}
         read = read_clip(write_clip(tmp_path / "flip.bvh", frames))
         # The frame and its neighbours, between which the bone jumps there and back.
@@ -110,10 +114,8 @@ class TestDroppedFrames:
         assert not read.broken[11:].any()
         assert read.t_poses == 0
 
-    def test_short_run_between_two_jumps(
-        self, tmp_path: Path, write_clip: Write, walking: Walk
-    ) -> None:
-        frames = walking(30)
+    def test_short_run_between_two_jumps(self, tmp_path: Path) -> None:
+        frames = walk(30)
         for frame in range(10, 14):
             frames[frame] = {**frames[frame], "RightArm": (-75.0, 90.0, 90.0)}
         read = read_clip(write_clip(tmp_path / "run.bvh", frames))
@@ -121,14 +123,14 @@ class TestDroppedFrames:
         assert not read.broken[:9].any()
         assert not read.broken[15:].any()
 
-    def test_cut_within_a_clip(self, tmp_path: Path, write_clip: Write, walking: Walk) -> None:
+    def test_cut_within_a_clip(self, tmp_path: Path) -> None:
         # From frame 12 on an arm is elsewhere: the frames on both sides of the cut go.
-        frames = walking(30)
+        frames = walk(30)
         frames[12:] = [{**frame, "RightArm": (-75.0, 90.0, 90.0)} for frame in frames[12:]]
         read = read_clip(write_clip(tmp_path / "cut.bvh", frames))
         assert np.flatnonzero(read.broken).tolist() == [11, 12]
 
-    def test_fast_but_smooth_motion_stays(self, tmp_path: Path, write_clip: Write) -> None:
+    def test_fast_but_smooth_motion_stays(self, tmp_path: Path) -> None:
         # 50 degrees a frame, sustained: a spin, not a fault.
         spin: list[Angles] = [
             {"Hips": (0.0, 50.0 * frame, 0.0), "LeftArm": (-75.0, 0.0, 60.0),
@@ -253,3 +255,88 @@ class TestManifest:
         assert "get-up" not in actions
         for segment in segments:
             assert (shared / "mocap" / "bvh" / f"{segment.clip}.bvh").is_file()
+
+
+RENAMED_JOINTS = {"LeftArm": "arm.L", "RightArm": "arm.R", "Spine": "torso", "LowerBack": "torso"}
+
+
+@pytest.fixture
+def ours(tmp_path: Path) -> Path:
+    """The clip of CMU's rig."""
+    return write_clip(tmp_path / "ours" / "bvh" / "stroll.bvh", walk(20))
+
+
+@pytest.fixture
+def renamed(ours: Path, tmp_path: Path) -> Path:
+    """The same with other names, and no joint LowerBack."""
+    text = ours.read_text()
+    for name, other in RENAMED_JOINTS.items():
+        text = text.replace(f"JOINT {name}\n", f"JOINT {other}\n")
+    file = tmp_path / "theirs" / "bvh" / "stroll.bvh"
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    return file
+
+
+def describe(file: Path, **values: object) -> Path:
+    (file.parents[1] / RIG_FILE).write_text(json.dumps(values))
+    return file.parents[1]
+
+
+STROLL = (Segment("stroll", "s1", "walk", 0, 20),)
+
+
+def test_a_renamed_rig_gives_the_same_poses(
+    ours: Path, renamed: Path, avatars: list[Avatar]
+) -> None:
+    folder = describe(renamed, joints=RENAMED_JOINTS)
+    ours, theirs = (
+        joints_of(read_poses(where, STROLL)[0], avatars[0]) for where in (ours.parents[1], folder)
+    )
+    assert_allclose(theirs, ours, atol=1e-6)
+
+
+def test_one_joint_of_the_file_may_turn_several_of_ours(renamed: Path) -> None:
+    read = read_clip(renamed, Rig(RENAMED_JOINTS))
+    spine, back = read.bone("Spine"), read.bone("LowerBack")
+    assert_array_equal(read.rotations[:, spine], read.rotations[:, back])
+    assert_array_equal(read.offsets[spine], read.offsets[back])
+
+
+def test_the_unit_scales_paths(tmp_path: Path) -> None:
+    file = write_clip(tmp_path / "run.bvh", walk(40), (0.0, 0.0, 2.0))
+    metres = read_clip(file, Rig(metres_per_unit=0.01)).speeds
+    assert_allclose(metres * CMU.metres_per_unit, read_clip(file).speeds * 0.01)
+
+
+def test_a_missing_joint_is_named(renamed: Path, avatars: list[Avatar]) -> None:
+    with pytest.raises(MotionError, match=r"no joint 'Spine', which the body needs; rig\.json"):
+        retarget(read_clip(renamed), avatars[0])
+
+
+def test_a_missing_trunk_is_named_before_any_body_is_posed(renamed: Path) -> None:
+    renamed.write_text(renamed.read_text().replace("JOINT Spine1\n", "JOINT chest\n"))
+    with pytest.raises(MotionError, match="the clip stroll has no joint 'Spine1'"):
+        read_poses(renamed.parents[1], STROLL)
+
+
+def test_a_joint_that_the_file_lacks_is_named(renamed: Path) -> None:
+    folder = describe(renamed, joints={**RENAMED_JOINTS, "Head": "skull"})
+    with pytest.raises(MotionError, match=r"no joint 'skull', which rig\.json names for 'Head'"):
+        read_poses(folder, STROLL)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", '{"joints": {"Head": 3}}', '{"joints": ["Head"]}', '{"metres_per_unit": 0}',
+     '{"metres_per_unit": "1"}', '{"bones": {}}'],
+)  # fmt: skip
+def test_malformed_rigs_are_refused_in_one_sentence(tmp_path: Path, content: str) -> None:
+    (tmp_path / RIG_FILE).write_text(content)
+    with pytest.raises(MotionError, match=r"rig\.json does not describe a rig: ") as error:
+        read_rig(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_without_a_file_joints_are_called_as_ours(tmp_path: Path) -> None:
+    assert read_rig(tmp_path) == CMU

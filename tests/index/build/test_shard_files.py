@@ -15,6 +15,7 @@ import pytest
 from index.build import shard_files
 from index.build import simulate as module
 from index.build.body import Avatar
+from index.build.parameters import RENDERING
 from index.build.poses import Poses, merged
 from index.build.shard_files import (
     ShardError,
@@ -68,7 +69,7 @@ def test_same_bytes_in_shards_of_any_size(
 ) -> None:
     assert len(some) == 22
     whole = rendered(some, avatars)
-    monkeypatch.setattr(module, "SHARD_POSES", size)
+    monkeypatch.setattr(module, "RENDERING", dataclasses.replace(RENDERING, shard_poses=size))
     executor = Inline()
     assert_same(rendered(some, avatars, executor=executor), whole)
     assert len(executor.files) == -(-22 // size)
@@ -77,7 +78,7 @@ def test_same_bytes_in_shards_of_any_size(
 class TestResume:
     @pytest.fixture(autouse=True)
     def _small_shards(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(module, "SHARD_POSES", 4)
+        monkeypatch.setattr(module, "RENDERING", dataclasses.replace(RENDERING, shard_poses=4))
 
     def test_an_interrupted_simulation_is_resumed(
         self, some: Poses, avatars: list[Avatar], tmp_path: Path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cv2
@@ -11,10 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from scripts.examples import track_video
-from tests.conftest import ROOT
+from tests.conftest import SHARED
 from tests.support.videos import numbered_frames, write_video
 
-SHARED = Path(os.environ.get("SHARED", ROOT / ".." / "shared"))
 STREET = SHARED / "real" / "vtest" / "vtest.avi"
 
 
