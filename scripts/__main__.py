@@ -18,10 +18,6 @@ COMMANDS = {
     "fit-people": ("scripts.training.fit_people", "fit detection, posture and confidence"),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
-    "evaluate-photographs": (
-        "scripts.experiments.photograph_models",
-        "what rendered people taught, on real frames by source",
-    ),
     "pages": ("scripts.experiments.pages", "render the pages of results from their JSON again"),
     "figures": ("scripts.figures", "write headline figures from the JSON into the documents"),
     "bench": ("scripts.load.bench", "time whole requests against a yardstick"),

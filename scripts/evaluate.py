@@ -4,6 +4,8 @@
     python -m scripts evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts evaluate real         photographs and videos of ../shared/real
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
+    python -m scripts evaluate photographs  what rendered people taught, on real frames by source
+    python -m scripts evaluate homes        films of homes as camera sessions, by source
     python -m scripts evaluate actions      actions, postures and falls of tracks
     python -m scripts evaluate weizmann     actions in the Weizmann data set, as in the paper
     python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
@@ -27,6 +29,8 @@ EXPERIMENTS = {
     "simulation": "simulation",
     "real": "real",
     "people": "people",
+    "photographs": "photographs",
+    "homes": "homes",
     "actions": "actions",
     "weizmann": "weizmann",
     "tracking": "tracking",

@@ -103,35 +103,77 @@ def pose2sim(real: Path) -> Iterator[Shown]:
             )  # fmt: skip
 
 
-def homes(real: Path) -> Iterator[Shown]:
-    """Frames of homes whose posture is known, two a second."""
-    names = {"gmdcsa": "GMDCSA24", "assist": "ASSIST-IoT", "t2vbed": "T2V-Bed-Fall"}
-    truths = {"Sitting": SITTING, "Standing": UPRIGHT, "Walking": UPRIGHT, "Sleeping": LOW}
+@dataclass(frozen=True)
+class HomeFilm:
+    """A film of ``real/homes`` and what its labels say.
+
+    Parameters
+    ----------
+    name, source, about : str
+        File, data set, description.
+    path : Path
+    classes : list of (str, float, float)
+        Activity, and from when to when, seconds.
+    fall : float or None
+        Begin of the fall, seconds.
+    crop : (4,) tuple of float
+        Part of the frame that shows the scene: left, top, width, height as shares.
+    """
+
+    name: str
+    source: str
+    about: str
+    path: Path
+    classes: list[tuple[str, float, float]]
+    fall: float | None
+    crop: tuple[float, float, float, float]
+
+    def frames(self, per_second: float) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Frames at a rate, cropped, each with its time in seconds."""
+        x, y, width, height = self.crop
+        for at, frame in _frames(self.path, per_second):
+            rows, columns = frame.shape[:2]
+            top, left = int(y * rows), int(x * columns)
+            part = frame[top : int((y + height) * rows), left : int((x + width) * columns)]
+            yield at, np.ascontiguousarray(part)
+
+    def truth(self, at: float) -> str | None:
+        """The posture at a time; None where the labels do not say it."""
+        truths = {"Sitting": SITTING, "Standing": UPRIGHT, "Walking": UPRIGHT, "Sleeping": LOW}
+        if any(name.startswith("Fall") and at > begin + 1.5 for name, begin, _ in self.classes):
+            return LOW
+        now = {c for c, begin, end in self.classes if begin + 0.3 <= at <= end - 0.3}
+        known = {truths[name] for name in now if name in truths}
+        return known.pop() if len(known) == 1 else None
+
+
+def home_films(real: Path) -> Iterator[HomeFilm]:
+    """Films of homes, in the order of their names."""
+    sources = {"gmdcsa": "GMDCSA24", "assist": "ASSIST-IoT", "t2vbed": "T2V-Bed-Fall"}
     for name, about in sorted(json.loads((real / "homes" / "labels.json").read_text()).items()):
-        classes = [tuple(row) for row in about["classes"]]
+        classes, fall = [tuple(row) for row in about["classes"]], about["fall"]
         if not classes and "_roll_" in name:
             classes = [("Sleeping", -1.0, 9.0)]
         if not classes and ("walking" in name or "jogging" in name):
             classes = [("Walking", 0.5, 99.0)]
         if "imm_stomach" in name:
             classes = [("Sleeping", -1.0, 99.0)]
-        if "t2vbed" in name and about["fall"] is not None:
+        if "t2vbed" in name and fall is not None:
             # On the ground from two seconds after the fall begins.
-            classes = [("Sleeping", about["fall"] + 1.7, 99.0)]
-        for at, image in _frames(real / "homes" / name, _PER_SECOND):
-            now = {c for c, a, b in classes if c in truths and a + 0.3 <= at <= b - 0.3}
-            down = any(c.startswith("Fall") and at > a + 1.5 for c, a, b in classes)
-            if not (down or len(now) == 1):
-                continue
-            truth = LOW if down else truths[now.pop()]
-            height, width = image.shape[:2]
-            x, y, a, b = about.get("crop", (0, 0, 1, 1))
-            cut = image[
-                int(y * height) : int((y + b) * height), int(x * width) : int((x + a) * width)
-            ]
-            yield Shown(
-                names[name.split("_")[0]], f"{name} {at:.1f}", np.ascontiguousarray(cut), truth
-            )
+            classes = [("Sleeping", fall + 1.7, 99.0)]
+        yield HomeFilm(
+            name, sources.get(name.split("_")[0], "phones"), about["description"],
+            real / "homes" / name, classes, fall, tuple(about.get("crop", (0, 0, 1, 1))),
+        )  # fmt: skip
+
+
+def homes(real: Path) -> Iterator[Shown]:
+    """Frames of homes whose posture is known, two a second."""
+    for film in home_films(real):
+        for at, frame in film.frames(_PER_SECOND):
+            truth = film.truth(at)
+            if truth is not None:
+                yield Shown(film.source, f"{film.name} {at:.1f}", frame, truth)
 
 
 def upfall(real: Path) -> Iterator[Shown]:

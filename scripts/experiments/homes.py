@@ -1,0 +1,144 @@
+"""Films of homes as camera sessions: falls, false alarms and postures by source.
+
+Whole films are sent as a caller would send them, six frames a second, and no frame is held at the
+end: what a film does not show, its session does not see.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from app.estimation.estimator import Estimator
+from app.serving.loading import load_estimator
+from app.settings import Settings
+from app.tracking.session import CameraSession
+from scripts.experiments.photograph_sources import LOW, SITTING, UPRIGHT, HomeFilm, home_films
+from scripts.helpers import track
+from scripts.metrics import percent
+
+PER_SECOND = 6.0
+EARLY_S = 0.3
+"""The labels of a fall's begin are so exact."""
+
+ANSWERS = {
+    SITTING: ("sitting",),
+    LOW: ("lying", "crawling"),
+    UPRIGHT: ("standing", "walking", "running", "arms_raised"),
+}
+
+Figures = dict[str, Any]
+
+
+@dataclass
+class Watched:
+    """What a session said of a film.
+
+    Parameters
+    ----------
+    film : HomeFilm
+    events : list of (float, str)
+        What began or happened, and when.
+    answers : list of (str, str or None)
+        True posture, and the label of the largest person.
+    """
+
+    film: HomeFilm
+    events: list[tuple[float, str]] = field(default_factory=list)
+    answers: list[tuple[str, str | None]] = field(default_factory=list)
+
+    def said(self, event: str) -> list[float]:
+        """When an event began or happened."""
+        return [at for at, name in self.events if name == event]
+
+    @property
+    def kind(self) -> str | None:
+        """What the film is a test of; None for people who crawl or lie from the beginning."""
+        about, bed = self.film.about, self.film.source == "T2V-Bed-Fall"
+        if self.film.fall is not None:
+            return "out_of_bed" if bed else "fall"
+        if bed or "laying" in about:
+            return "in_bed"
+        return None if "crawl" in about or "imm" in about else "activity"
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """Watch all films."""
+    estimator = load_estimator(Settings())
+    films = list(home_films(options.shared / "real"))
+    watched = [watch(estimator, film) for film in tqdm(films, unit="film")]
+    return {
+        "events": {kind: summarise(watched, kind) for kind in ("fall", "out_of_bed", "in_bed",
+                                                               "activity")},
+        "sources": by_source(watched),
+        "postures": postures(watched),
+    }  # fmt: skip
+
+
+def watch(estimator: Estimator, film: HomeFilm) -> Watched:
+    """Send a film to a session of its own."""
+    session, seen = CameraSession(estimator), Watched(film)
+    for at, frame in film.frames(PER_SECOND):
+        reply = track(session, frame, round(at, 3))
+        seen.events += [(at, one.event) for one in reply.events if one.state != "end"]
+        truth = film.truth(at)
+        if truth is not None and reply.persons:
+            largest = max(reply.persons, key=lambda one: one.person.observed.box.area)
+            posture = largest.person.posture
+            seen.answers.append((truth, posture.label if posture else None))
+    return seen
+
+
+def summarise(watched: Iterable[Watched], kind: str) -> Figures:
+    """Films of a kind, and the share in which ``fell`` and ``lying`` are reported."""
+    films = [one for one in watched if one.kind == kind]
+    # After a fall has begun; in other films at any time.
+    fell = [[at - (one.film.fall or 0.0) for at in one.said("fell")] for one in films]
+    detected = [[at for at in times if at > -EARLY_S] for times in fell]
+    delays = [times[0] for times in detected if times]
+    return {
+        "films": len(films),
+        "fell": percent(np.array([bool(times) for times in detected])) if films else None,
+        "lying": percent(np.array([bool(one.said("lying")) for one in films])) if films else None,
+        "delay_s": float(np.median(delays)) if delays and films[0].film.fall is not None else None,
+    }
+
+
+def by_source(watched: Iterable[Watched]) -> Figures:
+    """The same by source and kind."""
+    groups: dict[str, list[Watched]] = defaultdict(list)
+    for one in watched:
+        groups[one.film.source].append(one)
+    return {
+        source: {
+            kind: found
+            for kind in ("fall", "out_of_bed", "in_bed", "activity")
+            if (found := summarise(films, kind))["films"]
+        }
+        for source, films in sorted(groups.items())
+    }
+
+
+def postures(watched: Iterable[Watched]) -> Figures:
+    """Frames by source and truth: the share right and wrong; others are unclear."""
+    rows: dict[str, dict[str, list[str | None]]] = defaultdict(lambda: defaultdict(list))
+    for one in watched:
+        for truth, label in one.answers:
+            rows[one.film.source][truth].append(label)
+    figures: Figures = {}
+    for source, truths in sorted(rows.items()):
+        for truth, labels in sorted(truths.items()):
+            right = np.array([label in ANSWERS[truth] for label in labels])
+            unclear = np.array([label in ("unclear", None) for label in labels])
+            figures.setdefault(source, {})[truth] = {
+                "frames": len(labels),
+                "right": percent(right),
+                "wrong": percent(~right & ~unclear),
+            }
+    return figures
