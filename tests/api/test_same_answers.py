@@ -39,6 +39,8 @@ OTHER_SIDE = [
     for name in NATIVE.names
 ]
 PHOTOS = range(0, 96, 7)
+PATIENT = {"POSE_MAX_WAIT_S": "300", "POSE_REQUEST_TIMEOUT_S": "300"}
+"""A busy machine may take its time."""
 
 
 def older_processor() -> dict[str, str]:
@@ -62,7 +64,7 @@ def processors() -> Iterator[list[Client]]:
     """Clients of servers over the shipped index, on this processor and as on an older one."""
     with ExitStack() as stack:
         servers = [
-            stack.enter_context(running_server(None, **environment))
+            stack.enter_context(running_server(None, **PATIENT, **environment))
             for environment in ({}, older_processor())
         ]
         yield [
