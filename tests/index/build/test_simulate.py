@@ -156,7 +156,7 @@ class TestBoundedMap:
             nonlocal taken
             for _ in range(20):
                 taken += 1
-                yield (10.0,)
+                yield (60.0,)
 
         def wait(timeout_s: float) -> None:
             assert released.acquire(timeout=timeout_s)
