@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.vision.images import ImageWarning
 from app.vision.sight import PinholeCamera
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
@@ -118,6 +119,8 @@ class TrackedFrame:
         As sent, BGR.
     camera : PinholeCamera
         Of the frame with square pixels.
+    warnings : tuple of str
+        Of the frame; see :class:`app.vision.images.Photograph`.
     frame_index : int
         Of the session, from 0.
     timestamp : float
@@ -136,6 +139,7 @@ class TrackedFrame:
 
     frame: NDArray[np.uint8]
     camera: PinholeCamera
+    warnings: tuple[ImageWarning, ...]
     frame_index: int
     timestamp: float
     session: SessionState

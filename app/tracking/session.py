@@ -136,6 +136,7 @@ class CameraSession:
         return TrackedFrame(
             decoded.sent,
             decoded.camera,
+            decoded.warnings,
             self._frames - 1,
             timestamp,
             "new" if self._frames == 1 else "warm",

@@ -40,6 +40,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
     return TrackedFrame(
         frame=estimate.frame,
         camera=estimate.camera,
+        warnings=("dark",),
         frame_index=40,
         timestamp=12.34567,
         session="warm",
