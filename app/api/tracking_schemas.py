@@ -185,7 +185,8 @@ class Event(Model):
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
     state: EventState = Field(
         description="Whether it began or ended; `instant` for `entered`, `left` and `fell`, which "
-        "have no duration.",
+        "have no duration; `unconfirmed`, in the last line of a video alone, for what had begun to "
+        "show, but was not certain.",
         examples=["instant"],
     )
     zones: list[str] = Field(
@@ -274,8 +275,8 @@ class VideoUpload(Model):
     """A video."""
 
     video: bytes = Field(
-        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF or Ogg, of any codec that "
-        "FFmpeg reads."
+        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg or MJPEG, of any codec "
+        "that FFmpeg reads."
     )
 
 
@@ -322,7 +323,8 @@ class SequenceEnd(Model):
     reason: VideoEndReason = Field(
         description="`complete`: the video's end; `max_frames`: as many frames as requested or "
         "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
-        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",
+        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched; `failed`: "
+        "an error of the service.",
         examples=["complete"],
     )
     detail: str = Field(
@@ -330,7 +332,10 @@ class SequenceEnd(Model):
     )
     frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
-    events: list[Event] = Field(description="All events, in order.")
+    events: list[Event] = Field(
+        description="All events, in order; last, with the state `unconfirmed`, those that had "
+        "begun to show when the video ended."
+    )
 
 
 SequenceLine = SequenceFrame | SequenceEnd

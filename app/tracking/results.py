@@ -13,7 +13,7 @@ from app.vision.images import ImageWarning
 from app.vision.sight import PinholeCamera
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end", "instant"]
+EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
 
 
@@ -58,7 +58,8 @@ class Event:
     track_id : int
         Of the person.
     state : str
-        ``begin`` or ``end``; ``instant`` for ``entered``, ``left`` and ``fell``.
+        ``begin`` or ``end``; ``instant`` for ``entered``, ``left`` and ``fell``; ``unconfirmed``
+        for what had begun to show at the last frame.
     timestamp : float
         Seconds, of the frame.
     probability : float
