@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
 from app.api.schemas import (
@@ -20,7 +21,7 @@ from app.api.schemas import (
 )
 from app.tracking.results import EventName, EventState
 from app.tracking.video_run import VideoEndReason
-from app.tracking.zones import ZoneKind
+from app.tracking.zones import ZoneKind, has_area
 from index.posture import Posture as PostureLabel
 
 LATEST_TIMESTAMP_S = 1e11
@@ -71,6 +72,13 @@ class Zone(Model):
         description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
+
+    @field_validator("polygon")
+    @classmethod
+    def _holds_something(cls, polygon: list[list[float]]) -> list[list[float]]:
+        if not has_area(np.array(polygon)):
+            raise ValueError("expected corners around an area, got all of them on one line")
+        return polygon
 
 
 class CameraConfiguration(Model):
