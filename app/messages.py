@@ -75,10 +75,8 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
     if kind == "value_error":  # A validator of our own, whose sentence is complete.
         return str(context["error"])
     if kind in ("too_short", "too_long"):
-        at_least = "min_length" in context
-        bound = (
-            f"at least {context['min_length']}" if at_least else f"at most {context['max_length']}"
-        )
+        short = kind == "too_short"
+        bound = f"at least {context['min_length']}" if short else f"at most {context['max_length']}"
         return f"expected {bound} values, got {context['actual_length']}"
     if kind not in _EXPECTED:
         message = str(error["msg"])

@@ -28,10 +28,7 @@ def zone(name: str, left: float, right: float, kind: ZoneKind = "watch") -> Zone
 )
 def test_corners_on_a_line_have_no_area(turn: float, shift: float, along: list[float]) -> None:
     direction = np.array([np.cos(turn), np.sin(turn)])
-    line = shift + np.outer(along, direction)
-    assert not has_area(line)
-    apart = line + 4 * np.arange(len(line))[:, None] % 8 * direction[::-1] * [-1, 1]
-    assert has_area(apart) or np.ptp(along) < 8
+    assert not has_area(shift + np.outer(along, direction))
 
 
 @pytest.mark.parametrize("polygon", [SQUARE, ELL, SQUARE[[0, 2, 1, 3]], SQUARE / 10])
