@@ -166,13 +166,12 @@ def foreground(
 def _with_exposure_of(
     now: NDArray[np.float32], scene: NDArray[np.float32], parameters: BackgroundParameters
 ) -> NDArray[np.float32]:
-    """The scene ``(H, W, 3)`` as the exposure of this frame would show it."""
-    result = np.empty_like(scene)
+    """The scene ``(H, W, 3)``, in place, as the exposure of this frame would show it."""
     for channel in range(3):
         x, y = scene[::4, ::4, channel].ravel(), now[::4, ::4, channel].ravel()
         gain, offset = _fit_exposure(x, y, parameters)
-        result[..., channel] = gain * scene[..., channel] + offset
-    return np.clip(result, 1, 255, out=result)
+        scene[..., channel] = gain * scene[..., channel] + offset
+    return np.clip(scene, 1, 255, out=scene)
 
 
 def _fit_exposure(
@@ -223,14 +222,15 @@ def _shadow(
 ) -> NDArray[np.bool_]:
     """Pixels ``(H, W)`` where the scene has less light: equally in all channels, and evenly."""
     # Channel by channel, which takes a quarter of the time of sums along the last axis.
-    channels = range(3)
     total_now = now[..., 0] + now[..., 1] + now[..., 2]
     total_expected = expected[..., 0] + expected[..., 1] + expected[..., 2]
     light = total_now / total_expected
     total_now = np.maximum(total_now, 1)
-    tint = np.maximum.reduce(
-        [np.abs(now[..., c] / total_now - expected[..., c] / total_expected) for c in channels]
-    )
+    tint = np.zeros_like(light)
+    for channel in range(3):
+        share = now[..., channel] / total_now
+        share -= expected[..., channel] / total_expected
+        np.maximum(tint, np.abs(share, out=share), out=tint)
     mean = cv2.blur(light, (5, 5))
     unevenness = np.sqrt(np.maximum(cv2.blur(light**2, (5, 5)) - mean**2, 0))
     darkest, brightest = parameters.shadow_light
