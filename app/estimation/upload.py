@@ -292,12 +292,12 @@ def _check_area(name: str, boxes: Sequence[Box], frame: NDArray[np.uint8]) -> No
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
     height, width = frame.shape[:2]
     inside = box.clip(width, height)
-    if inside is None or min(inside.width, inside.height) < MIN_BOX_PX:
-        raise UploadError(
-            "boxes",
-            "misfit",
-            f"expected boxes of at least {MIN_BOX_PX:g} pixels inside the frame of "
-            f"{width}x{height} pixels, got box {position}: "
-            f"{[box.x, box.y, box.width, box.height]}",
-        )
-    return inside
+    if inside is not None and min(inside.width, inside.height) >= MIN_BOX_PX:
+        return inside
+    thin = "" if inside is None else f"at least {MIN_BOX_PX:g} pixels wide and high "
+    raise UploadError(
+        "boxes",
+        "misfit",
+        f"expected boxes {thin}inside the frame of {width}x{height} pixels, "
+        f"got box {position}: {[box.x, box.y, box.width, box.height]}",
+    )
