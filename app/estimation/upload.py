@@ -178,7 +178,7 @@ class UploadDecoder:
             _check_size("mask", mask.labels, frame)
             self._check_count("mask", len(mask.present))
             _check_together(mask)
-            _check_area("mask", mask.boxes, frame)
+            self._check_area("mask", mask.boxes)
         if background is not None:
             background = background.pixels
             _check_size("background", background, frame)
@@ -221,13 +221,24 @@ class UploadDecoder:
             return None
         self._check_count("boxes", len(boxes))
         inside = [_clip(box, frame, position) for position, box in enumerate(boxes)]
-        _check_area("boxes", inside, frame)
+        self._check_area("boxes", inside)
         return inside
 
     def _check_count(self, name: str, count: int) -> None:
         if count > self.max_persons:
             raise UploadError(
                 name, "misfit", f"expected at most {self.max_persons} persons, got {count}"
+            )
+
+    def _check_area(self, name: str, boxes: Sequence[Box]) -> None:
+        """Bound the work on people, which grows with the pixels of their boxes."""
+        most, area = MAX_FRAMES_OF_PEOPLE * self.max_pixels, sum(box.area for box in boxes)
+        if area > most:
+            raise UploadError(
+                name,
+                "misfit",
+                f"{name}: expected people whose boxes together hold at most {most} pixels, "
+                f"got {area:.0f}",
             )
 
 
@@ -274,19 +285,6 @@ def _gaps_between_people(parts: NDArray[np.int32]) -> int:
     gap = left[1:] - (left + width)[:-1]
     wide = gap > MASKS.min_gap_share * np.minimum(width[:-1], width[1:])
     return int(np.count_nonzero(alike & wide))
-
-
-def _check_area(name: str, boxes: Sequence[Box], frame: NDArray[np.uint8]) -> None:
-    """Bound the work on people, which grows with the pixels of their boxes."""
-    height, width = frame.shape[:2]
-    frames = sum(box.area for box in boxes) / (height * width)
-    if frames > MAX_FRAMES_OF_PEOPLE:
-        raise UploadError(
-            name,
-            "misfit",
-            f"{name}: expected people whose boxes together cover the frame at most "
-            f"{MAX_FRAMES_OF_PEOPLE} times, got {frames:.1f} times",
-        )
 
 
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:

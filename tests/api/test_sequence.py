@@ -63,6 +63,11 @@ class TestLines:
         assert sample(client, "pose_sequences") == 0
         assert sample(client, "pose_camera_sessions") == 0
 
+    def test_a_dark_video_is_said_to_be_dark(self, client: TestClient, tmp_path: Path) -> None:
+        frames, end = parse(post(client, write_video(tmp_path / "v.avi", numbered_frames(3))))
+        assert [frame.image.warnings for frame in frames] == [["dark"], ["dark"], []]
+        assert end.reason == "complete"
+
     def test_a_video_may_be_the_body(self, client: TestClient, video: bytes) -> None:
         headers = {"content-type": "video/x-msvideo"}
         raw = client.post("/sequence?stride=5&n=1", content=video, headers=headers)
