@@ -34,6 +34,9 @@ SIGNIFICANT_DIGITS = 4
 DISTANCE_DIGITS = 4
 """Decimals of silhouette distances: few enough that every processor gives the same answer."""
 
+MIN_FOV_DEG = 0.01
+"""A frame of one column has no other field of view."""
+
 MIN_SCORE = 0.05
 """A keypoint with a lower score is null."""
 
@@ -73,7 +76,7 @@ def frame_fields(
         "image": schemas.Image(
             width=width,
             height=height,
-            fov_deg=round(seen.camera.fov_deg, 2),
+            fov_deg=max(MIN_FOV_DEG, round(seen.camera.fov_deg, 2)),
             fov_given=seen.camera.given,
             warnings=list(seen.warnings),
         ),

@@ -88,10 +88,12 @@ def _checked(image: LabelImage, parameters: ImageParameters) -> LabelImage:
         np.count_nonzero(first != second)
         for first, second in ((part[:, 1:], part[:, :-1]), (part[1:], part[:-1]))
     )
-    if changes > parameters.max_label_changes:
+    many = max(parameters.few_label_changes, parameters.max_label_change_share * part.size)
+    most = min(parameters.max_label_changes, round(many))
+    if changes > most:
         raise ImageError(
             "expected a mask whose labels mark people, got scattered ones: "
-            f"{changes} neighbouring pixels differ, more than {parameters.max_label_changes}"
+            f"{changes} neighbouring pixels differ, more than {most}"
         )
     return image.merged() if count == 1 and image.present != [1] else image
 

@@ -24,9 +24,12 @@ class ImageParameters:
     sampled_px: int = 20_000  # Enough for percentiles, which take half a millisecond.
     max_missing_share: float = 0.5  # Of a JPEG that is read.
     max_labels: int = 100  # With more values, an image is a mask with soft edges, not a crowd.
-    # Pairs of neighbouring pixels with different labels. Fifty people who fill a frame of 12
-    # megapixels have 400,000, noise of that size has 20 million.
+    # Pairs of neighbouring pixels with different labels: of all pixels, where there are many such
+    # pairs, and at most. Fifty people who fill a frame of 12 megapixels have 400,000, a thirtieth
+    # of the pixels; noise has two for each pixel.
     max_label_changes: int = 1_000_000
+    max_label_change_share: float = 0.5
+    few_label_changes: int = 10_000
     lossy_threshold: int = 128  # Value from which a pixel of a lossy mask is the person's.
     # Lossy compression moves black and white by up to this, but at edges; pixels in between may be
     # this share of those of the person.
