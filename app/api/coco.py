@@ -24,8 +24,11 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
         The first counts pixels outside; it is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
+    # In one dimension, several times as fast: no run crosses the margin of a column.
     columns = np.pad(silhouette.crop.T, ((0, 0), (1, 1)))
-    column, row = (columns[:, 1:] != columns[:, :-1]).nonzero()
+    pixels = columns.ravel()
+    changes = np.flatnonzero(pixels[1:] != pixels[:-1])
+    column, row = np.divmod(changes, columns.shape[1])
     edges = (silhouette.left + column) * height + silhouette.top + row
     # A run may continue at the top of the next column.
     changes, times = np.unique(edges, return_counts=True)

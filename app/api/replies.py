@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -56,14 +57,24 @@ def significant(value: float) -> float:
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
-def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
-    """Write the answer to a frame."""
+def pose_reply(
+    estimate: Estimate,
+    index: PoseIndex,
+    form: ReplyForm,
+    checkpoint: Callable[[], None] = lambda: None,
+) -> schemas.PoseResponse:
+    """Write the answer to a frame.
+
+    ``checkpoint`` is called before each person; it raises where the answer is no longer wanted.
+    """
+
+    def write(person: Person) -> schemas.Person:
+        checkpoint()
+        return schemas.Person(**person_fields(person, estimate.frame.shape, estimate.camera, form))
+
     return schemas.PoseResponse(
         **frame_fields(estimate, index, form),
-        persons=[
-            schemas.Person(**person_fields(person, estimate.frame.shape, estimate.camera, form))
-            for person in estimate.persons
-        ],
+        persons=[write(person) for person in estimate.persons],
     )
 
 
