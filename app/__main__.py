@@ -6,6 +6,7 @@ invalid or the address cannot be used, it exits at once with status 1 and one se
 
 from __future__ import annotations
 
+import argparse
 import errno
 import signal
 import socket
@@ -15,6 +16,7 @@ import uvicorn
 
 from app.http.logs import log_config
 from app.serving.milvus import MissingPackageError, check_milvus_package
+from app.serving.runtime import VERSION
 from app.settings import Settings, SettingsError, read_settings
 from app.vision.models import check_networks
 from app.vision.tflite import NetworkError
@@ -27,6 +29,13 @@ KEEP_ALIVE_S = 65
 
 def main() -> None:
     """Serve until a signal stops the server."""
+    parser = argparse.ArgumentParser(
+        prog="python -m app",
+        description="Serve on HOST:PORT, by default 127.0.0.1:8000. Environment variables "
+        "configure everything; docs/operations.md describes them.",
+    )
+    parser.add_argument("--version", action="version", version=VERSION)
+    parser.parse_args()
     try:
         settings = read_settings()
         check_address(settings.host, settings.port)

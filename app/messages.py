@@ -75,8 +75,9 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
     if kind == "value_error":  # A validator of our own, whose sentence is complete.
         return str(context["error"])
     if kind in ("too_short", "too_long"):
-        count = context.get("min_length", context.get("max_length"))
-        return f"expected {count} values, got {context['actual_length']}"
+        short = kind == "too_short"
+        bound = f"at least {context['min_length']}" if short else f"at most {context['max_length']}"
+        return f"expected {bound} values, got {context['actual_length']}"
     if kind not in _EXPECTED:
         message = str(error["msg"])
         return message[:1].lower() + message[1:]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, Boxes
-from app.vision.images import decode_image, decode_mask
+from app.vision.images import decode_image
+from app.vision.masks import decode_mask
 from index.skeleton import LIMBS
 from scripts.results import ROOT
 
@@ -150,7 +151,7 @@ def read_pennfudan(folder: Path) -> list[Photograph]:
     photographs = []
     for path in sorted(folder.glob("*.jpg")):
         mask_path = path.with_name(f"{path.stem}_mask.png")
-        frame = decode_image(path.read_bytes(), max_pixels=MAX_PIXELS)
+        frame = decode_image(path.read_bytes(), max_pixels=MAX_PIXELS).pixels
         labels = decode_mask(mask_path.read_bytes(), max_pixels=MAX_PIXELS).labels
         photographs.append(Photograph(path.name, frame, labels.astype(np.uint16)))
     if not photographs:

@@ -281,10 +281,10 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Resp
 
 @contextmanager
 def running_server(
-    index: Path | None, timeout_s: float = 120, **environment: str
+    index: Path | None, timeout_s: float = 120, log: Path | None = None, **environment: str
 ) -> Iterator[Server]:
     """Start a server as :func:`start_server` does, wait until it is ready, and end it."""
-    running = start_server(index, **environment)
+    running = start_server(index, log=log, **environment)
     try:
         wait_until(f"{running.url}/readyz", timeout_s=timeout_s)
         yield running

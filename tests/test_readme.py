@@ -107,7 +107,7 @@ def resembles(shown: object, answered: object, path: str = "reply", *, whole: bo
         assert list(shown) == [key for key in answered if key in expected], path
         for key, value in shown.items():
             resembles(value, answered[key], f"{path}.{key}", whole=whole)
-    elif isinstance(shown, list):
+    elif isinstance(shown, list) and shown:
         assert isinstance(answered, list), path
         skipped = 1 if shown[0] == "..." else 0
         for number, value in enumerate(shown[skipped:-1], start=skipped):

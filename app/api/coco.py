@@ -24,8 +24,11 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
         The first counts pixels outside; it is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
-    columns = np.pad(silhouette.crop.T, ((0, 0), (1, 1))).astype(np.int8)
-    column, row = np.diff(columns).nonzero()
+    # In one dimension, several times as fast: no run crosses the margin of a column.
+    columns = np.pad(silhouette.crop.T, ((0, 0), (1, 1)))
+    pixels = columns.ravel()
+    changes = np.flatnonzero(pixels[1:] != pixels[:-1])
+    column, row = np.divmod(changes, columns.shape[1])
     edges = (silhouette.left + column) * height + silhouette.top + row
     # A run may continue at the top of the next column.
     changes, times = np.unique(edges, return_counts=True)
@@ -39,16 +42,17 @@ def compressed(counts: NDArray[np.int64]) -> str:
     From the fourth on, a count is replaced by its difference from the last but one. Each number is
     written in groups of five bits, the lowest first; a sixth bit says whether more follow.
     """
-    differences = counts.copy()
-    differences[3:] -= counts[1:-2]
-    text = []
-    for number in differences.tolist():
-        more = True
-        while more:
-            bits, number = number & 31, number >> 5
-            more = number != (-1 if bits & 16 else 0)
-            text.append(chr(48 + bits + 32 * more))
-    return "".join(text)
+    left = counts.copy()
+    left[3:] -= counts[1:-2]
+    groups = []
+    more = np.ones(len(left), bool)
+    while more.any():
+        written, bits = more, left & 31
+        left >>= 5
+        more = written & (left != np.where(bits & 16, -1, 0))
+        groups.append(np.where(written, 48 + bits + 32 * more, 0).astype(np.uint8))
+    letters = np.array(groups, np.uint8).T.ravel()
+    return letters[letters > 0].tobytes().decode()
 
 
 def polygon(silhouette: Silhouette) -> list[list[float]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.api import schemas, tracking_schemas
 from app.api.coco import compressed, polygon, run_lengths
-from app.estimation.parameters import PLACEMENT
+from app.estimation.parameters import MIN_BOX_PX, PLACEMENT
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.sessions import CameraSettings, CameraSummary
@@ -35,6 +35,9 @@ SIGNIFICANT_DIGITS = 4
 DISTANCE_DIGITS = 4
 """Decimals of silhouette distances: few enough that every processor gives the same answer."""
 
+MIN_FOV_DEG = 0.01
+"""A frame of one column has no other field of view."""
+
 MIN_SCORE = 0.05
 """A keypoint with a lower score is null."""
 
@@ -54,36 +57,43 @@ def significant(value: float) -> float:
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
-def pose_reply(estimate: Estimate, index: PoseIndex, form: ReplyForm) -> schemas.PoseResponse:
-    """Write the answer to a frame."""
+def pose_reply(
+    estimate: Estimate,
+    index: PoseIndex,
+    form: ReplyForm,
+    checkpoint: Callable[[], None] = lambda: None,
+) -> schemas.PoseResponse:
+    """Write the answer to a frame.
+
+    ``checkpoint`` is called before each person; it raises where the answer is no longer wanted.
+    """
+
+    def write(person: Person) -> schemas.Person:
+        checkpoint()
+        return schemas.Person(**person_fields(person, estimate.frame.shape, estimate.camera, form))
+
     return schemas.PoseResponse(
-        **frame_fields(estimate.frame, estimate.camera, estimate.timings_ms, index, form),
-        persons=[
-            schemas.Person(**person_fields(person, estimate.frame.shape, estimate.camera, form))
-            for person in estimate.persons
-        ],
+        **frame_fields(estimate, index, form),
+        persons=[write(person) for person in estimate.persons],
     )
 
 
 def frame_fields(
-    frame: NDArray[np.uint8],
-    camera: PinholeCamera,
-    timings_ms: Mapping[str, float],
-    index: PoseIndex,
-    form: ReplyForm,
+    seen: Estimate | TrackedFrame, index: PoseIndex, form: ReplyForm
 ) -> dict[str, Any]:
     """Write the fields of a frame besides its people."""
-    height, width = frame.shape[:2]
+    height, width = seen.frame.shape[:2]
     return {
         "image": schemas.Image(
             width=width,
             height=height,
-            fov_deg=round(camera.fov_deg, 2),
-            fov_given=camera.given,
+            fov_deg=max(MIN_FOV_DEG, round(seen.camera.fov_deg, 2)),
+            fov_given=seen.camera.given,
+            warnings=list(seen.warnings),
         ),
         "index": schemas.IndexVersion(name=index.name, version=index.version),
         "keypoints": _keypoints(form.keypoints),
-        "timings_ms": schemas.Timings(**{k: round(v, 3) for k, v in timings_ms.items()}),
+        "timings_ms": schemas.Timings(**{k: round(v, 3) for k, v in seen.timings_ms.items()}),
     }
 
 
@@ -133,8 +143,8 @@ def person_fields(
         "box": schemas.Box(
             x=round(box.x, 2),
             y=round(box.y, 2),
-            width=round(box.width, 2),
-            height=round(box.height, 2),
+            width=max(MIN_BOX_PX, round(box.width, 2)),
+            height=max(MIN_BOX_PX, round(box.height, 2)),
         ),
         "detection_score": None if score is None else round(score, 4),
         "source": observed.source,
@@ -346,7 +356,7 @@ def settings_from(configuration: tracking_schemas.CameraConfiguration) -> Camera
 
 def _tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
     return {
-        **frame_fields(frame.frame, frame.camera, frame.timings_ms, index, form),
+        **frame_fields(frame, index, form),
         "frame_index": frame.frame_index,
         "timestamp": round(frame.timestamp, SECOND_DIGITS),
         "reset": frame.reset,

@@ -10,6 +10,7 @@ from typing_extensions import TypedDict
 from app.estimation.facing import FacingSource
 from app.estimation.results import Source
 from app.vision import DetectorName
+from app.vision.images import ImageWarning
 from index.posture import Posture as PostureLabel
 
 KeypointSetName = Literal["native", "cmu19", "coco17", "h36m17"]
@@ -65,8 +66,8 @@ class FrameUpload(Model):
     mask: bytes | None = Field(
         default=None,
         description="Where the people are: an image of the frame's size, 0 background, "
-        "k = person k; a two-valued mask is one person. PNG keeps the labels, JPEG does not. "
-        "Without a frame, poses are estimated from the silhouettes alone.",
+        "k = person k; a two-valued mask is one person. PNG keeps the labels; a JPEG has to be "
+        "black and white. Without a frame, poses are estimated from the silhouettes alone.",
     )
     background: bytes | None = Field(
         default=None,
@@ -166,6 +167,12 @@ class Image(ImageSize):
         description="Whether the caller gave it. Otherwise it is assumed: 60 degrees across the "
         "longer side of the frame.",
         examples=[False],
+    )
+    warnings: list[ImageWarning] = Field(
+        description="What may spoil the answer. `dark`: hardly anything is to be seen; "
+        "`stretched`: 16 bits a channel of which only a part is used, which was stretched; "
+        "`truncated`: the end of the JPEG is missing, and grey. More may be added.",
+        examples=[[]],
     )
 
 

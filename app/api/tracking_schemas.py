@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
 from app.api.schemas import (
@@ -20,7 +21,7 @@ from app.api.schemas import (
 )
 from app.tracking.results import EventName, EventState
 from app.tracking.video_run import VideoEndReason
-from app.tracking.zones import ZoneKind
+from app.tracking.zones import ZoneKind, has_area
 from index.posture import Posture as PostureLabel
 
 LATEST_TIMESTAMP_S = 1e11
@@ -71,6 +72,13 @@ class Zone(Model):
         description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
+
+    @field_validator("polygon")
+    @classmethod
+    def _holds_something(cls, polygon: list[list[float]]) -> list[list[float]]:
+        if not has_area(np.array(polygon)):
+            raise ValueError("expected corners around an area, got all of them on one line")
+        return polygon
 
 
 class CameraConfiguration(Model):
@@ -185,7 +193,8 @@ class Event(Model):
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
     state: EventState = Field(
         description="Whether it began or ended; `instant` for `entered`, `left` and `fell`, which "
-        "have no duration.",
+        "have no duration; `unconfirmed`, in the last line of a video alone, for what had begun to "
+        "show, but was not certain.",
         examples=["instant"],
     )
     zones: list[str] = Field(
@@ -274,8 +283,8 @@ class VideoUpload(Model):
     """A video."""
 
     video: bytes = Field(
-        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF or Ogg, of any codec that "
-        "FFmpeg reads."
+        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg or MJPEG, of any codec "
+        "that FFmpeg reads."
     )
 
 
@@ -322,7 +331,8 @@ class SequenceEnd(Model):
     reason: VideoEndReason = Field(
         description="`complete`: the video's end; `max_frames`: as many frames as requested or "
         "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
-        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched.",
+        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched; `failed`: "
+        "an error of the service.",
         examples=["complete"],
     )
     detail: str = Field(
@@ -330,7 +340,10 @@ class SequenceEnd(Model):
     )
     frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
-    events: list[Event] = Field(description="All events, in order.")
+    events: list[Event] = Field(
+        description="All events, in order; last, with the state `unconfirmed`, those that had "
+        "begun to show when the video ended."
+    )
 
 
 SequenceLine = SequenceFrame | SequenceEnd

@@ -206,8 +206,8 @@ class Estimator:
         decoded = self.decode(upload, job)
         scene = self._scene(decoded, upload, job, evidence)
         persons = self.with_hypotheses(scene, n, job)
-        sent = tuple(decoded.pixels.person_sent(person) for person in persons)
-        return Estimate(decoded.sent, decoded.camera, sent, job.timings_ms())
+        sent = tuple(job.map(decoded.pixels.person_sent, persons))
+        return Estimate(decoded.sent, decoded.camera, decoded.warnings, sent, job.timings_ms())
 
     def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
         """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
@@ -230,7 +230,7 @@ class Estimator:
     def with_hypotheses(self, scene: Scene, n: int, job: Job) -> tuple[Person, ...]:
         """Find the poses that fit people's silhouettes and landmarks."""
         with job.stage("describe"):
-            normalised = [normalise_person(person) for person in scene.people]
+            normalised = job.map(normalise_person, scene.people)
         with job.stage("search"):
             pairs = zip(scene.people, normalised, strict=True)
             return tuple(job.map(lambda pair: fit_poses(self.index, *pair, scene.camera, n), pairs))

@@ -16,7 +16,7 @@ from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
 from app.vision.detector import Detector, smallest_person_px
 from app.vision.geometry import Box
-from app.vision.images import LabelImage
+from app.vision.masks import LabelImage
 from app.vision.people import Detection, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
 from app.vision.photograph_models import photograph_models
@@ -112,9 +112,15 @@ class PeopleFinder:
         boxes = [one.box for one in found]
         with job.stage("segment"):
             silhouettes = (
-                silhouettes_of(readings, boxes, frame.shape, exact=source == "boxes")
+                silhouettes_of(
+                    readings,
+                    boxes,
+                    frame.shape,
+                    exact=source == "boxes",
+                    checkpoint=job.checkpoint,
+                )
                 if background is None
-                else background.segment(frame, boxes)
+                else background.segment(frame, boxes, job.checkpoint)
             )
         shown: Sequence[PoseReading | None] = readings or [None] * len(found)
         return [

@@ -73,6 +73,13 @@ PLACEMENT = PlacementParameters()
 NORMALISATION = NormalisationParameters()
 POSTURE = PostureParameters()
 
+MAX_FRAMES_OF_PEOPLE = 4
+"""Boxes of the people that a caller marks may together cover the largest frame so many times:
+crowds overlap less, and the work on people grows with their pixels."""
+
+MIN_BOX_PX = 0.01
+"""Shortest side of a caller's box: the last digit of an answer."""
+
 DUPLICATE_BODY_DISTANCE = 0.12
 """Mean distance between landmarks, in sizes of the body, below which two readings show the same
 person."""

@@ -12,6 +12,7 @@ from app.estimation.facing import Facing
 from app.estimation.posture_probability import EstimatedPosture
 from app.vision.frame_posture import FramePosture
 from app.vision.geometry import Box, PersonWindow
+from app.vision.images import ImageWarning
 from app.vision.people import Landmarks, Silhouette
 from app.vision.sight import PinholeCamera
 from index.matching import Hypothesis
@@ -113,10 +114,12 @@ class Person:
 class Estimate:
     """A frame as sent, its camera, its persons left to right, and milliseconds by stage.
 
-    The camera's pixels are square; persons are in pixels of the frame.
+    The camera's pixels are square; persons are in pixels of the frame. Warnings are those of
+    :class:`app.vision.images.Photograph`.
     """
 
     frame: NDArray[np.uint8]
     camera: PinholeCamera
+    warnings: tuple[ImageWarning, ...]
     persons: tuple[Person, ...]
     timings_ms: dict[str, float]

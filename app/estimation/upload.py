@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.parameters import MASKS
+from app.estimation.parameters import MASKS, MAX_FRAMES_OF_PEOPLE, MIN_BOX_PX
 from app.estimation.square_pixels import SquarePixels
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (
     ImageError,
     ImageTooLargeError,
-    LabelImage,
+    ImageWarning,
+    Photograph,
     decode_image,
-    decode_mask,
 )
+from app.vision.masks import LabelImage, decode_mask
 from app.vision.sight import PinholeCamera
 
 T = TypeVar("T")
@@ -127,6 +127,8 @@ class DecodedUpload:
         Clipped to the frame.
     pixels : SquarePixels
         From the frame as sent to the one with square pixels.
+    warnings : tuple of str
+        Of the frame; see :class:`app.vision.images.Photograph`.
     """
 
     sent: NDArray[np.uint8]
@@ -136,6 +138,7 @@ class DecodedUpload:
     boxes: list[Box] | None
     camera: PinholeCamera
     pixels: SquarePixels
+    warnings: tuple[ImageWarning, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -165,16 +168,19 @@ class UploadDecoder:
         by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
         mask, background = by_name.get("mask"), by_name.get("background")
         if isinstance(upload.frame, np.ndarray):
-            frame = upload.frame
+            photograph = Photograph.of(upload.frame)
         elif "frame" in by_name:
-            frame = by_name["frame"]
+            photograph = by_name["frame"]
         else:
-            frame = np.zeros((*by_name["mask"].labels.shape, 3), np.uint8)
+            photograph = Photograph(np.zeros((*by_name["mask"].labels.shape, 3), np.uint8))
+        frame = photograph.pixels
         if mask is not None:
             _check_size("mask", mask.labels, frame)
             self._check_count("mask", len(mask.present))
             _check_together(mask)
+            self._check_area("mask", mask.boxes)
         if background is not None:
+            background = background.pixels
             _check_size("background", background, frame)
         boxes = self._boxes(upload.boxes, frame)
         pixels = SquarePixels.of_frame(frame.shape, upload.pixel_aspect or 1.0)
@@ -189,6 +195,7 @@ class UploadDecoder:
             boxes=None if boxes is None else pixels.boxes(boxes),
             camera=PinholeCamera.of_frame(pixels.square, upload.fov_deg),
             pixels=pixels,
+            warnings=photograph.warnings,
         )
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
@@ -213,12 +220,25 @@ class UploadDecoder:
         if boxes is None:
             return None
         self._check_count("boxes", len(boxes))
-        return [_clip(box, frame, position) for position, box in enumerate(boxes)]
+        inside = [_clip(box, frame, position) for position, box in enumerate(boxes)]
+        self._check_area("boxes", inside)
+        return inside
 
     def _check_count(self, name: str, count: int) -> None:
         if count > self.max_persons:
             raise UploadError(
                 name, "misfit", f"expected at most {self.max_persons} persons, got {count}"
+            )
+
+    def _check_area(self, name: str, boxes: Sequence[Box]) -> None:
+        """Bound the work on people, which grows with the pixels of their boxes."""
+        most, area = MAX_FRAMES_OF_PEOPLE * self.max_pixels, sum(box.area for box in boxes)
+        if area > most:
+            raise UploadError(
+                name,
+                "misfit",
+                f"{name}: expected people whose boxes together hold at most {most} pixels, "
+                f"got {area:.0f}",
             )
 
 
@@ -244,8 +264,7 @@ def _check_together(mask: LabelImage) -> None:
     stats = cv2.connectedComponentsWithStats(marked)[2][1:]
     areas = stats[:, cv2.CC_STAT_AREA]
     large = stats[areas >= MASKS.min_figure_share * areas.max()]
-    figures = sorted((Box(*part[:4]) for part in large.tolist()), key=lambda box: box.x)
-    apart = 1 + sum(_are_apart(*pair) for pair in pairwise(figures))
+    apart = 1 + _gaps_between_people(large[np.argsort(large[:, cv2.CC_STAT_LEFT], kind="stable")])
     if apart > 1:
         raise UploadError(
             "mask",
@@ -255,22 +274,28 @@ def _check_together(mask: LabelImage) -> None:
         )
 
 
-def _are_apart(left: Box, right: Box) -> bool:
-    """Whether two parts of a mask are different people rather than parts of one."""
-    small, large = sorted((left.height, right.height))
-    gap = right.x - left.right
-    alike = small >= MASKS.min_figure_px and large < 2 * small
-    return alike and gap > MASKS.min_gap_share * min(left.width, right.width)
+def _gaps_between_people(parts: NDArray[np.int32]) -> int:
+    """How often two neighbouring parts of a mask are different people rather than parts of one.
+
+    ``parts`` are rows of left, top, width, height and area, from left to right.
+    """
+    left, width, height = (parts[:, column] for column in (0, 2, 3))
+    small = np.minimum(height[:-1], height[1:])
+    alike = (small >= MASKS.min_figure_px) & (np.maximum(height[:-1], height[1:]) < 2 * small)
+    gap = left[1:] - (left + width)[:-1]
+    wide = gap > MASKS.min_gap_share * np.minimum(width[:-1], width[1:])
+    return int(np.count_nonzero(alike & wide))
 
 
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
     height, width = frame.shape[:2]
     inside = box.clip(width, height)
-    if inside is None:
-        raise UploadError(
-            "boxes",
-            "misfit",
-            f"expected boxes inside the frame of {width}x{height} pixels, "
-            f"got box {position}: {[box.x, box.y, box.width, box.height]}",
-        )
-    return inside
+    if inside is not None and min(inside.width, inside.height) >= MIN_BOX_PX:
+        return inside
+    thin = "" if inside is None else f"at least {MIN_BOX_PX:g} pixels wide and high "
+    raise UploadError(
+        "boxes",
+        "misfit",
+        f"expected boxes {thin}inside the frame of {width}x{height} pixels, "
+        f"got box {position}: {[box.x, box.y, box.width, box.height]}",
+    )

@@ -57,6 +57,8 @@ class AccessLogMiddleware:
 
         try:
             await self.app(scope, receive, send_with_headers)
+            if notes.status is None:  # The client hung up before the answer began.
+                notes.status, notes.rejected_reason = 499, "client_gone"
         except Exception:
             log.exception("unhandled error")
             if notes.status is not None:

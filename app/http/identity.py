@@ -59,12 +59,15 @@ class Identity(NamedTuple):
         The camera that the request names, in its path or a header.
     is_authorised : bool
         Whether no API key is configured, or a header holds one.
+    has_key : bool
+        Whether a header holds a key, right or wrong.
     """
 
     caller: Caller
     connection: int | None
     stream: CameraStream | None
     is_authorised: bool
+    has_key: bool = False
 
     @property
     def sender(self) -> Sender:
@@ -100,11 +103,13 @@ def identity_of(scope: Scope) -> Identity:
 
 def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
     """Find out the identity of a request."""
-    key = position_of_key(api_keys, keys_in_headers(scope))
+    given = list(keys_in_headers(scope))
+    key = position_of_key(api_keys, given)
     # Behind a proxy, the address is the client's and the port is 0.
     address, port = scope.get("client") or ("", 0)
     is_authorised = not api_keys or key is not None
-    return Identity(Caller(key, address), port or None, _camera_stream(scope), is_authorised)
+    stream = _camera_stream(scope)
+    return Identity(Caller(key, address), port or None, stream, is_authorised, any(given))
 
 
 def keys_in_headers(scope: Scope) -> Iterator[str]:
@@ -140,11 +145,13 @@ def _camera_stream(scope: Scope) -> CameraStream | None:
     return CameraStream(camera.decode(), scope["path"], credentials)
 
 
-def unauthorised() -> ProblemError:
-    """Make the 401 for a missing or wrong API key."""
+def unauthorised(*, has_key: bool) -> ProblemError:
+    """Make the 401 for a wrong or missing API key."""
     return ProblemError(
         401,
-        "expected an API key in the header X-API-Key or as a bearer token",
+        "expected an API key of this service, got another one"
+        if has_key
+        else "expected an API key in the header X-API-Key or as a bearer token, got none",
         reason="unauthorised",
         headers={"WWW-Authenticate": "Bearer"},
     )
@@ -162,8 +169,9 @@ async def _require_key(
     header: Annotated[str | None, Security(_key_header)],
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer_token)],
 ) -> None:
-    if not identity_of(request.scope).is_authorised:
-        raise unauthorised()
+    identity = identity_of(request.scope)
+    if not identity.is_authorised:
+        raise unauthorised(has_key=identity.has_key)
 
 
 RequireKey = Depends(_require_key)

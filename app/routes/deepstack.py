@@ -14,7 +14,6 @@ from app.http.errors import ProblemError
 from app.http.identity import (
     NamesCamera,
     identity_of,
-    keys_in_headers,
     position_of_key,
     unauthorised,
 )
@@ -44,16 +43,17 @@ _DOCUMENTED: dict[str, Any] = {
 
 async def _read_upload(request: Request) -> DeepstackUpload:
     # A wrong key in a header is refused before the body is read.
-    key_in_header = any(keys_in_headers(request.scope))
-    if key_in_header and not identity_of(request.scope).is_authorised:
-        raise unauthorised()
+    identity = identity_of(request.scope)
+    if identity.has_key and not identity.is_authorised:
+        raise unauthorised(has_key=True)
     if not is_multipart(request):
         raise unsupported_body(request)
     async with request.form() as form:
         api_keys = runtime_of(request).settings.api_keys
-        is_open = key_in_header or not api_keys
-        if not is_open and position_of_key(api_keys, [text_of(form, "api_key")]) is None:
-            raise unauthorised()
+        key = text_of(form, "api_key")
+        is_open = identity.has_key or not api_keys
+        if not is_open and position_of_key(api_keys, [key]) is None:
+            raise unauthorised(has_key=bool(key))
         check_fields(form, DeepstackUpload.model_fields)
         image = await file_of(form, "image")
         if image is None:

@@ -59,7 +59,8 @@ async def estimate_pose(
         estimate = estimator.estimate(query.of(upload), query.n, job, query.evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         runtime.metrics.observe_persons(estimate.persons)
-        return pose_reply(estimate, estimator.index, query.form).model_dump_json().encode()
+        reply = pose_reply(estimate, estimator.index, query.form, job.checkpoint)
+        return reply.model_dump_json().encode()
 
     content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="application/json")

@@ -167,6 +167,8 @@ class Executor:
     ) -> T:
         """Work on a begun frame; its ticket is released once the thread is free."""
         done = asyncio.wrap_future(self._begin(ticket, work, job))
+        # If this is cancelled, nobody else asks for the error, which asyncio would log.
+        done.add_done_callback(_retrieve_error)
         try:
             await _first_of(done, gone)
             if not done.done():
@@ -258,6 +260,11 @@ def _as_frame(work: Callable[[Job], T], job: Job) -> T:
         # Long work takes much memory, and some ten megabytes of it stay behind.
         if time.monotonic() - started > _TRIM_AFTER_S:
             trim_heap()
+
+
+def _retrieve_error(done: asyncio.Future[Any]) -> None:
+    if not done.cancelled():
+        done.exception()
 
 
 async def _first_of(

@@ -20,7 +20,7 @@ export class Sequence {
     this.#options = options;
   }
 
-  /** Yield `{answer}` of each frame, and `{end}` in words; throws if nothing could be answered. */
+  /** Yield `{answer}` of each frame, `{end}` in words with `{unconfirmed}` events; throws if nothing could be answered. */
   async* answers() {
     const { signal } = this.#leaving;
     try {
@@ -28,7 +28,10 @@ export class Sequence {
         if (line.type === "end") {
           // All reasons are errors but the end of the video and the limit of frames.
           if (!["complete", "max_frames"].includes(line.reason)) throw ended(line);
-          yield { end: sentence(line.detail) };
+          yield {
+            end: sentence(line.detail),
+            unconfirmed: line.events.filter(({ state }) => state === "unconfirmed"),
+          };
           return;
         }
         this.#frames += 1;

@@ -127,10 +127,11 @@ export class VideoView {
     complain(null);
     this.#tell();
     try {
-      for await (const { answer, photo, jpeg, trouble, end } of session.answers()) {
+      for await (const { answer, photo, jpeg, trouble, end, unconfirmed } of session.answers()) {
         if (session !== this.#session) return;
         if (trouble) this.#tell(`${sentence(trouble.message)} Trying again …`);
         if (end) this.#notes.push(end);
+        for (const event of unconfirmed ?? []) showEvent(event, (seconds) => this.#seek(seconds));
         if (!answer) continue;
         if (!begun) await this.#begin(session, source);
         this.#receive(answer, photo, jpeg);

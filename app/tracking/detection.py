@@ -84,7 +84,9 @@ class TrackedPeopleDetector:
         ]
         with job.stage("segment"):
             readings = [reading for _, reading in found]
-            silhouettes = silhouettes_of(readings, boxes, frame.shape, exact=False)
+            silhouettes = silhouettes_of(
+                readings, boxes, frame.shape, exact=False, checkpoint=job.checkpoint
+            )
         sightings = []
         for (target, reading), box, silhouette in zip(found, boxes, silhouettes, strict=True):
             if silhouette is None:

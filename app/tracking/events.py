@@ -184,6 +184,25 @@ class EventDetector:
         fell: EventState | None = "instant" if self._fell(timestamp, elapsed) else None
         return (*events, *happened("fell", fell, self._down.level))
 
+    def unconfirmed(self, track_id: int) -> tuple[Event, ...]:
+        """What had begun to show at the last frame, but was not certain."""
+        shown: dict[EventName, float] = {
+            "arms_raised": 0.0 if self._arms_raised.holds else self._arms_raised.level,
+            "lying": 0.0 if self._lying.holds else self._lying.level,
+            "fell": self._down.level if self._may_have_fallen() else 0.0,
+        }
+        return tuple(
+            Event(name, track_id, "unconfirmed", self._last_at or 0.0, level)
+            for name, level in shown.items()
+            if level >= self._parameters.ends_below
+        )
+
+    def _may_have_fallen(self) -> bool:
+        dropped_at = self._drop.dropped_at
+        if self._fallen or self._last_at is None or dropped_at is None:
+            return False
+        return self._down_s > 0 or self._last_at - dropped_at <= self._parameters.down_within_s
+
     def _fell(self, timestamp: float, elapsed: float) -> bool:
         """Whether a fall is certain as of now; true once until the person is up again."""
         drop, limits, level = self._drop, self._parameters, self._down.level

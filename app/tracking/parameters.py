@@ -19,6 +19,9 @@ class SessionParameters:
 
     min_step_s: float = 1e-3  # Frames closer together have no order that a camera could have seen.
     max_gap_s: float = 10.0  # After a longer gap the scene may be another one.
+    # A frame that is late by more has not been overtaken by others: the clock was set, or one
+    # timestamp before was wrong.
+    max_late_s: float = 5.0
     # Seconds without a sighting after which a track is dropped, and the same for a person who is
     # hidden behind another one, or who vanished away from the border of the frame.
     dropped_after_s: float = 0.5

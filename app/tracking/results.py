@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.vision.images import ImageWarning
 from app.vision.sight import PinholeCamera
 
 EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
-EventState = Literal["begin", "end", "instant"]
+EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
 
 
@@ -57,7 +58,8 @@ class Event:
     track_id : int
         Of the person.
     state : str
-        ``begin`` or ``end``; ``instant`` for ``entered``, ``left`` and ``fell``.
+        ``begin`` or ``end``; ``instant`` for ``entered``, ``left`` and ``fell``; ``unconfirmed``
+        for what had begun to show at the last frame.
     timestamp : float
         Seconds, of the frame.
     probability : float
@@ -118,6 +120,8 @@ class TrackedFrame:
         As sent, BGR.
     camera : PinholeCamera
         Of the frame with square pixels.
+    warnings : tuple of str
+        Of the frame; see :class:`app.vision.images.Photograph`.
     frame_index : int
         Of the session, from 0.
     timestamp : float
@@ -136,6 +140,7 @@ class TrackedFrame:
 
     frame: NDArray[np.uint8]
     camera: PinholeCamera
+    warnings: tuple[ImageWarning, ...]
     frame_index: int
     timestamp: float
     session: SessionState

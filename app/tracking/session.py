@@ -114,7 +114,8 @@ class CameraSession:
         UploadError
             If the images or boxes cannot be used.
         LateFrameError
-            If the timestamp is not after that of the frame before.
+            If the timestamp is not after that of the frame before; one that is earlier by more than
+            a late frame can be begins afresh.
         """
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
@@ -136,6 +137,7 @@ class CameraSession:
         return TrackedFrame(
             decoded.sent,
             decoded.camera,
+            decoded.warnings,
             self._frames - 1,
             timestamp,
             "new" if self._frames == 1 else "warm",
@@ -145,13 +147,18 @@ class CameraSession:
             job.timings_ms(),
         )
 
+    def unconfirmed(self) -> list[Event]:
+        """What had begun to show at the last frame, but was not certain."""
+        return [event for track in self._tracks for event in track.unconfirmed()]
+
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
-        min_step_s = self._parameters.session.min_step_s
+        parameters = self._parameters.session
         if timestamp is None:
             if self._frames == 0:
                 return 0.0
-            return self._timestamp + max(min_step_s, arrived - self._arrived)
-        if not timestamp >= self._timestamp + min_step_s:
+            return self._timestamp + max(parameters.min_step_s, arrived - self._arrived)
+        begins_afresh = timestamp < self._timestamp - parameters.max_late_s
+        if not (begins_afresh or timestamp >= self._timestamp + parameters.min_step_s):
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
                 f"frame, got {timestamp:g} s"
@@ -169,6 +176,8 @@ class CameraSession:
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
         elif self._frames and gap > max_gap_s:
             reason = f"no frame came for {gap:.1f} s, more than {max_gap_s:g} s"
+        elif self._frames and gap < 0:
+            reason = f"the timestamps went back by {-gap:.1f} s"
         else:
             return
         self._reset = reason

@@ -228,6 +228,12 @@ class Track:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
+    def unconfirmed(self) -> tuple[Event, ...]:
+        """What had begun to show at the last frame, but was not certain."""
+        if self.track_id is None:
+            return ()
+        return tuple(map(self.annotated, self._event_detector.unconfirmed(self.track_id)))
+
     def annotated(self, event: Event) -> Event:
         """An event of this track with the person's zones and the caller's identity."""
         return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)

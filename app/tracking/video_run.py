@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncGenerator, Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -11,15 +12,19 @@ from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.messages import SEARCH_FAILED
 from app.scheduling.executor import Executor
-from app.scheduling.job import DeadlineError, Job
-from app.scheduling.queue import Sender
+from app.scheduling.job import ClientGoneError, DeadlineError, Job
+from app.scheduling.queue import Sender, ShutdownError
 from app.tracking.results import TrackedFrame
 from app.tracking.session import CameraSession
 from app.tracking.summary import VideoSummary
 from app.video.reader import VideoError, VideoFrame, VideoReader
 from index.search import UnavailableError
 
-VideoEndReason = Literal["complete", "max_frames", "broken", "timeout", "shutdown", "unavailable"]
+VideoEndReason = Literal[
+    "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable", "failed"
+]
+
+log = logging.getLogger("app")
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,9 @@ class VideoEnd:
 
     reason: VideoEndReason
     detail: str
+
+
+_SHUTDOWN = VideoEnd("shutdown", "the service is being stopped")
 
 
 class VideoRun:
@@ -101,29 +109,35 @@ class VideoRun:
         try:
             while frame is not None:
                 if is_ending():
-                    self.end = VideoEnd("shutdown", "the service is being stopped")
-                    return
+                    end = _SHUTDOWN
+                    break
                 if self.summary.frames == self._max_frames:
-                    detail = f"there are more than {self._max_frames} frames"
-                    self.end = VideoEnd("max_frames", detail)
-                    return
+                    end = VideoEnd("max_frames", f"there are more than {self._max_frames} frames")
+                    break
                 async with asyncio.timeout_at(self._deadline):
                     line = await self._process(frame, write)
                 yield line
                 async with asyncio.timeout_at(self._deadline):
                     frame = await reader.next()
+            else:
+                detail = f"the video ended after {self.summary.frames} frames"
+                end = VideoEnd("complete", detail)
         except TimeoutError:
-            detail = f"the video took longer than {self._timeout_s:g} seconds"
-            self.end = VideoEnd("timeout", detail)
+            end = VideoEnd("timeout", f"the video took longer than {self._timeout_s:g} seconds")
         except DeadlineError as error:
-            self.end = VideoEnd("timeout", str(error))
+            end = VideoEnd("timeout", str(error))
         except VideoError as error:
-            self.end = VideoEnd("broken", str(error))
+            end = VideoEnd("broken", str(error))
         except UnavailableError:
-            self.end = VideoEnd("unavailable", SEARCH_FAILED)
-        else:
-            detail = f"the video ended after {self.summary.frames} frames"
-            self.end = VideoEnd("complete", detail)
+            end = VideoEnd("unavailable", SEARCH_FAILED)
+        except (ShutdownError, ClientGoneError):
+            # The client is here, or this would have been cancelled: the executor shuts down.
+            end = _SHUTDOWN
+        except Exception:
+            log.exception("a video failed")
+            end = VideoEnd("failed", "an error of the service; its log says more")
+        self.summary.events += self._session.unconfirmed()
+        self.end = end
 
     async def _process(
         self, frame: VideoFrame, write: Callable[[TrackedFrame, int], bytes]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, Posture
+
+MIN_SPREAD_PX = 0.5
 
 ZoneKind = Literal["rest", "watch"]
 """``rest``: a bed or a sofa, where lying is no event; ``watch``: any other place of interest."""
@@ -35,6 +38,12 @@ class Zone:
     def __post_init__(self) -> None:
         if self.polygon.ndim != 2 or self.polygon.shape[1] != 2 or len(self.polygon) < 3:
             raise ValueError(f"expected a polygon of shape (P, 2), got {self.polygon.shape}")
+
+
+def has_area(polygon: NDArray[np.float64]) -> bool:
+    """Whether the corners ``(P, 2)`` are more than half a pixel away from a common line."""
+    spread = np.linalg.svd(polygon - polygon.mean(axis=0), compute_uv=False)[-1]
+    return bool(spread / math.sqrt(len(polygon)) > MIN_SPREAD_PX)
 
 
 def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:

@@ -26,10 +26,10 @@ a pixel."""
 
 FRAME, END, TOO_LARGE = b"F", b"E", b"L"
 """Kinds of headers: a frame, followed by its BGR pixels; the end, with the number of frames read
-and, as width, the number that the file announces; a frame of more pixels than allowed."""
+and, as width, the number in the file if some are missing; a frame of more pixels than allowed."""
 
 # Without playlists and image sequences, which make FFmpeg open other files.
-_FORMATS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,h264,hevc,m4v,ivf"
+_FORMATS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,h264,hevc,m4v,ivf,mjpeg,jpeg_pipe"
 _OPTIONS = f"protocol_whitelist;file|format_whitelist;{_FORMATS}"
 
 _MEMORY_BYTES = 640 * 1024**2
@@ -39,6 +39,11 @@ _DEFAULT_FPS = 25.0
 _MAX_FPS = 1000.0
 _MAX_TIMESTAMP_S = 1e9
 _MIN_PIXEL_ASPECT = 0.25
+MIN_STEP_S = 1e-3
+"""Least time between two frames; a camera session takes none that are closer."""
+# A file may count a few frames that no decoder finds.
+_MAX_MISSING_SHARE = 0.05
+_HEAD_BYTES = 2**16
 
 
 def main() -> None:
@@ -61,7 +66,7 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
     """
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _OPTIONS
     capture = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
-    clock = _Clock(capture.get(cv2.CAP_PROP_FPS))
+    clock = Clock(capture.get(cv2.CAP_PROP_FPS))
     width, height = _size(capture)
     aspect = _pixel_aspect(capture)
     number = 0
@@ -81,9 +86,23 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
     if width * height > max_pixels:
         out.write(HEADER.pack(TOO_LARGE, number, width, height, 0.0, aspect))
     else:
-        announced = max(0, min(2**32 - 1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))))
-        out.write(HEADER.pack(END, number, announced, 0, 0.0, aspect))
+        counted = _counted_frames(file, capture)
+        # Where the rate varies, AVI counts a frame for each interval.
+        reached = max(number, clock.intervals())
+        missing = reached < counted * (1 - _MAX_MISSING_SHARE)
+        out.write(HEADER.pack(END, number, counted if missing else 0, 0, 0.0, aspect))
     out.flush()
+
+
+def _counted_frames(file: Path, capture: cv2.VideoCapture) -> int:
+    """Frames that the file counts; 0 where they are only estimated from its duration.
+
+    MP4 and AVI count them, but not the fragments of MP4.
+    """
+    with file.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    counts = head[8:12] == b"AVI " or (head[4:8] == b"ftyp" and b"mvex" not in head)
+    return max(0, min(2**32 - 1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))) if counts else 0
 
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
@@ -102,7 +121,7 @@ def _pixel_aspect(capture: cv2.VideoCapture) -> float:
     return aspect if _MIN_PIXEL_ASPECT <= aspect <= 1 / _MIN_PIXEL_ASPECT else 1.0
 
 
-class _Clock:
+class Clock:
     """Ascending timestamps: the file's own, or by its frame rate where they do not ascend."""
 
     def __init__(self, fps: float) -> None:
@@ -114,10 +133,14 @@ class _Clock:
         if number == 0 and not reported_s > 0:
             self._last_s = 0.0
         elif self._last_s < reported_s < _MAX_TIMESTAMP_S:
-            self._last_s = reported_s
+            self._last_s = max(reported_s, self._last_s + MIN_STEP_S)
         else:
             self._last_s = max(self._last_s, 0.0) + self._interval_s
         return self._last_s
+
+    def intervals(self) -> int:
+        """How many frames there would be by now at the frame rate."""
+        return 0 if self._last_s < 0 else round(self._last_s / self._interval_s) + 1
 
 
 def _limit_process(max_seconds: int) -> None:

@@ -25,8 +25,9 @@ _BUFFER_BYTES = 2**20
 _MAX_LINE_BYTES = 300
 # FFmpeg's messages name addresses in memory.
 _ADDRESS = re.compile(r" ?@ ?0x[0-9a-f]+")
-# A file may announce a few frames that no decoder finds.
-_MAX_MISSING_SHARE = 0.05
+_FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg or MJPEG"
+# What FFmpeg says of a Matroska file that is cut off; other formats do not need it.
+_CUT_OFF = "File ended prematurely"
 
 log = logging.getLogger("app")
 
@@ -157,9 +158,10 @@ class VideoReader:
             async with asyncio.timeout(self._timeout_s):
                 return await self._next()
         except asyncio.IncompleteReadError:
-            raise await self._broken("the decoder gave up") from None
+            raise self._broken("the decoder gave up", await self._said()) from None
         except TimeoutError:
-            raise await self._broken(f"no frame within {self._timeout_s:g} seconds") from None
+            found = f"no frame within {self._timeout_s:g} seconds"
+            raise self._broken(found, await self._said()) from None
 
     async def _next(self) -> VideoFrame | None:
         header = HEADER.unpack(await self._stream.readexactly(HEADER.size))
@@ -171,10 +173,13 @@ class VideoReader:
                 f"got {width}x{height}",
             )
         if kind == END:
+            said = await self._said()
             if not number:
-                raise await self._broken("something else")
-            if number < width * (1 - _MAX_MISSING_SHARE):
-                raise await self._broken(f"{number} of {width} frames")
+                raise self._broken("something else or a broken one", said)
+            if width:
+                raise self._broken(f"{number} of {width} frames", said)
+            if _CUT_OFF in said:
+                raise self._broken(f"one that ends after {number} frames", said)
             return None
         assert kind == FRAME
         pixels = await self._stream.readexactly(width * height * 3)
@@ -182,13 +187,17 @@ class VideoReader:
         picture = np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
         return VideoFrame(number, timestamp, picture, aspect)
 
-    async def _broken(self, found: str) -> VideoError:
-        """The error for a video that ends early, with the decoder's last line if there is one."""
-        if self._last_line is not None:
-            # The decoder may hang, or have children that do.
-            await asyncio.wait((self._last_line,), timeout=_LAST_LINE_TIMEOUT_S)
-            if self._last_line.done() and (line := self._last_line.result()):
-                log.info("a video cannot be read: %s", line)
-                found += f" ({line})"
-        expected = "the whole video" if self._read else "a video that FFmpeg can read"
+    async def _said(self) -> str:
+        """The last line that the decoder writes, which ends; empty if it does not."""
+        if self._last_line is None:
+            return ""
+        # The decoder may hang, or have children that do.
+        await asyncio.wait((self._last_line,), timeout=_LAST_LINE_TIMEOUT_S)
+        return self._last_line.result() if self._last_line.done() else ""
+
+    def _broken(self, found: str, said: str) -> VideoError:
+        """The error for a video that ends early; the decoder's words are for the log."""
+        if said:
+            log.info("a video cannot be read: %s", said)
+        expected = "the whole video" if self._read else f"a video ({_FORMATS})"
         return VideoError("undecodable", f"video: expected {expected}, got {found}")

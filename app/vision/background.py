@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -66,9 +66,8 @@ class BackgroundSegmenter:
         joined = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
         found = []
-        for label, (left, top, width, height, _) in enumerate(stats[1:count].tolist(), start=1):
-            if height < min_height:
-                continue
+        high = np.flatnonzero(stats[1:count, cv2.CC_STAT_HEIGHT] >= min_height) + 1
+        for label, (left, top, width, height, _) in zip(high, stats[high].tolist(), strict=True):
             part = np.s_[top : top + height, left : left + width]
             own = changed[part] & (labels[part] == label)
             score = _likeness(width / height, float(own.mean()), parameters)
@@ -76,16 +75,23 @@ class BackgroundSegmenter:
                 found.append(Detection(Box(left - 0.5, top - 0.5, width, height), score))
         return sorted(found, key=lambda one: -one.score)
 
-    def segment(self, frame: NDArray[np.uint8], boxes: Sequence[Box]) -> list[Silhouette | None]:
+    def segment(
+        self,
+        frame: NDArray[np.uint8],
+        boxes: Sequence[Box],
+        checkpoint: Callable[[], None] = lambda: None,
+    ) -> list[Silhouette | None]:
         """Cut out the person in each box of a frame ``(H, W, 3)``; None where nothing changed.
 
         Where boxes overlap, a pixel goes to the box whose middle is nearer, in widths of the boxes.
+        ``checkpoint`` is called before each person; it raises where the work is no longer wanted.
         """
         height, width = frame.shape[:2]
         changed = self._changed(frame)
         min_part, max_hole = self._parameters.min_part, self._parameters.max_hole
         found: list[Silhouette | None] = []
         for row, whole in enumerate(boxes):
+            checkpoint()
             box = whole.clip(width, height)
             if box is None:
                 found.append(None)
@@ -93,7 +99,8 @@ class BackgroundSegmenter:
             left, top, right, bottom = box.pixels()
             mask = changed[top:bottom, left:right].copy()
             for other in (*boxes[:row], *boxes[row + 1 :]):
-                mask &= ~_nearer_to_other(box, other, mask.shape)
+                if box.intersection(other) > 0:
+                    mask &= ~_nearer_to_other(box, other, mask.shape)
             mask = fill_small_holes(keep_components(mask, min_part), max_hole)
             found.append(silhouette_from_mask(mask, left=left, top=top, segmenter="background"))
         return with_truncation(found, boxes, frame.shape)
@@ -159,13 +166,12 @@ def foreground(
 def _with_exposure_of(
     now: NDArray[np.float32], scene: NDArray[np.float32], parameters: BackgroundParameters
 ) -> NDArray[np.float32]:
-    """The scene ``(H, W, 3)`` as the exposure of this frame would show it."""
-    result = np.empty_like(scene)
+    """The scene ``(H, W, 3)``, in place, as the exposure of this frame would show it."""
     for channel in range(3):
         x, y = scene[::4, ::4, channel].ravel(), now[::4, ::4, channel].ravel()
         gain, offset = _fit_exposure(x, y, parameters)
-        result[..., channel] = gain * scene[..., channel] + offset
-    return np.clip(result, 1, 255, out=result)
+        scene[..., channel] = gain * scene[..., channel] + offset
+    return np.clip(scene, 1, 255, out=scene)
 
 
 def _fit_exposure(
@@ -216,14 +222,15 @@ def _shadow(
 ) -> NDArray[np.bool_]:
     """Pixels ``(H, W)`` where the scene has less light: equally in all channels, and evenly."""
     # Channel by channel, which takes a quarter of the time of sums along the last axis.
-    channels = range(3)
     total_now = now[..., 0] + now[..., 1] + now[..., 2]
     total_expected = expected[..., 0] + expected[..., 1] + expected[..., 2]
     light = total_now / total_expected
     total_now = np.maximum(total_now, 1)
-    tint = np.maximum.reduce(
-        [np.abs(now[..., c] / total_now - expected[..., c] / total_expected) for c in channels]
-    )
+    tint = np.zeros_like(light)
+    for channel in range(3):
+        share = now[..., channel] / total_now
+        share -= expected[..., channel] / total_expected
+        np.maximum(tint, np.abs(share, out=share), out=tint)
     mean = cv2.blur(light, (5, 5))
     unevenness = np.sqrt(np.maximum(cv2.blur(light**2, (5, 5)) - mean**2, 0))
     darkest, brightest = parameters.shadow_light

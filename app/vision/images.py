@@ -1,4 +1,4 @@
-"""Encoded images and label masks to pixels.
+"""Encoded photographs to pixels, and what their files say before they are decoded.
 
 A PNG of 389 KB can hold 20,000 x 20,000 pixels, which take seconds and gigabytes to decode, so
 format and size are read from the header first.
@@ -7,9 +7,10 @@ format and size are read from the header first.
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -18,7 +19,6 @@ from PIL import (  # noqa: F401
     BmpImagePlugin,
     GifImagePlugin,
     Image,
-    ImageOps,
     JpegImagePlugin,
     PngImagePlugin,
     TiffImagePlugin,
@@ -28,8 +28,28 @@ from PIL import (  # noqa: F401
 from app.vision.parameters import DEFAULTS, ImageParameters
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
+JPEG = ("JPEG", "MPO")
 
-Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+ImageWarning = Literal["dark", "stretched", "truncated"]
+"""``dark``: hardly anything is to be seen; ``stretched``: 16 bits of which only a part is used were
+stretched to that part; ``truncated``: the end of the image is missing."""
+
+_END_OF_JPEG = b"\xff\xd9"
+# libjpeg's decoder paints what is missing of a JPEG in this grey, exactly.
+_MISSING = 128
+_BLOCK_PX = 8
+
+_SIGNATURES = {
+    b"%PDF": "PDF",
+    b"8BPS": "PSD",
+    b"\xff\x0a": "JPEG XL",
+    b"\0\0\0\x0cJXL ": "JPEG XL",
+    b"\0\0\0\x0cjP  ": "JPEG 2000",
+}
+_BRANDS = {
+    **dict.fromkeys((b"avif", b"avis"), "AVIF"),
+    **dict.fromkeys((b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1"), "HEIC"),
+}
 
 # The limit is the caller's, which may be higher.
 Image.MAX_IMAGE_PIXELS = None
@@ -46,63 +66,42 @@ class ImageTooLargeError(ImageError):
 
 
 @dataclass(frozen=True)
-class LabelImage:
-    """Where people are: 0 is background, k is person k.
+class Photograph:
+    """A decoded photograph.
 
     Parameters
     ----------
-    labels : (H, W) array of uint8 or uint16
-    present : list of int
-        The labels it holds, ascending, without 0.
-    left, top : int
-        First column and row of the part.
-    part : (h, w) array
-        The smallest part that holds all labels: most of a mask is background.
+    pixels : (H, W, 3) uint8 array
+        BGR.
+    warnings : tuple of str
+        What may spoil the answer, ordered by name.
     """
 
-    labels: Labels
-    present: list[int]
-    left: int
-    top: int
-    part: Labels
+    pixels: NDArray[np.uint8]
+    warnings: tuple[ImageWarning, ...] = ()
 
     @classmethod
-    def of(cls, labels: Labels) -> LabelImage:
-        """Find the labels of an array ``(H, W)``."""
-        if labels.ndim != 2:
-            raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
-        # `boundingRect` takes no 16 bits.
-        marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
-        left, top, width, height = cv2.boundingRect(marked)
-        part = labels[top : top + height, left : left + width].copy()
-        return cls(labels, _labels_in(part), left, top, part)
-
-    def merged(self) -> LabelImage:
-        """The same image with all labels merged into one person, label 1."""
-        labels, part = ((image != 0).view(np.uint8) for image in (self.labels, self.part))
-        return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
+    def of(
+        cls,
+        pixels: NDArray[np.uint8],
+        *found: ImageWarning,
+        parameters: ImageParameters = DEFAULTS.images,
+    ) -> Photograph:
+        """Add to other warnings whether the picture ``(H, W, 3)`` is dark."""
+        bright = np.percentile(_sample(pixels, parameters), parameters.bright_percentile)
+        dark: tuple[ImageWarning, ...] = ("dark",) if bright < parameters.dark_below else ()
+        return cls(pixels, (*dark, *sorted(found)))
 
 
-def _labels_in(part: Labels) -> list[int]:
-    """The labels in a part ``(h, w)`` in one piece, ascending, without 0."""
-    # Several times as fast as np.unique or np.bincount.
-    if part.size == 0:
-        return []
-    bins = int(part.max()) + 1
-    counts = cv2.calcHist([part], [0], None, [bins], [0, bins])
-    return (np.flatnonzero(counts[1:]) + 1).tolist()
-
-
-def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
+def decode_image(
+    data: bytes, *, max_pixels: int, parameters: ImageParameters = DEFAULTS.images
+) -> Photograph:
     """Decode a photograph.
 
-    The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR,
-    16 bits become 8, an alpha channel is dropped, and an animation gives its first picture.
-
-    Returns
-    -------
-    (H, W, 3) uint8 array
-        BGR.
+    The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR, an
+    alpha channel is dropped, and an animation gives its first picture. 16 bits become 8; where the
+    upper half of their range is not used, as by cameras of 10 to 14 bits, the range that is used is
+    stretched. A JPEG of which less than half is missing is read.
 
     Raises
     ------
@@ -111,47 +110,52 @@ def decode_image(data: bytes, *, max_pixels: int) -> NDArray[np.uint8]:
     ImageError
         If the bytes are no image of :data:`FORMATS`, or a broken one.
     """
-    header = _checked_header(data, max_pixels)
-    return _decode(data, header.format, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
+    header = checked_header(data, max_pixels)
+    pixels = decode(data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    found: list[ImageWarning] = []
+    if header.format in JPEG and (missing := _missing_share(pixels)):
+        if missing > parameters.max_missing_share:
+            raise ImageError("the JPEG image is broken: most of it is missing")
+        found.append("truncated")
+    if pixels.dtype == np.uint16:
+        low, high = _used_range(pixels, parameters)
+        if (low, high) != (0, 2**16):
+            found.append("stretched")
+        levels = (np.arange(2**16) - low) * 256 // (high - low)
+        pixels = np.clip(levels, 0, 255).astype(np.uint8)[pixels]
+    return Photograph.of(pixels, *found, parameters=parameters)
 
 
-def decode_mask(
-    data: bytes, *, max_pixels: int, parameters: ImageParameters = DEFAULTS.images
-) -> LabelImage:
-    """Decode a label image: 0 is background, k is person k.
+def _used_range(pixels: NDArray[np.uint16], parameters: ImageParameters) -> tuple[int, int]:
+    """The values from and below which 16 bits are used; all if the upper half is, or nearly none.
 
-    Grey and palette images keep their stored values, whatever their bit depth; of a palette image
-    the indices count, not the colours. An image of two values, 0 and any other, is one person,
-    label 1. So is an image of lossy compression (JPEG, WebP), which cannot keep labels: values from
-    128 up are the person. Three channels are accepted where they are equal. The EXIF orientation is
-    applied and an alpha channel dropped.
-
-    Raises
-    ------
-    ImageTooLargeError, ImageError
-        As :func:`decode_image`, and if the image is coloured or holds more than 100 labels.
+    Outliers do not count.
     """
-    header = _checked_header(data, max_pixels)
-    if header.format == "PNG" and header.mode == "P":
-        labels: Labels = _palette_indices(data)
-    else:
-        pixels = _decode(data, header.format, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-        if is_lossy(header, data):
-            labels = _one_channel(pixels, parameters.lossy_channel_difference)
-            return LabelImage.of(np.asarray(labels >= parameters.lossy_threshold).view(np.uint8))
-        labels = _one_channel(pixels, 0)
-        if header.format == "PNG" and header.mode == "L":
-            # OpenCV stretches 2 and 4 bits to 0..255; the 25th byte of a PNG is its bit depth.
-            labels = labels // {2: 85, 4: 17}.get(data[24], 1)
-    image = LabelImage.of(labels)
-    if len(image.present) == 1 and image.present != [1]:
-        return image.merged()
-    if len(image.present) > parameters.max_labels:
-        raise ImageError(
-            f"expected a mask of at most {parameters.max_labels} labels, got {len(image.present)}: "
-            "a mask with soft edges must be thresholded first"
-        )
-    return image
+    outliers = parameters.outlier_percentile
+    sample = _sample(pixels, parameters)
+    low, high = np.percentile(sample, [outliers, 100 - outliers]).astype(int).tolist()
+    if high >= 2**15 or high - low < parameters.min_used_range:
+        return 0, 2**16
+    return low, high + 1
+
+
+def _missing_share(pixels: NDArray[np.uint8]) -> float:
+    """Share of a JPEG's pixels ``(H, W, 3)`` that its decoder did not find; 0 if the end is there.
+
+    Where the end lies depends on the EXIF orientation, so all corners are looked at.
+    """
+    ends = (slice(_BLOCK_PX), slice(-_BLOCK_PX, None))
+    corners = (pixels[rows, columns] for rows in ends for columns in ends)
+    if not any((corner == _MISSING).all() for corner in corners):
+        return 0.0
+    return float((pixels == _MISSING).all(axis=2).mean())
+
+
+def _sample(pixels: NDArray[Any], parameters: ImageParameters) -> NDArray[Any]:
+    """Pixels evenly spaced in an image ``(H, W, ...)``, few enough for statistics."""
+    height, width = pixels.shape[:2]
+    step = math.ceil(math.sqrt(height * width / parameters.sampled_px))
+    return pixels[:: min(step, height), :: min(step, width)]
 
 
 def read_header(data: bytes, parameters: ImageParameters = DEFAULTS.images) -> Image.Image:
@@ -170,8 +174,16 @@ def read_header(data: bytes, parameters: ImageParameters = DEFAULTS.images) -> I
         raise
     except Exception as error:  # Damaged headers make Pillow raise almost anything.
         raise ImageError(
-            "expected a PNG, JPEG, WebP, BMP, TIFF or GIF image, got something else or a broken one"
+            f"expected a PNG, JPEG, WebP, BMP, TIFF or GIF image, got {_kind(data)}"
         ) from error
+
+
+def _kind(data: bytes) -> str:
+    """What bytes are that are no image of :data:`FORMATS`."""
+    named = (name for start, name in _SIGNATURES.items() if data.startswith(start))
+    if data[4:8] == b"ftyp":
+        return _BRANDS.get(data[8:12], "a video")
+    return next(named, "something else or a broken one")
 
 
 class _LimitedReads(io.BytesIO):
@@ -188,13 +200,16 @@ class _LimitedReads(io.BytesIO):
         return super().read(size)
 
 
-def _checked_header(data: bytes, max_pixels: int) -> Image.Image:
+def checked_header(data: bytes, max_pixels: int) -> Image.Image:
     """Read a header; raise :class:`ImageError` if the image should not be decoded."""
     header = read_header(data)
     if header.width * header.height > max_pixels:
         raise ImageTooLargeError(
             f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
         )
+    if header.format == "TIFF" and header.mode in ("F", "I"):
+        kind = "floating point" if header.mode == "F" else "whole numbers"
+        raise ImageError(f"expected 8 or 16 bits a channel, got 32 bit {kind}")
     if header.format == "PNG":
         # OpenCV allocates what a chunk announces: two gigabytes for a file of a kilobyte.
         try:
@@ -204,44 +219,17 @@ def _checked_header(data: bytes, max_pixels: int) -> Image.Image:
     return header
 
 
-def is_lossy(image: Image.Image, data: bytes) -> bool:
-    """Whether the compression of an image may alter pixel values."""
-    match image.format:
-        case "JPEG" | "MPO":
-            return True
-        case "WEBP":
-            return b"VP8L" not in data
-        case "TIFF":
-            return image.info.get("compression") in ("jpeg", "tiff_jpeg")
-    return False
-
-
-def _decode(data: bytes, format_name: str | None, flags: int) -> NDArray[Any]:
-    """Decode with OpenCV, which fails in two ways."""
+def decode(data: bytes, header: Image.Image, flags: int) -> NDArray[Any]:
+    """Decode with OpenCV, which fails in two ways, to 8 or 16 bits a channel."""
+    if header.format in JPEG:
+        # Some cameras leave out the end marker. After it, bytes are ignored.
+        data += _END_OF_JPEG
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
-        raise ImageError(f"the {format_name} image is broken") from error
+        raise ImageError(f"the {header.format} image is broken") from error
     if pixels is None:
-        raise ImageError(f"the {format_name} image is broken")
+        raise ImageError(f"the {header.format} image is broken")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise ImageError(f"expected 8 or 16 bits a channel, got {pixels.dtype} values")
     return pixels
-
-
-def _palette_indices(data: bytes) -> NDArray[np.uint8]:
-    """Stored values ``(H, W)`` of a PNG with a palette, which OpenCV replaces by colours."""
-    try:
-        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-            return np.asarray(ImageOps.exif_transpose(image))
-    except Exception as error:  # Damaged data make Pillow raise almost anything.
-        raise ImageError("the PNG image is broken") from error
-
-
-def _one_channel(pixels: NDArray[Any], max_difference: int) -> Labels:
-    """Values ``(H, W)`` of an image of one channel, or of three that differ by no more."""
-    if not np.issubdtype(pixels.dtype, np.unsignedinteger):
-        raise ImageError(f"expected a mask of whole numbers, got {pixels.dtype} values")
-    if pixels.ndim == 3:
-        if int(np.ptp(pixels.astype(np.int32), axis=2).max()) > max_difference:
-            raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
-        pixels = pixels[:, :, 0]
-    return pixels if pixels.dtype == np.uint8 else pixels.astype(np.uint16, copy=False)

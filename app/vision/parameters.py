@@ -14,8 +14,27 @@ from dataclasses import dataclass
 class ImageParameters:
     """Decoding of images and masks."""
 
+    # A picture is dark if this percentile of its values is lower.
+    bright_percentile: float = 99.0
+    dark_below: float = 20.0
+    # Of 16 bits, the range that is stretched lies between outliers of this share, and is not
+    # narrower: the rest would be noise.
+    outlier_percentile: float = 0.1
+    min_used_range: int = 64
+    sampled_px: int = 20_000  # Enough for percentiles, which take half a millisecond.
+    max_missing_share: float = 0.5  # Of a JPEG that is read.
     max_labels: int = 100  # With more values, an image is a mask with soft edges, not a crowd.
+    # Pairs of neighbouring pixels with different labels: of all pixels, where there are many such
+    # pairs, and at most. Fifty people who fill a frame of 12 megapixels have 400,000, a thirtieth
+    # of the pixels; noise has two for each pixel.
+    max_label_changes: int = 1_000_000
+    max_label_change_share: float = 0.5
+    few_label_changes: int = 10_000
     lossy_threshold: int = 128  # Value from which a pixel of a lossy mask is the person's.
+    # Lossy compression moves black and white by up to this, but at edges; pixels in between may be
+    # this share of those of the person.
+    lossy_certainty: int = 48
+    max_lossy_between: float = 0.5
     lossy_channel_difference: int = 16  # Channels of a lossy grey image differ by up to this.
     # Reads that an image may take, and further bytes for each further read. Pillow keeps every
     # segment of a JPEG: 16 MB of empty ones would take ten seconds and 700 MB.

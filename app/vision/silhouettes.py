@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
-from app.vision.images import LabelImage
+from app.vision.masks import LabelImage
 from app.vision.parameters import DEFAULTS, SilhouetteParameters
 from app.vision.people import Silhouette, landmark_rows, silhouette_from_mask
 from app.vision.truncation import with_truncation
@@ -24,6 +24,7 @@ def silhouettes_of(
     frame_shape: tuple[int, ...],
     *,
     exact: bool,
+    checkpoint: Callable[[], None] = lambda: None,
     parameters: SilhouetteParameters = DEFAULTS.silhouettes,
 ) -> list[Silhouette | None]:
     """Cut people out of the masks of their readings.
@@ -40,6 +41,8 @@ def silhouettes_of(
         Height and width first.
     exact : bool
         Whether boxes are tight; if not, limbs may reach beyond them.
+    checkpoint : callable
+        Called before each person; raises where the work is no longer wanted.
 
     Returns
     -------
@@ -55,6 +58,7 @@ def silhouettes_of(
     ]
     found: list[Silhouette | None] = []
     for own, region in enumerate(regions):
+        checkpoint()
         rivals = [
             (readings[other], other < own)
             for other, theirs in enumerate(regions)
@@ -66,12 +70,12 @@ def silhouettes_of(
 
 def silhouettes_from_labels(image: LabelImage) -> list[Silhouette]:
     """Silhouettes of a caller's mask, from left to right by the middle of their boxes."""
-    people = [
-        silhouette_from_mask(image.part == label, left=image.left, top=image.top, segmenter="mask")
-        for label in image.present
-    ]
-    found = [person for person in people if person is not None]
-    flagged = with_truncation(found, [person.box for person in found], image.labels.shape)
+    found = []
+    for label, box in zip(image.present, image.boxes, strict=True):
+        left, top, right, bottom = box.pixels()
+        crop = image.labels[top:bottom, left:right] == label
+        found.append(Silhouette(crop, left, top, "mask", truncated=False))
+    flagged = with_truncation(found, image.boxes, image.labels.shape)
     return sorted(
         (person for person in flagged if person is not None),
         key=lambda person: person.box.x + person.box.width / 2,

@@ -25,6 +25,9 @@ SHAPES = (
 SHAPED = 0.002
 """Share of the uploads with these shapes."""
 
+FORMS = ("none", "rle", "polygon")
+"""Of the silhouettes in the answers."""
+
 MAX_MS = 2000.0
 MAX_MEMORY_MB = 600.0
 
@@ -41,8 +44,11 @@ def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
         encode(".webp", frame, cv2.IMWRITE_WEBP_QUALITY, 101),
         _with_exif_orientation(encode(".jpg", frame)),
     ]
+    rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
     masks = [
         encode(".png", mask),
+        encode(".png", mask * (columns // 32 + 1).astype(np.uint8)),
+        encode(".png", ((rows + columns) % 50 + 1).astype(np.uint8)),
         encode(".png", mask, cv2.IMWRITE_PNG_BILEVEL, 1),
         encode(".png", mask.astype(np.uint16) * 300),
         encode(".jpg", mask * 255),
@@ -122,7 +128,8 @@ class Uploads:
             # Without a box the decoder is tried, not the search for people.
             return Call("POST", "/pose", {"frame": mutate(frame, rng), "boxes": b"[]"})
         mask = mutate(self._masks[rng.integers(len(self._masks))], rng)
-        return Call("POST", "/pose?n=1", {"frame": self._frames[2], "mask": mask})
+        parts = {"frame": self._frames[2], "mask": mask}
+        return Call("POST", f"/pose?n=1&silhouettes={FORMS[rng.integers(len(FORMS))]}", parts)
 
     def _shaped_call(self, rng: np.random.Generator) -> Call:
         parts = self._shaped[rng.integers(len(self._shaped))]
@@ -136,7 +143,8 @@ class Uploads:
             {"frame": frame, "background": frame},
             {"frame": frame, "boxes": b"[[0, 0, 1000000, 1000000], [0, 0, 1, 1]]"},
         )
-        return Call("POST", "/pose", forms[rng.integers(len(forms))])
+        path = f"/pose?silhouettes={FORMS[rng.integers(len(FORMS))]}"
+        return Call("POST", path, forms[rng.integers(len(forms))])
 
 
 def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figures, Criteria]:

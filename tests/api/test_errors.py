@@ -73,7 +73,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         *(("/pose", body(content), "frame", "") for content in (b"", BROKEN)),
         ("/pose", body(b"--b\r\nnonsense", "multipart/form-data"), None, "well-formed multipart"),
         (DEEPSTACK, form(image=b"?"), "image", "image: "),
-        *(("/sequence", form(video=data), "video", "a video that FFmpeg can read")
+        *(("/sequence", form(video=data), "video", "something else or a broken one")
           for data in (b"?", b"RIFF\xff\xff\xff\xffAVI LIST", b"#EXTM3U\n/etc/x\n")),
     ],
     (404, "not_found"): [
@@ -187,13 +187,15 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             (zones(kind="bed"), "zones[0].kind", "'rest' or 'watch'"),
             (zones(name=""), "zones[0].name", "some text"),
             (zones(name="x" * 65), "zones[0].name", "64"),
-            (zones(polygon=corners()), "zones[0].polygon", "expected 3 values"),
+            (zones(polygon=corners()), "zones[0].polygon", "expected at least 3 values"),
+            (zones(polygon=corners([100, 100])), "zones[0].polygon", "on one line"),
+            (zones(polygon=[[5, 5]] * 4), "zones[0].polygon", "on one line"),
             (zones(polygon=[[0, 0]] * (MAX_CORNERS + 1)), "zones[0].polygon", "64"),
             (zones(polygon=corners([1])), "zones[0].polygon[2]", "2 values"),
             (zones(polygon=corners(["1", 2])), "zones[0].polygon[2][0]", "number"),
             (zones(colour="red"), "zones[0].colour", "not permitted"),
             (zones(ZONE, ZONE), "zones", "'door' twice"),
-            (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "32"),
+            (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "expected at most 32 values, got 33"),
             ({"json": {"zones": "door"}}, "zones", "a list"),
             ({"json": {}}, "zones", "a value"),
             ({"content": json.dumps({"zones": [ZONE]}).replace("240", "1e999")},

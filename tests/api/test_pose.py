@@ -16,6 +16,7 @@ from app.api.schemas import PoseResponse
 from index.skeleton import KEYPOINT_SETS, NATIVE, POINT_NAMES
 from index.store import PoseIndex
 from tests.conftest import WALKERS, Photo, photograph, png
+from tests.support.service import check_problem
 
 
 def ask(client: TestClient, photo: Photo, **params: Any) -> dict[str, Any]:
@@ -148,6 +149,7 @@ def test_a_mask_may_come_without_its_photograph(
         "height": 240,
         "fov_deg": 60,
         "fov_given": False,
+        "warnings": [],
     }
     assert alone["persons"] == post(client, photo.files, evidence="silhouette")["persons"]
     (person,) = alone["persons"]
@@ -194,6 +196,26 @@ def test_a_difference_from_the_background_is_a_person(client: TestClient, photo:
     (boxed,) = client.post("/pose", files=files, data=given).json()["persons"]
     assert boxed["source"] == "boxes"
     assert boxed["silhouette"]["segmenter"] == "background"
+
+
+@pytest.mark.parametrize("path", ["/pose", "/cameras/dark/frames"])
+def test_a_dark_frame_is_said_to_be_dark(client: TestClient, path: str) -> None:
+    answer = client.post(path, files={"frame": png(np.full((240, 320, 3), 5, np.uint8))}).json()
+    assert answer["image"]["warnings"] == ["dark"]
+    assert answer["persons"] == []
+
+
+def test_a_box_thinner_than_the_answer_is_refused(client: TestClient, photo: Photo) -> None:
+    """And does not move a session on."""
+    for box in ("[[10, 10, 0.004, 50]]", "[[319.495, 10, 9, 50]]"):
+        for path in ("/pose", "/cameras/thin/frames"):
+            fields = {"boxes": box, "timestamp": "1"} if "cameras" in path else {"boxes": box}
+            refused = client.post(path, files={"frame": photo.frame_png}, data=fields)
+            assert "at least 0.01 pixels" in check_problem(refused, 422, "boxes")
+    sent = {"boxes": "[[10, 10, 0.02, 50]]", "timestamp": "1"}
+    answer = client.post("/cameras/thin/frames", files={"frame": photo.frame_png}, data=sent)
+    assert answer.json()["frame_index"] == 0
+    assert answer.json()["persons"][0]["box"]["width"] == 0.02
 
 
 COLUMNS = np.arange(320)

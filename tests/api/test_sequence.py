@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,11 @@ class TestLines:
         assert sample(client, "pose_sequences") == 0
         assert sample(client, "pose_camera_sessions") == 0
 
+    def test_a_dark_video_is_said_to_be_dark(self, client: TestClient, tmp_path: Path) -> None:
+        frames, end = parse(post(client, write_video(tmp_path / "v.avi", numbered_frames(3))))
+        assert [frame.image.warnings for frame in frames] == [["dark"], ["dark"], []]
+        assert end.reason == "complete"
+
     def test_a_video_may_be_the_body(self, client: TestClient, video: bytes) -> None:
         headers = {"content-type": "video/x-msvideo"}
         raw = client.post("/sequence?stride=5&n=1", content=video, headers=headers)
@@ -116,11 +122,21 @@ class TestRefusals:
         assert sample(client, "pose_sequences") == 0
 
 
+def hang_up_after_sending(url: str, video: bytes) -> None:
+    """Send a video and close the connection before the first line of the answer."""
+    address = httpx.URL(url)
+    head = f"POST /sequence HTTP/1.1\r\nHost: {address.host}\r\nContent-Type: video/avi\r\n"
+    with socket.create_connection((address.host, address.port)) as connection:
+        connection.sendall(f"{head}Content-Length: {len(video)}\r\n\r\n".encode() + video)
+
+
 @pytest.fixture
-def narrow(index_path: Path) -> Iterator[Server]:
-    """A server for one video at a time."""
-    with running_server(index_path, POSE_MAX_SEQUENCES="1") as running:
+def narrow(index_path: Path, tmp_path: Path) -> Iterator[Server]:
+    """A server for one video at a time, whose log holds no error."""
+    log = tmp_path / "log"
+    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1") as running:
         yield running
+    assert [line for line in log.read_text().splitlines() if '"error"' in line] == []
 
 
 def test_lines_arrive_while_the_video_is_worked_on(
@@ -137,6 +153,10 @@ def test_lines_arrive_while_the_video_is_worked_on(
             assert client.post("/pose", files=photo.files).status_code == 200
             assert sample(client, "pose_sequences") == 1
         eventually(lambda: sample(client, "pose_sequences") == 0)
+        hang_up_after_sending(narrow.url, long_video)
+        eventually(
+            lambda: sample(client, "pose_requests_total", route="/sequence", status="499") == 1
+        )
         eventually(lambda: sample(client, "pose_in_flight") == 0)
         assert sample(client, "pose_rejected_total", reason="too_many_sequences") == 1
         # The process that decoded it has ended, too.

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from app.serving.runtime import VERSION
 from app.settings import Settings, SettingsError, read_settings
 from tests.support.programs import output_of, run
 
@@ -123,6 +124,21 @@ def test_reading_settings_loads_no_native_library() -> None:
     code = "import sys, app.settings; print(*sys.modules)"
     loaded = output_of(sys.executable, "-c", code).split()
     assert {"ai_edge_litert", "cv2", "faiss", "numpy"}.isdisjoint(loaded)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["--help"], 0, "docs/operations.md"),
+        (["--version"], 0, VERSION),
+        (["--bogus"], 2, "unrecognized arguments: --bogus"),
+        (["8000"], 2, "unrecognized arguments: 8000"),
+    ],
+)
+def test_arguments_do_not_start_the_server(arguments: list[str], status: int, said: str) -> None:
+    ended = run(sys.executable, "-m", "app", *arguments, PORT="99999")
+    assert ended.returncode == status
+    assert said in (ended.stderr if status else ended.stdout)
 
 
 @pytest.mark.parametrize(

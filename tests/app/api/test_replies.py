@@ -10,6 +10,7 @@ import pytest
 from app.api.replies import (
     ReplyForm,
     joint_fields,
+    pose_reply,
     track_reply,
 )
 from app.api.tracking_schemas import TrackResponse
@@ -19,6 +20,7 @@ from app.estimation.results import Estimate
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
+from app.vision.sight import PinholeCamera
 from index.skeleton import NATIVE
 from tests.conftest import Photo
 
@@ -40,6 +42,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
     return TrackedFrame(
         frame=estimate.frame,
         camera=estimate.camera,
+        warnings=("dark",),
         frame_index=40,
         timestamp=12.34567,
         session="warm",
@@ -48,6 +51,14 @@ def frame(estimate: Estimate) -> TrackedFrame:
         events=(EVENT,),
         timings_ms=estimate.timings_ms,
     )
+
+
+def test_a_frame_of_one_column_has_a_field_of_view(
+    estimate: Estimate, estimator: Estimator
+) -> None:
+    narrow = replace(estimate, camera=PinholeCamera.of_frame((10**6, 1)))
+    reply = pose_reply(narrow, estimator.index, ReplyForm(NATIVE))
+    assert reply.image.fov_deg == 0.01
 
 
 def test_a_tracked_reply_adds_results_over_time(frame: TrackedFrame, estimator: Estimator) -> None:

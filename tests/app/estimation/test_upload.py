@@ -58,6 +58,8 @@ def test_contradicting_fields_are_refused(fields: dict[str, Any], field: str, sa
         ({"frame": png(frame()), "background": png(frame(60, 60))}, "background", "misfit"),
         ({"frame": png(frame()), "boxes": [Box(500, 0, 9, 9)]}, "boxes", "misfit"),
         ({"frame": png(frame()), "boxes": [Box(0, 0, 9, 9)] * 3}, "boxes", "misfit"),
+        ({"frame": png(frame()), "boxes": [Box(9, 9, 9, 0.004)]}, "boxes", "misfit"),
+        ({"frame": png(frame()), "boxes": [Box(159.495, 9, 9, 9)]}, "boxes", "misfit"),
         ({"mask": mask_of(*TALL)}, "mask", "misfit"),
         ({"mask": mask_of(*TALL, np.s_[0:9, 0:9], labels=True)}, "mask", "misfit"),
     ],
@@ -94,6 +96,19 @@ def test_parts_of_one_person_may_share_a_label(figures: tuple[tuple[slice, slice
     decoded = DECODER.decode(Upload(mask=mask_of(*figures)), Job())
     assert decoded.mask is not None and len(decoded.mask.present) == 1
     assert not decoded.frame.any()
+
+
+def test_people_may_cover_the_largest_frame_four_times() -> None:
+    many = UploadDecoder(max_pixels=160 * 120, max_persons=9)
+    picture, whole = png(frame()), Box(-0.5, -0.5, 160, 120)
+    assert many.decode(Upload(picture, boxes=[whole] * 4), Job()).boxes == [whole] * 4
+    # Each label reaches every border.
+    crossing = png(
+        (np.add.outer(np.arange(120) // 8, np.arange(160) // 8) % 5 + 1).astype(np.uint8)
+    )
+    for fields in ({"frame": picture, "boxes": [whole] * 5}, {"mask": crossing}):
+        with pytest.raises(UploadError, match="at most 76800 pixels, got 96000"):
+            many.decode(Upload(**fields), Job())
 
 
 def test_people_apart_may_have_labels_of_their_own() -> None:

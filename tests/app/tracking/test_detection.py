@@ -22,7 +22,7 @@ from tests.app.tracking.drawn import ColourDetector, draw, ids, send
 
 
 def frame(*people: tuple[int, int]) -> NDArray[np.uint8]:
-    return decode_image(draw(*people), max_pixels=10**6)
+    return decode_image(draw(*people), max_pixels=10**6).pixels
 
 
 def test_every_frame_reads_everyone_and_some_search_the_whole_frame(

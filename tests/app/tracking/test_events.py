@@ -34,9 +34,10 @@ def watch(
     confidence: float = 1.0,
     rests: bool = False,
     hips_m: dict[Posture, float] = HIPS_M,
+    detector: EventDetector | None = None,
 ) -> list[Event]:
     """Events of a person who is in each posture for some seconds."""
-    detector = EventDetector()
+    detector = detector or EventDetector()
     events: list[Event] = []
     frame = 0
     for posture, seconds in parts:
@@ -96,6 +97,28 @@ def test_events_of_postures(
     parts: list[tuple[Posture, float]], expected: list[tuple[str, str]]
 ) -> None:
     assert names(watch(parts)) == expected
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        # Too short on the ground for anything to be certain.
+        ([("walking", 3), ("lying", 0.3)], ["lying", "fell"]),
+        ([("walking", 3), ("arms_raised", 0.2)], ["arms_raised"]),
+        ([("walking", 3), ("lying", 3)], []),
+        ([("walking", 3), ("bending", 1)], []),
+        ([("walking", 3), ("lying", 0.3), ("walking", 3)], []),
+    ],
+)
+def test_what_has_begun_to_show_at_the_end_is_unconfirmed(
+    parts: list[tuple[Posture, float]], expected: list[str]
+) -> None:
+    detector = EventDetector()
+    watch(parts, detector=detector)
+    found = detector.unconfirmed(7)
+    assert names(found) == [(name, "unconfirmed") for name in expected]
+    end = sum(seconds for _, seconds in parts) - 1 / FPS
+    assert all(one.timestamp == pytest.approx(end) and one.probability < 0.5 for one in found)
 
 
 @pytest.mark.parametrize("posture", ["lying", "arms_raised"])

@@ -113,6 +113,22 @@ def test_late_frames_are_refused_and_change_nothing(
     assert ids(send(session, first + 1.1e-3, (0, 50))) == [1]
 
 
+@pytest.mark.parametrize("jump", [3 * 3600.0, -3 * 3600.0, 12.0, -12.0])
+def test_one_wrong_timestamp_costs_two_frames_their_tracks(
+    session: CameraSession, jump: float
+) -> None:
+    """That of the frame itself, and that of the next one."""
+    start = 1e5
+    for timestamp in (start, start + 0.1):
+        assert send(session, timestamp, (0, 50)).reset is None
+    for timestamp, ahead in ((start + 0.2 + jump, jump > 0), (start + 0.3, jump < 0)):
+        result = send(session, timestamp, (0, 50))
+        assert result.reset is not None
+        assert ("no frame came for" if ahead else "timestamps went back by") in result.reset
+        assert [event.event for event in result.events] == ["left", "entered"]
+    assert send(session, start + 0.4, (0, 50)).reset is None
+
+
 def test_without_timestamps_the_clock_counts(drawn: Estimator) -> None:
     now = iter((100.0, 100.5, 100.5, 103.0))
     session = CameraSession(drawn, clock=lambda: next(now))

@@ -44,6 +44,7 @@ class FakeSession:
         return TrackedFrame(
             frame=np.zeros((2, n, 3), np.uint8),
             camera=PinholeCamera.of_frame((2, n)),
+            warnings=(),
             frame_index=self.frames - 1,
             timestamp=float(self.frames if timestamp is None else timestamp),
             session="new" if self.frames == 1 else "warm",

@@ -31,6 +31,7 @@ def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
             TrackedFrame(
                 frame=np.zeros((2, 2, 3), np.uint8),
                 camera=PinholeCamera.of_frame((2, 2)),
+                warnings=(),
                 frame_index=index,
                 timestamp=timestamp,
                 session="warm",

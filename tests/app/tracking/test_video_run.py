@@ -11,10 +11,10 @@ import pytest
 
 from app.estimation.estimator import Estimator
 from app.scheduling.executor import Executor
-from app.scheduling.job import DeadlineError
-from app.scheduling.queue import Sender
+from app.scheduling.job import ClientGoneError, DeadlineError
+from app.scheduling.queue import Sender, ShutdownError
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession
+from app.tracking.session import CameraSession, LateFrameError
 from app.tracking.video_run import VideoEnd, VideoRun
 from app.video.reader import VideoError, VideoFrame
 from index.search import UnavailableError
@@ -83,6 +83,10 @@ async def test_every_frame_has_a_line(drawn: Estimator, executor: Executor) -> N
         ({"timeout_s": 0.05}, 1, "timeout", "longer than 0.05 seconds"),
         ({"failure": DeadlineError("too late")}, 1, "timeout", "too late"),
         ({"failure": UnavailableError("gone", "refused")}, 1, "unavailable", "cannot be searched"),
+        ({"failure": ClientGoneError()}, 1, "shutdown", "being stopped"),
+        ({"failure": ShutdownError()}, 1, "shutdown", "being stopped"),
+        ({"failure": LateFrameError("late")}, 1, "failed", "error of the service"),
+        ({"failure": ZeroDivisionError()}, 1, "failed", "error of the service"),
     ],
 )
 async def test_why_a_video_ends(

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from app.tracking.zones import Zone, ZoneKind, contains, place, zones_of
+from app.tracking.zones import Zone, ZoneKind, contains, has_area, place, zones_of
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
@@ -18,6 +19,21 @@ ELL = np.array([[10.0, 10.0], [30.0, 10.0], [30.0, 30.0], [50.0, 30.0], [50.0, 5
 
 def zone(name: str, left: float, right: float, kind: ZoneKind = "watch") -> Zone:
     return Zone(name, kind, np.array([[left, 0.0], [right, 0.0], [right, 90.0], [left, 90.0]]))
+
+
+@given(
+    turn=st.floats(0, 6.3),
+    shift=st.floats(-1e4, 1e4),
+    along=st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=9),
+)
+def test_corners_on_a_line_have_no_area(turn: float, shift: float, along: list[float]) -> None:
+    direction = np.array([np.cos(turn), np.sin(turn)])
+    assert not has_area(shift + np.outer(along, direction))
+
+
+@pytest.mark.parametrize("polygon", [SQUARE, ELL, SQUARE[[0, 2, 1, 3]], SQUARE / 10])
+def test_polygons_that_cross_themselves_have_an_area(polygon: NDArray[np.float64]) -> None:
+    assert has_area(polygon)
 
 
 @given(x=st.floats(0, 60), y=st.floats(0, 60))

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import io
+import struct
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from app.video.decoder import END, FRAME, HEADER, TOO_LARGE, write_frames
+from app.tracking.parameters import DEFAULTS
+from app.video.decoder import END, FRAME, HEADER, MIN_STEP_S, TOO_LARGE, Clock, write_frames
 from tests.conftest import ROOT
 from tests.support.videos import noisy_frames, numbered_frames, write_video
 
@@ -44,7 +50,7 @@ def test_frames_have_their_numbers_and_times(tmp_path: Path, name: str, codec: s
 def test_stride_skips_frames(tmp_path: Path) -> None:
     write_video(tmp_path / "v.avi", numbered_frames(8))
     frames = decode(tmp_path / "v.avi", stride=3)
-    assert frames == [(0, 0.0, 0), (3, 0.3, 30), (6, 0.6, 60), (END, 8, 8, 0)]
+    assert frames == [(0, 0.0, 0), (3, 0.3, 30), (6, 0.6, 60), (END, 8, 0, 0)]
 
 
 def test_truncated_file_ends_early(tmp_path: Path) -> None:
@@ -54,6 +60,30 @@ def test_truncated_file_ends_early(tmp_path: Path) -> None:
     kind, read, announced, _ = decode(path, max_pixels=100_000)[-1]
     assert kind == END
     assert 0 < int(str(read)) < int(str(announced)) == 20
+
+
+def test_frames_counted_by_estimate_are_not_missed(tmp_path: Path) -> None:
+    """Matroska has no count: it is estimated from the duration, here of the last frame."""
+    path = tmp_path / "v.mkv"
+    data = write_video(path, numbered_frames(8))
+    duration = data.index(b"\x44\x89\x88") + 3
+    path.write_bytes(data[:duration] + struct.pack(">d", 99_000.0) + data[duration + 8 :])
+    assert decode(path)[-1] == (END, 8, 0, 0)
+
+
+def test_stream_of_jpeg_pictures_is_read(tmp_path: Path) -> None:
+    pictures = [cv2.imencode(".jpg", frame)[1].tobytes() for frame in numbered_frames(4)]
+    (tmp_path / "v").write_bytes(b"".join(pictures))
+    frames = decode(tmp_path / "v")
+    assert frames == [(n, n / 25, 10 * n) for n in range(4)] + [(END, 4, 0, 0)]
+
+
+@given(st.lists(st.floats(-1, 10) | st.sampled_from([0.0, 1e-4, 0.04, 0.0401, 1e12]), min_size=1))
+def test_timestamps_ascend_by_what_a_session_takes(reported: list[float]) -> None:
+    clock = Clock(25.0)
+    times = [clock.timestamp(number, one) for number, one in enumerate(reported)]
+    assert DEFAULTS.session.min_step_s == MIN_STEP_S
+    assert all(second >= first + MIN_STEP_S for first, second in pairwise(times))
 
 
 def test_frames_of_too_many_pixels_are_not_decoded(tmp_path: Path) -> None:

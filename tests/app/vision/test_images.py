@@ -1,4 +1,4 @@
-"""Decoding of photographs and masks, and what is refused."""
+"""Decoding of photographs, what is refused, and what the answer has to warn of."""
 
 from __future__ import annotations
 
@@ -12,85 +12,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 from PIL import Image
 
-from app.vision.images import (
-    ImageError,
-    ImageTooLargeError,
-    LabelImage,
-    decode_image,
-    decode_mask,
-    read_header,
-)
+from app.vision.images import ImageError, ImageTooLargeError, decode_image, read_header
+from app.vision.masks import decode_mask
+from tests.app.vision.encoded import UPRIGHT, encode, png, quadrants, with_orientation
 
 LIMIT = 1_000_000
-
-
-def encode(image: np.ndarray, extension: str = ".png", *parameters: int) -> bytes:
-    return cv2.imencode(extension, image, list(parameters))[1].tobytes()
-
-
-def png(rows: list[bytes], width: int, depth: int, colour: int, *chunks: tuple[bytes, bytes]):
-    """A PNG that cv2.imencode cannot write."""
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
-
-    header = struct.pack(">IIBBBBB", width, len(rows), depth, colour, 0, 0, 0)
-    data = zlib.compress(b"".join(b"\0" + row for row in rows))
-    middle = b"".join(chunk(*one) for one in chunks)
-    return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + middle + chunk(b"IDAT", data)
-        + chunk(b"IEND", b"")
-    )  # fmt: skip
-
-
-def with_orientation(jpeg: bytes, orientation: int) -> bytes:
-    tiff = b"II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIHHI", 0x112, 3, 1, orientation, 0, 0)
-    body = b"Exif\0\0" + tiff
-    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + jpeg[2:]
-
-
-def quadrants() -> np.ndarray:
-    """40x60: blue, green / red, white, so that every orientation looks different."""
-    image = np.zeros((40, 60, 3), np.uint8)
-    image[:20, :30] = (255, 0, 0)
-    image[:20, 30:] = (0, 255, 0)
-    image[20:, :30] = (0, 0, 255)
-    image[20:, 30:] = 255
-    return image
-
-
-# Stored pixels to upright pixels, as the EXIF standard defines the eight values.
-UPRIGHT = {
-    1: lambda a: a,
-    2: lambda a: a[:, ::-1],
-    3: lambda a: a[::-1, ::-1],
-    4: lambda a: a[::-1],
-    5: lambda a: a.transpose(1, 0, 2),
-    6: lambda a: np.rot90(a, -1),
-    7: lambda a: a[::-1, ::-1].transpose(1, 0, 2),
-    8: lambda a: np.rot90(a),
-}
 
 
 @pytest.mark.parametrize("orientation", UPRIGHT)
 def test_exif_orientation_is_applied(orientation: int) -> None:
     stored = quadrants()
     data = with_orientation(encode(stored, ".jpg"), orientation)
-    decoded = decode_image(data, max_pixels=LIMIT).astype(int)
+    decoded = decode_image(data, max_pixels=LIMIT).pixels.astype(int)
     expected = UPRIGHT[orientation](stored).astype(int)
     assert decoded.shape == expected.shape
     assert np.abs(decoded - expected).mean() < 12  # JPEG blurs the two edges
-    stored[:10, :50], stored[10:], stored[:, 50:] = 255, 0, 0
-    data = with_orientation(encode(stored[:, :, 0], ".jpg"), orientation)
-    mask = decode_mask(data, max_pixels=LIMIT)
-    expected = UPRIGHT[orientation](stored)[:, :, 0] > 0
-    assert ((mask.labels == 1) == expected).mean() > 0.95
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".webp", ".bmp", ".tiff"])
@@ -99,7 +37,7 @@ def test_formats(extension: str) -> None:
     data = encode(image, extension)
     header = read_header(data)
     assert (header.width, header.height) == (60, 40)
-    decoded = decode_image(data, max_pixels=LIMIT)
+    decoded = decode_image(data, max_pixels=LIMIT).pixels
     assert decoded.dtype == np.uint8
     assert np.abs(decoded.astype(int) - image).mean() < 12
 
@@ -120,7 +58,7 @@ def gif(image: np.ndarray) -> bytes:
     ids=["gif", "alpha", "16 bits"],
 )
 def test_other_formats_become_eight_bits_in_three_channels(data: bytes) -> None:
-    assert (decode_image(data, max_pixels=2400) == quadrants()).all()
+    assert (decode_image(data, max_pixels=2400).pixels == quadrants()).all()
     with pytest.raises(ImageTooLargeError):
         decode_image(data, max_pixels=2399)
 
@@ -136,7 +74,7 @@ CMYK_RED = (
 
 
 def test_cmyk_jpeg() -> None:
-    decoded = decode_image(bytes.fromhex(CMYK_RED), max_pixels=LIMIT)
+    decoded = decode_image(bytes.fromhex(CMYK_RED), max_pixels=LIMIT).pixels
     assert decoded.shape == (16, 16, 3)
     blue, green, red = decoded.reshape(-1, 3).mean(axis=0)
     assert red > 180 > 80 > max(blue, green)
@@ -201,95 +139,67 @@ def test_bomb_is_refused_before_it_is_decoded() -> None:
             decode(bomb, max_pixels=50_000_000)
 
 
-@given(
-    labels=arrays(
-        st.sampled_from([np.uint8, np.uint16]),
-        st.tuples(st.integers(1, 9), st.integers(1, 9)),
-        elements=st.sampled_from([0, 0, 0, 1, 2, 9, 255]),
-    )
-)
-def test_labels_are_found_with_their_borders(labels: NDArray[np.uint8]) -> None:
-    image = LabelImage.of(labels)
-    assert image.present == [label for label in np.unique(labels).tolist() if label]
-    rest = labels.copy()
-    rows, columns = image.part.shape
-    within = rest[image.top : image.top + rows, image.left : image.left + columns]
-    assert (within == image.part).all()
-    within[:] = 0
-    assert not rest.any()
-    for edge in (image.part[:1], image.part[-1:], image.part[:, :1], image.part[:, -1:]):
-        assert edge.any() or not image.present
-    assert (image.merged().labels == (labels > 0)).all()
-
-
-def test_labels_of_other_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match="shape"):
-        LabelImage.of(np.zeros(3, np.uint8))
-
-
-def test_labels_are_kept() -> None:
-    labels = np.array([[0, 1, 1], [0, 3, 2]], np.uint8)
-    for stored in (labels, labels.astype(np.uint16) * 1000, np.dstack([labels] * 3)):
-        decoded = decode_mask(encode(stored), max_pixels=LIMIT).labels
-        assert decoded.dtype == stored.dtype
-        assert (decoded == (stored if stored.ndim == 2 else labels)).all()
-    lossless = encode(np.dstack([labels] * 3), ".webp", cv2.IMWRITE_WEBP_QUALITY, 101)
-    assert (decode_mask(lossless, max_pixels=LIMIT).labels == labels).all()
-    # If there are two values, one is the person.
-    for value in (1, 2, 255):
-        mask = decode_mask(encode(np.uint8(value) * (labels > 1)), max_pixels=LIMIT)
-        assert (mask.labels == (labels > 1)).all()
-        assert mask.present == [1]
-
-
-PALETTE = (b"PLTE", bytes(range(48))), (b"tRNS", b"\0\x80")
-
-
 @pytest.mark.parametrize(
-    ("data", "expected"),
+    ("data", "kind"),
     [
-        (png([bytes([0, 255, 1, 255, 2, 0])], 3, 8, 4), [0, 1, 2]),  # Alpha is dropped.
-        (png([bytes([0b01100000])], 8, 1, 0), [0, 1, 1, 0, 0, 0, 0, 0]),
-        (png([bytes([0b00011011])], 4, 2, 0), [0, 1, 2, 3]),
-        (png([bytes([0x12])], 2, 4, 0), [1, 2]),
-        (png([bytes([0x01, 0x2F])], 4, 4, 3, *PALETTE), [0, 1, 2, 15]),
-        (png([bytes([0, 1, 2, 15])], 4, 8, 3, *PALETTE), [0, 1, 2, 15]),
+        (b"\0\0\0\x18ftypheic" + bytes(40), "HEIC"),
+        (b"\0\0\0\x18ftypavif" + bytes(40), "AVIF"),
+        (b"\0\0\0\x18ftypisom" + bytes(40), "a video"),
+        (b"\xff\x0a" + bytes(40), "JPEG XL"),
+        (b"%PDF-1.7" + bytes(40), "PDF"),
     ],
 )
-def test_stored_values_of_a_mask_are_kept(data: bytes, expected: list[int]) -> None:
-    assert decode_mask(data, max_pixels=LIMIT).labels.tolist() == [expected]
+def test_other_formats_are_named(data: bytes, kind: str) -> None:
+    with pytest.raises(ImageError, match=f"expected a PNG, .* or GIF image, got {kind}$"):
+        decode_image(data, max_pixels=LIMIT)
+
+
+@pytest.mark.parametrize(("mode", "kind"), [("F", "floating point"), ("I", "whole numbers")])
+def test_numbers_of_32_bits_are_refused(mode: str, kind: str) -> None:
+    buffer = io.BytesIO()
+    Image.new(mode, (8, 8)).save(buffer, "TIFF")
+    with pytest.raises(ImageError, match=f"expected 8 or 16 bits a channel, got 32 bit {kind}"):
+        decode_image(buffer.getvalue(), max_pixels=LIMIT)
+
+
+def photograph(size: int = 256) -> np.ndarray:
+    """Noise, soft enough for JPEG."""
+    rng = np.random.default_rng(0)
+    return cv2.resize(rng.integers(0, 256, (size // 8, size // 8, 3), np.uint8), (size, size))
+
+
+def test_sound_pictures_have_no_warnings() -> None:
+    for extension in (".png", ".jpg", ".tiff"):
+        assert decode_image(encode(photograph(), extension), max_pixels=LIMIT).warnings == ()
+
+
+def test_jpeg_without_its_end_marker_is_read() -> None:
+    data = encode(photograph(), ".jpg")
+    whole, cut = (decode_image(one, max_pixels=LIMIT) for one in (data, data[:-2]))
+    assert (cut.pixels == whole.pixels).all()
+    assert cut.warnings == ()
 
 
 @pytest.mark.parametrize("orientation", UPRIGHT)
-def test_exif_orientation_is_applied_to_palette_images(orientation: int) -> None:
-    image = Image.fromarray(np.array([[0, 1, 2], [0, 3, 3]], np.uint8), "P")
-    image.putpalette(range(48))
-    buffer, exif = io.BytesIO(), Image.Exif()
-    exif[0x112] = orientation
-    image.save(buffer, "PNG", exif=exif)
-    decoded = decode_mask(buffer.getvalue(), max_pixels=LIMIT)
-    expected = UPRIGHT[orientation](np.asarray(image)[..., None])[..., 0]
-    assert decoded.labels.tolist() == expected.tolist()
+@pytest.mark.parametrize("end", [b"", b"\xff\xd9"])
+def test_jpeg_that_lacks_a_part_says_so(orientation: int, end: bytes) -> None:
+    data = with_orientation(encode(photograph(), ".jpg"), orientation)
+    cut = decode_image(data[: 3 * len(data) // 4] + end, max_pixels=LIMIT)
+    assert cut.warnings == ("truncated",)
+    with pytest.raises(ImageError, match="most of it is missing"):
+        decode_image(data[: len(data) // 4] + end, max_pixels=LIMIT)
 
 
-@pytest.mark.parametrize("extension", ["JPEG", "TIFF"])
-def test_lossy_mask_is_one_person(extension: str) -> None:
-    mask = np.zeros((64, 64), np.uint8)
-    mask[16:48, 16:48] = 255
-    buffer = io.BytesIO()
-    Image.fromarray(mask).save(buffer, extension, compression="jpeg")
-    decoded = decode_mask(buffer.getvalue(), max_pixels=LIMIT)
-    assert (decoded.labels == (mask > 0)).all()
+@pytest.mark.parametrize(("low", "high"), [(0, 1023), (0, 4095), (0, 16383), (7000, 9000)])
+def test_range_of_16_bits_that_is_used_is_stretched(low: int, high: int) -> None:
+    grey = np.linspace(0, 1, 10_000).reshape(100, 100)
+    stored = np.round(low + (high - low) * grey).astype(np.uint16)
+    for extension in (".png", ".tiff"):
+        decoded = decode_image(encode(stored, extension), max_pixels=LIMIT)
+        assert decoded.warnings == ("stretched",)
+        assert np.abs(decoded.pixels[..., 0] - 255 * grey).max() < 4
 
 
-@pytest.mark.parametrize(
-    ("mask", "message"),
-    [
-        (quadrants(), "coloured"),
-        (np.arange(256, dtype=np.uint8)[None], "255: a mask with soft edges"),
-        (np.zeros((4, 4), np.float32), "whole numbers, got float32"),
-    ],
-)
-def test_images_that_are_no_masks_are_refused(mask: np.ndarray, message: str) -> None:
-    with pytest.raises(ImageError, match=message):
-        decode_mask(encode(mask, ".tiff"), max_pixels=LIMIT)
+def test_dark_pictures_say_so() -> None:
+    for dark in (photograph() // 16, np.zeros((5, 3, 3), np.uint8), np.full((9, 9), 30, np.uint16)):
+        assert decode_image(encode(dark), max_pixels=LIMIT).warnings == ("dark",)
