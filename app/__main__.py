@@ -15,6 +15,7 @@ import sys
 import uvicorn
 
 from app.http.logs import log_config
+from app.serving.cameras_file import read_cameras
 from app.serving.milvus import MissingPackageError, check_milvus_package
 from app.serving.runtime import VERSION
 from app.settings import Settings, SettingsError, read_settings
@@ -40,6 +41,7 @@ def main() -> None:
         settings = read_settings()
         check_address(settings.host, settings.port)
         check_networks()
+        read_cameras(settings.cameras_file)
         if isinstance(settings.index, MilvusAddress):
             check_milvus_package()
     except (SettingsError, NetworkError, MissingPackageError) as error:

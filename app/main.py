@@ -24,6 +24,7 @@ from app.routes.cameras import SESSION_HEADER
 from app.routes.openapi import SERVERS, TAGS, add_openapi
 from app.scheduling.executor import Executor
 from app.scheduling.process import configure_process
+from app.serving.cameras_file import read_cameras
 from app.serving.loading import become_ready, keep_index_loaded
 from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, read_settings
@@ -69,6 +70,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         max_sessions=settings.max_cameras,
         idle_s=settings.camera_idle_s,
         max_memory_bytes=settings.camera_memory_mb * 1024**2,
+        configured=read_cameras(settings.cameras_file),
         on_begin=metrics.sessions_started.inc,
         on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
     )

@@ -84,6 +84,18 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
     return f"expected {_EXPECTED[kind].format(**context)}, got {shortened(error['input'])}"
 
 
+def located(error: Mapping[str, Any]) -> tuple[str, str]:
+    """Word an error of pydantic in JSON: the place, and what is wrong there.
+
+    Examples
+    --------
+    >>> located({"type": "list_type", "loc": ("zones", 0, "polygon"), "input": 1})
+    ('zones[0].polygon', 'expected a list, got 1')
+    """
+    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in error["loc"])
+    return "".join(steps)[1:], expected_and_got(error)
+
+
 def shortened(value: object) -> str:
     """Quote a value, shortened if it is long."""
     text, most = repr(value), _MAX_VALUE_CHARACTERS

@@ -118,6 +118,11 @@ class Settings(BaseSettings):
         description="Most camera sessions; the least recently used one is dropped. 0 turns "
         "sessions off.",
     )
+    cameras_file: Path | None = Field(
+        default=None,
+        description="JSON file with zones and optics of cameras, read at the start; see "
+        "[zones](tracking.md#zones).",
+    )
     camera_idle_s: float = Field(
         default=300.0,
         gt=0,

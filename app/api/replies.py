@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -346,6 +346,11 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
     )
 
 
+def events_reply(camera_id: str, events: Iterable[Event]) -> tracking_schemas.CameraEvents:
+    """List the latest events of a camera."""
+    return tracking_schemas.CameraEvents(camera_id=camera_id, events=list(map(_event, events)))
+
+
 def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
     """Read what a caller says about a camera."""
     zones = [
@@ -407,6 +412,7 @@ def _event(event: Event) -> tracking_schemas.Event:
         probability=round(event.probability, 4),
         zones=list(event.zones),
         caller_track_id=event.caller_track_id,
+        dwell_s=None if event.dwell_s is None else round(event.dwell_s, SECOND_DIGITS),
     )
 
 

@@ -85,7 +85,9 @@ class CameraConfiguration(Model):
     """The configuration of a camera."""
 
     zones: list[Zone] = Field(
-        max_length=MAX_ZONES, description="All zones of the camera; an empty list removes them."
+        default=[],
+        max_length=MAX_ZONES,
+        description="All zones of the camera; without any, it has none.",
     )
     fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = Field(
         None, description="Horizontal field of view, degrees, of frames that do not say their own."
@@ -186,19 +188,21 @@ class Event(Model):
     """A change in a track at one frame."""
 
     event: EventName = Field(
-        description="`entered`, `left`: the track began, ended; `fell`: the person went down and "
-        "lies; `lying`, `arms_raised`: the posture.",
+        description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`: the "
+        "person is in a zone, or no longer; `fell`: the person went down and lies; `lying`, "
+        "`arms_raised`: the posture.",
         examples=["fell"],
     )
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
     state: EventState = Field(
-        description="Whether it began or ended; `instant` for `entered`, `left` and `fell`, which "
-        "have no duration; `unconfirmed`, in the last line of a video alone, for what had begun to "
-        "show, but was not certain.",
+        description="Whether `lying` or `arms_raised` began or ended; `instant` for all others; "
+        "`unconfirmed`, in the last line of a video alone, for what had begun to show, but was not "
+        "certain.",
         examples=["instant"],
     )
     zones: list[str] = Field(
-        description="Names of the camera's zones in which the person is, or was seen last.",
+        description="Names of the camera's zones in which the person is, or was seen last; the "
+        "zone alone for `zone_entered` and `zone_left`.",
         examples=[["kitchen"]],
     )
     caller_track_id: str | None = Field(
@@ -207,6 +211,11 @@ class Event(Model):
     )
     timestamp: FiniteFloat = Field(description="Time of the frame, seconds.", examples=[12.4])
     probability: Probability = Field(description="Probability of the event.", examples=[0.93])
+    dwell_s: FiniteFloat | None = Field(
+        ge=0,
+        description="Seconds that the person was in the zone, with `zone_left`; otherwise null.",
+        examples=[31.5],
+    )
 
 
 class _TrackedFrame(PoseResponse):
@@ -239,12 +248,12 @@ class CameraState(Model):
     """A camera at a glance: its zones, and its session if it has one."""
 
     camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
-    zones: list[Zone] = Field(description="As `PUT` set them.")
+    zones: list[Zone] = Field(description="As `PUT` or the service's file set them.")
     fov_deg: FieldOfView | None = Field(
-        description="Horizontal field of view, degrees, as `PUT` set it. Null if it did not."
+        description="Horizontal field of view, degrees, as configured. Null if it is not."
     )
     pixel_aspect: PixelAspect | None = Field(
-        description="Width over height of a pixel, as `PUT` set it. Null if it did not."
+        description="Width over height of a pixel, as configured. Null if it is not."
     )
     frames: int = Field(
         ge=0,
@@ -273,8 +282,15 @@ class CameraState(Model):
     )
 
 
+class CameraEvents(Model):
+    """The latest events of a camera."""
+
+    camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
+    events: list[Event] = Field(description="At most a hundred, in order.")
+
+
 class CameraList(Model):
-    """The cameras of the caller that have a session or zones."""
+    """The cameras of the caller that have a session or a configuration."""
 
     cameras: list[CameraState] = Field(description="Ordered by name.")
 

@@ -8,12 +8,18 @@ from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import ValidationError
 
-from app.api.replies import camera_reply, settings_from, track_reply
-from app.api.tracking_schemas import CameraConfiguration, CameraList, CameraState, TrackResponse
+from app.api.replies import camera_reply, events_reply, settings_from, track_reply
+from app.api.tracking_schemas import (
+    CameraConfiguration,
+    CameraEvents,
+    CameraList,
+    CameraState,
+    TrackResponse,
+)
 from app.http.errors import ProblemError
 from app.http.identity import CAMERA_PATTERN, RequireKey, identity_of
 from app.http.request_state import request_state
-from app.messages import expected_and_got
+from app.messages import located
 from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, NoQuery, TrackQuery
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
@@ -119,7 +125,7 @@ async def track_frame(
     responses=documented(401),
 )
 async def list_cameras(request: Request) -> CameraList:
-    """List the caller's cameras that have a session or zones, ordered by name."""
+    """List the caller's cameras that have a session or a configuration, ordered by name."""
     sessions = runtime_of(request).sessions.summaries(_owner(request))
     return CameraList(cameras=[camera_reply(session) for session in sessions])
 
@@ -139,6 +145,24 @@ async def get_camera(request: Request, camera: Camera) -> CameraState:
         raise _unknown(camera) from None
 
 
+@router.get(
+    "/{camera_id}/events",
+    operation_id="list_camera_events",
+    summary="The latest events of a camera",
+    dependencies=[NoQuery],
+    responses=documented(401, 404, 422),
+)
+async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
+    """List the last hundred events of a camera, the newest last.
+
+    They are kept as long as the camera has a session or a configuration.
+    """
+    try:
+        return events_reply(camera.camera_id, runtime_of(request).sessions.events(camera))
+    except KeyError:
+        raise _unknown(camera) from None
+
+
 # Parsed here, after the key is checked, so that any error is one sentence.
 async def _read_configuration(request: Request) -> CameraConfiguration:
     try:
@@ -149,9 +173,8 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
             raise ProblemError(
                 422, 'expected a JSON object such as {"zones": []}, got something else'
             ) from None
-        steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in first["loc"])
-        place = "".join(steps)[1:]
-        raise ProblemError(422, f"{place}: {expected_and_got(first)}", field=place) from None
+        place, sentence = located(first)
+        raise ProblemError(422, f"{place}: {sentence}", field=place) from None
 
 
 @router.put(
@@ -177,8 +200,9 @@ async def configure_camera(
     """Set the zones and the optics of a camera, whether or not it has sent frames.
 
     From the next frame on, persons and events name the zones they are in. A new configuration
-    replaces the previous one as a whole. It outlives the camera's session but not the service: set
-    it again after a restart.
+    replaces the previous one as a whole, and that of the service's file for this caller. It
+    outlives the camera's session but not the service: what is to survive a restart belongs into
+    the file.
     """
     try:
         settings = settings_from(configuration)
@@ -198,9 +222,10 @@ async def configure_camera(
     responses=documented(401, 404, 422),
 )
 async def forget_camera(request: Request, camera: Camera) -> None:
-    """Forget a camera's zones and end its session: its next frame starts afresh.
+    """Forget a camera's configuration and events and end its session: its next frame starts afresh.
 
-    To remove the zones alone, set an empty list.
+    A configuration in the service's file counts again. To remove the zones alone, set an empty
+    list.
     """
     try:
         runtime_of(request).sessions.forget(camera)
@@ -210,5 +235,6 @@ async def forget_camera(request: Request, camera: Camera) -> None:
 
 def _unknown(camera: CameraKey) -> ProblemError:
     return ProblemError(
-        404, f"expected a camera that has sent frames of late or has zones, got {camera.camera_id}"
+        404,
+        f"expected a camera that has sent frames of late or is configured, got {camera.camera_id}",
     )

@@ -202,6 +202,16 @@ class EventParameters:
 
 
 @dataclass(frozen=True)
+class ZoneParameters:
+    """When a person has entered or left a zone."""
+
+    # Feet at a border move by some hundredths of a body from frame to frame: for as far outside, in
+    # sizes of the person, who has entered is still in the zone.
+    margin: float = 0.1
+    settling_s: float = 0.5  # For so long a person is inside or outside before it is an event.
+
+
+@dataclass(frozen=True)
 class ActionParameters:
     """The sliding window of actions, and what counts beside the linear model."""
 
@@ -238,6 +248,7 @@ class TrackingParameters:
     smoothing: SmoothingParameters = SmoothingParameters()
     posture: PostureParameters = PostureParameters()
     events: EventParameters = EventParameters()
+    zones: ZoneParameters = ZoneParameters()
     actions: ActionParameters = ActionParameters()
     summary: SummaryParameters = SummaryParameters()
 

@@ -12,7 +12,7 @@ from app.estimation.results import Person
 from app.vision.images import ImageWarning
 from app.vision.sight import PinholeCamera
 
-EventName = Literal["entered", "left", "lying", "fell", "arms_raised"]
+EventName = Literal["entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
 
@@ -54,20 +54,24 @@ class Event:
     Parameters
     ----------
     event : str
-        ``entered``, ``left``, ``lying``, ``fell`` or ``arms_raised``.
+        ``entered``, ``left``, ``zone_entered``, ``zone_left``, ``lying``, ``fell`` or
+        ``arms_raised``.
     track_id : int
         Of the person.
     state : str
-        ``begin`` or ``end``; ``instant`` for ``entered``, ``left`` and ``fell``; ``unconfirmed``
-        for what had begun to show at the last frame.
+        ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
+        ``unconfirmed`` for what had begun to show at the last frame.
     timestamp : float
         Seconds, of the frame.
     probability : float
         Confidence in the event, 0 to 1.
     zones : tuple of str
-        Names of the zones in which the person is.
+        Names of the zones in which the person is; for ``zone_entered`` and ``zone_left``, of the
+        zone that the person entered or left.
     caller_track_id : str or None
         As in :class:`TrackedPerson`.
+    dwell_s : float or None
+        Seconds that the person was in the zone, for ``zone_left`` alone.
     """
 
     event: EventName
@@ -77,6 +81,7 @@ class Event:
     probability: float
     zones: tuple[str, ...] = ()
     caller_track_id: str | None = None
+    dwell_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -332,12 +332,16 @@ class CameraSession:
                 self._events += events
             else:
                 result = track.extrapolate(observed, timestamp)
+            if track.seen_at == timestamp:
+                self._events += track.cross_zones(timestamp, zones)
             shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
             tracked.append(replace(result, person=shown))
         return tuple(tracked)
 
     def _emit(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
         if track.track_id is not None:
+            if event == "left":
+                self._events += track.leave_zones(timestamp)
             moment = Event(event, track.track_id, "instant", timestamp, track.score)
             self._events.append(track.annotated(moment))
 

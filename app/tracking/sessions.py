@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -12,9 +13,12 @@ from app.estimation.estimator import Estimator
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
-from app.tracking.results import TrackedFrame
+from app.tracking.results import Event, TrackedFrame
 from app.tracking.session import CameraSession
 from app.tracking.zones import Zone
+
+KEPT_EVENTS = 100
+"""Of each camera."""
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
 """Why a session ended: on demand, by one of the limits, or because the index was replaced."""
@@ -143,6 +147,8 @@ class CameraSessions:
     max_memory_bytes : int
         Of all sessions together, as they report it. The last used one stays even if it alone
         exceeds this.
+    configured : mapping of str to CameraSettings, optional
+        Of cameras by name, for all callers, until they set their own.
     on_begin : callable
         Called when a session has begun.
     on_end : callable
@@ -158,6 +164,7 @@ class CameraSessions:
         max_sessions: int,
         idle_s: float,
         max_memory_bytes: int,
+        configured: Mapping[str, CameraSettings] | None = None,
         on_begin: Callable[[], None] = lambda: None,
         on_end: Callable[[EndReason], None] = lambda reason: None,
         clock: Callable[[], float] = time.monotonic,
@@ -169,7 +176,9 @@ class CameraSessions:
         self._on_begin, self._on_end = on_begin, on_end
         self._clock = clock
         self._open: dict[CameraKey, _OpenSession] = {}
+        self._configured = configured or {}
         self._settings: dict[CameraKey, CameraSettings] = {}
+        self._events: dict[CameraKey, deque[Event]] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -210,7 +219,7 @@ class CameraSessions:
                 opened = None
             if opened is not None:
                 opened.busy = True
-            settings = self._settings.get(key, _NO_SETTINGS)
+            settings = self._settings_of(key)
         begins = opened is None
         if opened is None:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
@@ -223,6 +232,7 @@ class CameraSessions:
                 if begins:
                     self._open[key] = opened
                     self._on_begin()
+                self._events.setdefault(key, deque(maxlen=KEPT_EVENTS)).extend(frame.events)
                 self._shrink()
         finally:
             opened.busy = False
@@ -238,14 +248,16 @@ class CameraSessions:
         """
         with self._lock:
             others = sum(k.caller == key.caller for k in self._settings.keys() - {key})
-            if settings != _NO_SETTINGS and others >= self._max_sessions:
+            matters = settings != _NO_SETTINGS or key.camera_id in self._configured
+            if matters and others >= self._max_sessions:
                 raise TooManyCamerasError(
                     f"expected zones of at most {self._max_sessions} cameras, got one more"
                 )
-            if settings != _NO_SETTINGS:
+            if matters:
                 self._settings[key] = settings
             else:
                 self._settings.pop(key, None)
+            self._drop_events()
             return self._summary(key)
 
     def summaries(self, caller: int) -> list[CameraSummary]:
@@ -253,6 +265,7 @@ class CameraSessions:
         with self._lock:
             self._end_idle()
             known = self._open.keys() | self._settings.keys()
+            known |= {CameraKey(caller, name) for name in self._configured}
             return [self._summary(key) for key in sorted(known) if key.caller == caller]
 
     def summary(self, key: CameraKey) -> CameraSummary:
@@ -262,15 +275,23 @@ class CameraSessions:
             self._check_known(key)
             return self._summary(key)
 
-    def forget(self, key: CameraKey) -> None:
-        """Forget settings and end the session of a camera; raises KeyError if it has neither.
+    def events(self, key: CameraKey) -> tuple[Event, ...]:
+        """Return the latest events of a camera, oldest first; raises KeyError as `summary`."""
+        with self._lock:
+            self._end_idle()
+            self._check_known(key)
+            return tuple(self._events.get(key, ()))
 
-        A frame that is being processed is finished.
+    def forget(self, key: CameraKey) -> None:
+        """Forget a camera's session, events and what the caller has set; KeyError as `summary`.
+
+        What was configured at the start counts again. A frame that is being processed is finished.
         """
         with self._lock:
             self._end_idle()
             self._check_known(key)
             self._settings.pop(key, None)
+            self._events.pop(key, None)
             if key in self._open:
                 self._end(key, "forgotten")
 
@@ -287,13 +308,25 @@ class CameraSessions:
             self._end_idle()
 
     def _check_known(self, key: CameraKey) -> None:
-        if key not in self._open and key not in self._settings:
+        if not self._is_known(key):
             raise KeyError(key)
+
+    def _is_known(self, key: CameraKey) -> bool:
+        return key in self._open or key in self._settings or key.camera_id in self._configured
+
+    def _settings_of(self, key: CameraKey) -> CameraSettings:
+        configured = self._configured.get(key.camera_id, _NO_SETTINGS)
+        return self._settings.get(key, configured)
+
+    def _drop_events(self) -> None:
+        """Drop the events of cameras that are no longer known."""
+        for key in [key for key in self._events if not self._is_known(key)]:
+            del self._events[key]
 
     def _summary(self, key: CameraKey) -> CameraSummary:
         opened = self._open.get(key)
         session = opened.summary(self._clock()) if opened else None
-        return CameraSummary(key.camera_id, self._settings.get(key, _NO_SETTINGS), session)
+        return CameraSummary(key.camera_id, self._settings_of(key), session)
 
     def _end_idle(self) -> None:
         since = self._clock() - self._idle_s
@@ -320,4 +353,5 @@ class CameraSessions:
 
     def _end(self, key: CameraKey, reason: EndReason) -> None:
         del self._open[key]
+        self._drop_events()
         self._on_end(reason)

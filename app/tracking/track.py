@@ -18,8 +18,9 @@ from app.tracking.parameters import DEFAULTS, BoxParameters, TrackingParameters
 from app.tracking.posture_filter import PostureFilter
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.tracking.zones import Zone, is_rest, zones_of
+from app.tracking.zones import Zone, ZoneWatch, is_rest, zones_of
 from app.vision.geometry import Box, PersonWindow
+from index.posture import Posture
 from index.skeleton import side_rows
 
 _HIPS = side_rows("hip")
@@ -146,6 +147,7 @@ class Track:
         self._smoother = PoseSmoother(parameters)
         self._recogniser = ActionRecogniser(parameters=parameters)
         self._event_detector = EventDetector(parameters.events)
+        self._zone_watch = ZoneWatch(parameters.zones)
         self._posture_filter = PostureFilter(parameters.posture)
         self._facing: Facing | None = None
         self._posture: EstimatedPosture | None = None
@@ -234,14 +236,38 @@ class Track:
             return ()
         return tuple(map(self.annotated, self._event_detector.unconfirmed(self.track_id)))
 
+    def cross_zones(self, timestamp: float, zones: Sequence[Zone]) -> list[Event]:
+        """Take in this frame, in which the person was seen; return the zones entered and left."""
+        if self.track_id is None:
+            return []
+        crossings = self._zone_watch.update(
+            self.track_id, timestamp, zones, self.box_filter.seen, self._known_posture()
+        )
+        return self._crossings(crossings)
+
+    def leave_zones(self, timestamp: float) -> list[Event]:
+        """Leave all zones, where the track ends."""
+        if self.track_id is None:
+            return []
+        return self._crossings(self._zone_watch.end(self.track_id, timestamp, self.seen_at))
+
     def annotated(self, event: Event) -> Event:
         """An event of this track with the person's zones and the caller's identity."""
         return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)
 
-    def _locate(self, observed: ObservedPerson, zones: Sequence[Zone]) -> None:
+    def _crossings(self, events: Sequence[Event]) -> list[Event]:
+        """Events of zones with the track's probability and the caller's identity."""
+        return [
+            replace(event, probability=self.score, caller_track_id=self.caller_id)
+            for event in events
+        ]
+
+    def _known_posture(self) -> Posture | None:
         label = self._posture.label if self._posture else None
-        posture = None if label == "unclear" else label
-        self.zones = zones_of(zones, observed.box, posture)
+        return None if label == "unclear" else label
+
+    def _locate(self, observed: ObservedPerson, zones: Sequence[Zone]) -> None:
+        self.zones = zones_of(zones, observed.box, self._known_posture())
 
     def _zone_names(self) -> tuple[str, ...]:
         return tuple(zone.name for zone in self.zones)

@@ -1,15 +1,17 @@
-"""Zones of a camera's picture, and which of them a person is in."""
+"""Zones of a camera's picture: which of them a person is in, enters and leaves."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.tracking.parameters import DEFAULTS, ZoneParameters
+from app.tracking.results import Event
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, Posture
 
@@ -58,6 +60,15 @@ def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
     return bool((crossed & (x < x1 + (y - y1) * (x2 - x1) / rise)).sum() % 2)
 
 
+def distance(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """Distance of a point ``(2,)`` to the border of a polygon ``(P, 2)``, pixels."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    squared = np.maximum((edges**2).sum(axis=1), np.finfo(float).tiny)
+    along = np.clip(((point - polygon) * edges).sum(axis=1) / squared, 0.0, 1.0)
+    nearest = polygon + along[:, None] * edges
+    return float(np.hypot(*(point - nearest).T).min())
+
+
 def place(box: Box, posture: Posture | None) -> NDArray[np.float64]:
     """Where a person is ``(2,)``: at their feet, or at the centre of a body on the ground."""
     if posture in ON_THE_GROUND:
@@ -74,3 +85,96 @@ def zones_of(zones: Iterable[Zone], box: Box, posture: Posture | None) -> tuple[
 def is_rest(zones: Iterable[Zone]) -> bool:
     """Whether any of the zones is for resting."""
     return any(zone.kind == "rest" for zone in zones)
+
+
+@dataclass
+class _Stay:
+    """A person in a zone, or about to be; all times in seconds.
+
+    Parameters
+    ----------
+    since : float
+        When the person came in.
+    entered : bool
+        Whether the person has been inside for long enough.
+    outside_since : float or None
+        When the person was first seen outside again; None while inside.
+    """
+
+    since: float
+    entered: bool = False
+    outside_since: float | None = None
+
+
+class ZoneWatch:
+    """Watches in which zones a person stays.
+
+    The person enters a zone inside its polygon, and leaves it outside by a margin; either has to
+    last a while. A border between the two changes nothing.
+    """
+
+    def __init__(self, parameters: ZoneParameters = DEFAULTS.zones) -> None:
+        self._parameters = parameters
+        self._stays: dict[str, _Stay] = {}
+
+    def update(
+        self,
+        track_id: int,
+        timestamp: float,
+        zones: Sequence[Zone],
+        box: Box,
+        posture: Posture | None,
+    ) -> list[Event]:
+        """Take in where the person is; return what zones they have entered and left.
+
+        A zone that the camera no longer has counts as left.
+        """
+        events = []
+        removed = self._stays.keys() - {zone.name for zone in zones}
+        for name in sorted(removed):
+            events += self._leave(name, track_id, timestamp, timestamp)
+        for zone in zones:
+            stay = self._stays.get(zone.name)
+            if self._is_inside(zone, box, posture, stay is not None and stay.entered):
+                stay = self._stays.setdefault(zone.name, _Stay(timestamp))
+                stay.outside_since = None
+                if not stay.entered and timestamp - stay.since >= self._parameters.settling_s:
+                    stay.entered = True
+                    events.append(_crossing("zone_entered", zone.name, track_id, timestamp))
+            elif stay is not None:
+                if stay.outside_since is None:
+                    stay.outside_since = timestamp
+                outside_s = timestamp - stay.outside_since
+                if not stay.entered or outside_s >= self._parameters.settling_s:
+                    events += self._leave(zone.name, track_id, timestamp, timestamp)
+        return events
+
+    def end(self, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
+        """Leave all zones; the person was last seen at a time."""
+        names = list(self._stays)
+        return [
+            event for name in names for event in self._leave(name, track_id, timestamp, seen_at)
+        ]
+
+    def _is_inside(self, zone: Zone, box: Box, posture: Posture | None, entered: bool) -> bool:
+        point, margin_px = place(box, posture), self._parameters.margin * max(box.width, box.height)
+        return contains(zone.polygon, point) or (
+            entered and distance(zone.polygon, point) <= margin_px
+        )
+
+    def _leave(self, name: str, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
+        stay = self._stays.pop(name)
+        if not stay.entered:
+            return []
+        until = seen_at if stay.outside_since is None else stay.outside_since
+        return [_crossing("zone_left", name, track_id, timestamp, max(0.0, until - stay.since))]
+
+
+def _crossing(
+    name: Literal["zone_entered", "zone_left"],
+    zone: str,
+    track_id: int,
+    timestamp: float,
+    dwell_s: float | None = None,
+) -> Event:
+    return Event(name, track_id, "instant", timestamp, 1.0, (zone,), dwell_s=dwell_s)

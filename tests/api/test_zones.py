@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,12 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from app.api.tracking_schemas import CameraState
+from app.api.tracking_schemas import CameraEvents, CameraState
 from app.main import create_app
+from app.serving.cameras_file import read_cameras
 from app.serving.loading import load_estimator
 from app.serving.runtime import Runtime
-from app.settings import Settings
+from app.settings import Settings, SettingsError
 from index import DEFAULT_PATH
 from index.store import PoseIndex
 from tests.conftest import Photo, Serving, photograph, png
@@ -91,6 +93,87 @@ class TestConfigure:
             assert configure(client, LEFT, camera="roof", headers=first).status_code == 200
 
 
+class TestFile:
+    @pytest.fixture
+    def file(self, tmp_path: Path) -> Path:
+        path = tmp_path / "cameras.json"
+        path.write_text(json.dumps({"yard": {"zones": [LEFT], "fov_deg": 72}, "gate": {}}))
+        return path
+
+    def test_cameras_of_the_file_are_configured_until_callers_do_it(
+        self, serving: Serving, file: Path, photo: Photo
+    ) -> None:
+        with serving(cameras_file=file) as client:
+            listed = client.get("/cameras").json()["cameras"]
+            assert [camera["camera_id"] for camera in listed] == ["gate", "yard"]
+            state = send(client, photo).json()["image"]
+            assert (state["fov_deg"], state["fov_given"]) == (72, True)
+            assert configure(client).json()["zones"] == []
+            assert client.get("/cameras/yard").json()["fov_deg"] is None
+            assert client.delete("/cameras/yard").status_code == 204
+            assert client.get("/cameras/yard").json()["zones"] == [LEFT]
+
+    @pytest.mark.parametrize(
+        ("text", "problem"),
+        [
+            ("{", "expected valid JSON"),
+            ("[]", "input should be an object"),
+            ('{"../yard": {}}', "expected text of the form"),
+            ('{"yard": {"zone": []}}', "yard.zone: extra inputs are not permitted"),
+            ('{"yard": {"zones": [{"name": "bed"}]}}', "yard.zones[0].kind: expected a value"),
+        ],
+    )
+    def test_a_wrong_file_is_refused_in_a_sentence(
+        self, tmp_path: Path, text: str, problem: str
+    ) -> None:
+        path = tmp_path / "cameras.json"
+        path.write_text(text)
+        with pytest.raises(SettingsError) as error:
+            read_cameras(path)
+        assert str(error.value).startswith(f"POSE_CAMERAS_FILE: {path}: ")
+        assert problem in str(error.value)
+
+    def test_a_missing_file_is_refused_in_a_sentence(self, tmp_path: Path) -> None:
+        with pytest.raises(
+            SettingsError, match=r"expected a file of cameras, got .*: No such file"
+        ):
+            read_cameras(tmp_path / "none.json")
+
+
+class TestEvents:
+    def test_the_last_hundred_are_kept_until_the_camera_is_forgotten(
+        self, client: TestClient, photo: Photo
+    ) -> None:
+        box, seen = [145, 35, 58, 140], []
+        for number in range(60):  # After each gap, the person leaves and enters anew.
+            seen += track(client, photo, [box], timestamp=str(20 * number))["events"]
+        reply = CameraEvents.model_validate_json(client.get("/cameras/yard/events").content)
+        assert [event.model_dump() for event in reply.events] == seen[-100:]
+        client.delete("/cameras/yard")
+        check_problem(client.get("/cameras/yard/events"), 404)
+
+    def test_a_person_in_a_zone_enters_it_and_leaves_it(
+        self, client: TestClient, photo: Photo
+    ) -> None:
+        assert client.put("/cameras/yard", json={"fov_deg": 60}).status_code == 200
+        configure(client, RIGHT)
+        box, crossings = [145, 35, 58, 140], []
+        frames = [(number / 10, "a") for number in range(20)] + [(5.0, "b")]
+        for seconds, name in frames:
+            answer = track(client, photo, [box], track_ids=f'["{name}"]', timestamp=str(seconds))
+            crossings += [
+                (e["event"], e["caller_track_id"], e["zones"], e["dwell_s"])
+                for e in answer["events"]
+            ]
+        assert crossings == [
+            ("entered", "a", ["bed"], None),
+            ("zone_entered", "a", ["bed"], None),
+            ("entered", "b", ["bed"], None),
+            ("zone_left", "a", ["bed"], 1.9),
+            ("left", "a", ["bed"], None),
+        ]
+
+
 class TestPeople:
     def test_people_and_events_name_their_zones(
         self, client: TestClient, tiny_index: PoseIndex
@@ -152,8 +235,8 @@ def test_lying_is_an_event_except_in_bed(shipped: TestClient) -> None:
         configure(shipped, RIGHT | {"kind": "watch"})
         found.update(watch(shipped, mask))
         configure(shipped, RIGHT)
-        assert watch(shipped, mask) == [("entered", "bed")]
-    assert found == {("entered", "bed"), ("lying", "bed")}
+        assert watch(shipped, mask) == [("entered", "bed"), ("zone_entered", "bed")]
+    assert found == {("entered", "bed"), ("zone_entered", "bed"), ("lying", "bed")}
 
 
 class TestTrackIds:

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.tracking.zones import Zone, ZoneKind, contains, has_area, place, zones_of
+from app.tracking.parameters import DEFAULTS
+from app.tracking.results import Event
+from app.tracking.zones import (
+    Zone,
+    ZoneKind,
+    ZoneWatch,
+    contains,
+    distance,
+    has_area,
+    place,
+    zones_of,
+)
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
@@ -83,3 +96,71 @@ def test_zones_come_in_the_order_given() -> None:
 def test_wrong_shapes_of_polygons_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="expected a polygon"):
         Zone("bed", "rest", np.zeros(shape))
+
+
+@given(x=st.floats(-20, 80), y=st.floats(-20, 80))
+def test_distance_is_that_to_the_nearest_side(x: float, y: float) -> None:
+    point = np.array([x, y])
+    along = np.linspace(SQUARE, np.roll(SQUARE, -1, axis=0), 401).reshape(-1, 2)
+    nearest = np.hypot(*(along - point).T).min()
+    assert distance(SQUARE, point) == pytest.approx(nearest, abs=0.06)
+
+
+FPS = 10
+GATE = zone("gate", 0, 100)
+"""Its border is at 100 px; a person is 100 px tall, so the margin reaches to 110 px."""
+
+
+def walk(feet_px: Iterable[float], fps: float = FPS) -> list[Event]:
+    watch, events = ZoneWatch(), []
+    for number, x in enumerate(feet_px):
+        events += watch.update(7, number / fps, [GATE], Box(x - 20, -20, 40, 100), "walking")
+    return events
+
+
+def crossings(events: Iterable[Event]) -> list[tuple[str, float, float | None]]:
+    return [(event.event, event.timestamp, event.dwell_s) for event in events]
+
+
+def test_a_stay_begins_and_ends_with_its_length() -> None:
+    events = walk([150] * 10 + [50] * 30 + [150] * 10)
+    assert crossings(events) == [
+        ("zone_entered", 1.5, None),
+        ("zone_left", 4.5, pytest.approx(3.0)),
+    ]
+    assert {(event.track_id, event.state, event.zones) for event in events} == {
+        (7, "instant", ("gate",))
+    }
+
+
+@pytest.mark.parametrize("fps", [1, 5, 10, 30])
+@given(jitter=st.lists(st.floats(-9, 9), min_size=60, max_size=60))
+def test_at_the_border_nothing_alternates(fps: float, jitter: list[float]) -> None:
+    names = [event.event for event in walk([100 + x for x in jitter], fps)]
+    assert names in ([], ["zone_entered"])
+
+
+@given(feet_px=st.lists(st.sampled_from([50.0, 105.0, 150.0]), max_size=60))
+def test_a_person_enters_and_leaves_in_turn(feet_px: list[float]) -> None:
+    names = [event.event for event in walk(feet_px)]
+    assert names == ["zone_entered", "zone_left"] * (len(names) // 2) + ["zone_entered"] * (
+        len(names) % 2
+    )
+    assert all(event.dwell_s is None or event.dwell_s >= 0 for event in walk(feet_px))
+
+
+@pytest.mark.parametrize(("here", "there"), [(50, 150), (150, 50)])
+def test_a_moment_on_the_other_side_is_no_event(here: float, there: float) -> None:
+    moment = round(DEFAULTS.zones.settling_s * FPS) - 1
+    assert len(walk([here] * 20 + [there] * moment + [here] * 20)) == (here == 50)
+
+
+def test_zones_are_left_where_the_track_ends_or_the_camera_loses_them() -> None:
+    box = Box(30, -20, 40, 100)
+    for ends in (False, True):
+        watch = ZoneWatch()
+        for number in range(11):
+            watch.update(7, number / FPS, [GATE], box, None)
+        events = watch.end(7, 3.0, 1.0) if ends else watch.update(7, 3.0, [], box, None)
+        assert crossings(events) == [("zone_left", 3.0, 1.0 if ends else 3.0)]
+        assert watch.end(7, 4.0, 4.0) == []
