@@ -29,7 +29,10 @@ COMMANDS = {
     "openapi": ("scripts.openapi", "write openapi.json"),
     "convert": ("scripts.convert", "convert the published networks to those of the service"),
     "pictures": ("scripts.pictures", "draw the pictures of the documents"),
-    "watch-camera": ("scripts.examples.watch_camera", "post a camera's frames to a service"),
+    "watch-camera": (
+        "scripts.watch_camera.command",
+        "a camera's frames to a service, events to a webhook and MQTT",
+    ),
     "track-video": ("scripts.examples.track_video", "annotate a video with tracked people"),
 }
 """Module with ``main(arguments)``, imported only when its command runs, and a line about it."""
