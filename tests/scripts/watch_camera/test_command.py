@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
@@ -16,11 +17,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scripts.examples import watch_camera
+from scripts.watch_camera import command
+from scripts.watch_camera import service as service_module
+from scripts.watch_camera import source as source_module
 from tests.conftest import WALKERS, Server
 from tests.support.videos import numbered_frames, write_video
 
-EVENT = {"event": "fell", "state": "begin", "track_id": 3, "timestamp": 0.2, "probability": 0.9}
+EVENT = {"event": "entered", "state": "instant", "track_id": 3, "timestamp": 1e9, "zones": []}
 ANSWER = {"persons": [], "events": [EVENT], "reset": None, "timings_ms": {"total": 9.0}}
 
 
@@ -39,8 +42,10 @@ class Service(BaseHTTPRequestHandler):
             return
         self._answer(status, ANSWER if status == 200 else {"detail": f"status {status}"})
 
-    def do_DELETE(self) -> None:
-        self._answer(204, None)
+    def do_GET(self) -> None:
+        lost = EVENT | {"event": "fell", "timestamp": 9e9}
+        listed = {"events": [EVENT, lost]} if self.path.endswith("/events") else {"zones": []}
+        self._answer(200, listed)
 
     def _answer(self, status: int, content: object) -> None:
         self.seen.append((f"{self.command} {status}", self.path))
@@ -58,7 +63,7 @@ class Service(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    monkeypatch.setattr(watch_camera, "RETRY_AFTER_S", 0.0)
+    monkeypatch.setattr(service_module, "RETRY_AFTER_S", 0.0)
     Service.statuses, Service.seen = [], []
     with ThreadingHTTPServer(("127.0.0.1", 0), Service) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -73,36 +78,45 @@ def video(tmp_path: Path) -> str:
 
 
 def run(*arguments: str) -> int:
-    return watch_camera.main(arguments)
+    return command.main(arguments)
 
 
-def test_events_are_printed_and_the_camera_is_forgotten(
-    service: str, video: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_events_are_printed_as_json(
+    service: str, video: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    began = time.time()
     assert run(video, "yard 2", "--url", f"{service}/prefix") == 0
-    frames, last = Service.seen[:-1], Service.seen[-1]
-    times = [float(parse_qs(urlsplit(path).query)["timestamp"][0]) for _, path in frames]
+    frames = [path for what, path in Service.seen if what == "POST 200"]
+    assert {urlsplit(path).path for path in frames} == {"/prefix/cameras/yard%202/frames"}
+    times = [float(parse_qs(urlsplit(path).query)["timestamp"][0]) for path in frames]
     assert times == sorted(set(times))
-    assert last == ("DELETE 204", "/prefix/cameras/yard%202")
-    printed = capsys.readouterr().out
-    assert "person 3: fell begin at 0.2 s (90%)" in printed
-    assert f"the end: {len(frames)} frames" in printed
+    assert times[0] == pytest.approx(began, abs=60)
+    printed = capsys.readouterr()
+    (event,) = map(json.loads, printed.out.splitlines())  # The same event in each answer.
+    assert event.items() >= EVENT.items()
+    assert (event["camera_id"], event["time"]) == ("yard 2", "2001-09-09T01:46:40.000+00:00")
+    assert f"the end: {len(frames)} frames" in printed.err
 
 
-def test_a_service_that_is_busy_restarted_or_older_is_asked_again(
-    service: str, video: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_service_that_is_busy_restarted_or_ahead_is_asked_again(
+    service: str, video: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Service.statuses = [503, 0, 409]
     assert run(video, "yard", "--url", service, "--fps", "1000") == 0
-    assert [what for what, _ in Service.seen[:4]] == [
-        "POST 503",
-        "POST 409",
-        "DELETE 204",
-        "POST 200",
-    ]
-    printed = capsys.readouterr().out
-    assert "status 503; trying again" in printed
-    assert "the service does not answer" in printed
+    assert [what for what, _ in Service.seen[:3]] == ["POST 503", "POST 409", "POST 200"]
+    printed = capsys.readouterr()
+    assert "status 503; trying again" in printed.err
+    assert "the service does not answer" in printed.err
+    # What happened since the first frame without an answer is asked for.
+    assert Service.seen[3] == ("GET 200", "/cameras/yard/events")
+    assert "fell" in [json.loads(line)["event"] for line in printed.out.splitlines()]
+
+
+@pytest.mark.parametrize("option", ["--webhook=ftp://hook", "--mqtt=http://broker"])
+def test_other_receivers_are_refused(option: str, video: str, capsys: Any) -> None:
+    with pytest.raises(SystemExit):
+        run(video, "yard", option)
+    assert "expected" in capsys.readouterr().err
 
 
 def test_what_does_not_pass_ends_it(
@@ -147,9 +161,9 @@ def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     silent = threading.Event()
-    monkeypatch.setattr(watch_camera, "RECONNECT_AFTER_S", (0.0,))
-    monkeypatch.setattr(watch_camera.cv2, "VideoCapture", Stream([3, 0, 2], silent).open)
-    source = watch_camera.Source("rtsp://camera")
+    monkeypatch.setattr(source_module, "RECONNECT_AFTER_S", (0.0,))
+    monkeypatch.setattr(source_module.cv2, "VideoCapture", Stream([3, 0, 2], silent).open)
+    source = source_module.Source("rtsp://camera")
     assert silent.wait(10)
     assert next(source.frames()).number == 4
 
@@ -164,5 +178,7 @@ def test_a_real_service_follows_a_file(
     write_video(tmp_path / "walkers.avi", [frame] * 12)
     source = str(tmp_path / "walkers.avi")
     assert run(source, "walkers", "--url", server.url) == 0
-    assert "entered instant" in capsys.readouterr().out
-    assert httpx.get(f"{server.url}/cameras/walkers").status_code == 404
+    printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    kept = httpx.get(f"{server.url}/cameras/walkers/events").json()["events"]
+    assert [event["event"] for event in printed] == [event["event"] for event in kept]
+    assert "entered" in {event["event"] for event in printed}
