@@ -16,6 +16,7 @@ from prometheus_client import (
 
 from app.estimation.results import Person
 from app.settings import Settings
+from app.tracking.results import Event
 from index.search import FailureReason
 
 # A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.
@@ -88,6 +89,9 @@ class Metrics:
         self.camera_frames = counter(
             "pose_camera_frames", "Frames of cameras tracked, by whether their session was new.",
             ["session"])
+        self.events = counter(
+            "pose_events", "Events of cameras, by kind; `begin` alone of those that last.",
+            ["event"])
         self.sessions = gauge(
             "pose_camera_sessions", "Camera sessions held.")
         self.sequences = gauge(
@@ -128,6 +132,12 @@ class Metrics:
         for person in persons:
             if person.hypotheses:
                 self._confidence.observe(person.hypotheses[0].confidence)
+
+    def observe_events(self, events: Iterable[Event]) -> None:
+        """Count the events of one frame; the end of one that lasts is none."""
+        for event in events:
+            if event.state != "end":
+                self.events.labels(event.event).inc()
 
     def text(self) -> bytes:
         """Write all metrics in Prometheus' text format."""

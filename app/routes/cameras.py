@@ -107,6 +107,7 @@ async def track_frame(
         )
         _set_session_header(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
+        runtime.metrics.observe_events(tracked.events)
         runtime.metrics.observe_stages(tracked.timings_ms)
         runtime.metrics.observe_persons(person.person for person in tracked.persons)
         reply = track_reply(tracked, camera.camera_id, estimator.index, query.form)

@@ -83,3 +83,9 @@ def test_metrics_name_the_build(serving: Serving) -> None:
     client = serving(revision="abc123", max_wait_s=5.0)
     found = sample(client, "pose_build_info", version=VERSION, revision="abc123", max_wait_s="5")
     assert found == 1
+
+
+def test_events_of_cameras_are_counted(client: TestClient, photo: Photo) -> None:
+    client.post("/cameras/yard/frames", files=photo.files)
+    client.post("/cameras/gate/frames", files=photo.files)
+    assert sample(client, "pose_events_total", event="entered") == 2

@@ -30,7 +30,7 @@ mqtt = pytest.importorskip("paho.mqtt.client", reason="needs paho-mqtt")
 pytestmark = pytest.mark.skipif(not MOSQUITTO, reason="needs mosquitto: apt-get install mosquitto")
 
 FALL = ROOT.parent / "shared" / "real" / "upfall" / "activity1_trial1_cam1.mp4"
-FLOOR = {"name": "the floor", "kind": "watch", "polygon": [[0, 0], [2e3, 0], [2e3, 2e3], [0, 2e3]]}
+FLOOR = {
     "name": "the floor",
     "kind": "watch",
     "polygon": [[0, 0], [2000, 0], [2000, 2000], [0, 2000]],
