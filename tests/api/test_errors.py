@@ -197,7 +197,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             (zones(ZONE, ZONE), "zones", "'door' twice"),
             (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "expected at most 32 values, got 33"),
             ({"json": {"zones": "door"}}, "zones", "a list"),
-            ({"json": {}}, "zones", "a value"),
+            ({"json": {"zones": [{}]}}, "zones[0].name", "a value"),
             ({"content": json.dumps({"zones": [ZONE]}).replace("240", "1e999")},
              "zones[0].polygon[2][1]", "finite"),
             *(({"content": content}, None, "JSON object") for content in (
