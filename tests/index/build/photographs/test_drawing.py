@@ -58,6 +58,24 @@ def test_bodies_of_all_kinds_are_finite(seed: int) -> None:
     assert np.isfinite(wheel_at.vertices).all()
 
 
+@given(SEEDS)
+def test_a_blanket_over_the_lap_covers_the_legs_but_not_the_trunk(seed: int) -> None:
+    generator, materials = np.random.default_rng(seed), Materials()
+    thighs = ellipsoid([0, 0.5, 0.25], [0.2, 0.08, 0.25], 0)
+    trunk = ellipsoid([0, 0.9, 0], [0.2, 0.35, 0.12], 0)
+    body = joined([thighs, trunk]).vertices
+    cloth = furniture.lap_blanket(body, 0.0, 0.48, materials, generator).vertices
+    over_the_knees = cloth[(np.abs(cloth[:, 0]) < 0.05) & (np.abs(cloth[:, 2] - 0.3) < 0.05)]
+    assert over_the_knees[:, 1].min() > 0.5
+    assert cloth[:, 1].max() < 0.9 and cloth[:, 2].min() > 0
+
+
+def test_a_helmet_holds_the_ears() -> None:
+    ears = np.array([0.1, 1.6, 0.05])
+    shell = furniture.helmet(ears, Materials(), np.random.default_rng(0)).vertices
+    assert (shell.min(axis=0) < ears).all() and (shell.max(axis=0) > ears).all()
+
+
 def test_the_nearer_triangle_is_shown() -> None:
     plane = np.array([[0, 0], [20, 0], [0, 20]] * 2, np.float32)
     depths = np.array([2, 2, 2, 1, 1, 3], np.float32)
