@@ -89,8 +89,10 @@ class TrackParameters:
     # detection: on tables and tripods it often stays near 0, and it falls below 0.1 where a person
     # has left.
     min_presence: float = 0.5
-    # A frame whose landmarks are surely wrong still counts so much for the posture.
-    min_reliability: float = 0.2
+    # Exponent of the probability that landmarks are right, for how far a frame's posture counts.
+    # On held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability
+    # is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
+    reliability_exponent: float = 0.25
     appearance_gain: float = 0.1  # Share of the difference that corrects the known appearance.
 
 

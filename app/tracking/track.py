@@ -219,9 +219,10 @@ class Track:
         return self._tracked(person, smoothed.pose), tuple(map(self.annotated, events))
 
     def _weight(self, observed: ObservedPerson) -> float:
-        """How far the posture of a frame counts: as far as its landmarks are right."""
+        """How far the posture of a frame counts: as far as it is right given its landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
-        return 1 - presence * (1 - max(observed.reliability, self._parameters.min_reliability))
+        right = observed.reliability**self._parameters.reliability_exponent
+        return 1 - presence * (1 - right)
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
