@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,67 +53,43 @@ class Candidates:
         """Sort by distance; candidates at the same distance keep their order."""
         return self.take(np.argsort(self.distances, kind="stable"))
 
-    @classmethod
-    def merged(cls, parts: Sequence[Candidates]) -> Candidates:
-        """Merge the candidates of several queries, nearest first."""
-        if len(parts) == 1:
-            return parts[0]
-        names = [field.name for field in fields(cls)]
-        merged = cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-        return merged.in_order()
-
-    def unique(self) -> Candidates:
-        """Drop repetitions of an entry with the same mirroring and rotation."""
-        keys = np.stack([self.entry_ids, self.mirrored, self.rotation_deg], axis=1)
-        return self.take(np.sort(np.unique(keys, axis=0, return_index=True)[1]))
-
 
 def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> Candidates:
-    """Find the ``k`` nearest among all entries and all their mirror images, or all if fewer.
+    """Find the ``k`` nearest among all entries and all their mirror images, or all if fewer."""
+    vectors = index.descriptor.describe(silhouette[None])
+    entry_ids, mirrored, rows = nearest_entries(index, vectors, k)
+    return compare_entries(index, vectors[rows], entry_ids, mirrored).in_order()
+
+
+def nearest_entries(
+    index: PoseIndex, vectors: NDArray[np.float32], k: int
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+    """Find the ``k`` entries nearest to each of several descriptors ``(Q, D)`` in one search.
 
     The mirror image of a pose, seen by the mirror image of its camera, is as likely as the pose.
-    Searching for the mirrored silhouette ``(128, 48)`` as well doubles the poses that an index
-    covers.
+    Searching for the mirrored descriptor as well doubles the poses that an index covers.
+
+    Returns
+    -------
+    entry_ids : (K,) int64 array
+    mirrored : (K,) bool array
+        Whether the mirror image of the entry was found.
+    rows : (K,) int64 array
+        The descriptor to which each is near.
     """
-    return find_candidates_of_each(index, silhouette[None], k)[0]
-
-
-def find_candidates_of_each(
-    index: PoseIndex, silhouettes: NDArray[np.uint8], k: int
-) -> list[Candidates]:
-    """Find the candidates of each silhouette of a batch ``(B, 128, 48)`` in one search.
-
-    See :func:`find_candidates`.
-    """
-    queries = index.descriptor.describe(silhouettes)
-    variants = np.stack([queries, index.descriptor.mirror(queries)], axis=1)
+    variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
     _, entry_ids, nearest_variant = index.search(variants, k)
-    count = entry_ids.shape[1]
-    found = _candidates(
-        index, entry_ids.ravel(), nearest_variant.ravel() == 1, np.repeat(queries, count, axis=0)
-    )
-    ends = count * np.arange(len(queries) + 1)
-    return [found.take(slice(*pair)).in_order() for pair in pairwise(ends.tolist())]
+    rows = np.arange(len(vectors)).repeat(entry_ids.shape[1])
+    return entry_ids.ravel(), nearest_variant.ravel() == 1, rows
 
 
 def compare_entries(
     index: PoseIndex,
-    silhouette: NDArray[np.uint8],
-    entry_ids: NDArray[np.int64],
-    mirrored: NDArray[np.bool_],
-) -> Candidates:
-    """Compare a silhouette ``(128, 48)`` with given entries ``(K,)``, mirrored or not."""
-    queries = np.repeat(index.descriptor.describe(silhouette[None]), len(entry_ids), axis=0)
-    return _candidates(index, entry_ids, mirrored, queries).in_order()
-
-
-def _candidates(
-    index: PoseIndex,
-    entry_ids: NDArray[np.int64],
-    mirrored: NDArray[np.bool_],
     queries: NDArray[np.float32],
+    entry_ids: NDArray[np.int64],
+    mirrored: NDArray[np.bool_],
 ) -> Candidates:
-    """Entries ``(K,)``, each with its query ``(K, D)``, in the order given.
+    """Compare entries ``(K,)``, mirrored or not, each with its query ``(K, D)``, as ordered.
 
     Distances are computed anew, because searches round in different ways, also between processors.
     """

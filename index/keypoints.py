@@ -10,6 +10,7 @@ landmarks; the others move only where they nearly agree, so that they remain alt
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,10 +23,10 @@ from index.skeleton import (
     LIMBS,
     OTHER_SIDE,
     POINTS,
-    exchange_sides,
+    bone_lengths,
     pixels_per_metre,
     side_rows,
-    with_bone_lengths_of,
+    with_bone_lengths,
 )
 
 _HIP_POINTS = side_rows("hip")
@@ -121,60 +122,57 @@ class Keypoints:
             Metres, axes of the normalised frame.
         """
         points = np.asarray(points_normalised, np.float64)
-        own, own_residuals = self.compare_sides(points)
-        exchanged, exchanged_residuals = self.compare_sides(exchange_sides(points))
-        if self.limbs_3d is not None:
-            own += self._compare_limbs(points_3d)
-            exchanged += self._compare_limbs(exchange_sides(np.asarray(points_3d, np.float64)))
-        residuals = np.where((own >= exchanged)[:, None, None], own_residuals, exchanged_residuals)
-        return Agreement(np.maximum(own, exchanged), own - exchanged, residuals)
+        # Each skeleton beside its twin: (K, 2, P, 2).
+        offsets = self.positions - points.take(_with_other_side(self.rows), axis=1)
+        mass = self._mass(offsets)
+        likelihood = self._log_likelihoods(mass)
+        if self.limb_scores is not None:
+            limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
+            squares = _squares(self._offsets_of_limbs(limbs))
+            near = self.limb_scores * np.exp(-squares / (2 * self.parameters.sigma_m**2))
+            likelihood += self.parameters.limb_weight * self._log_likelihoods(near)
+        likelier = likelihood.argmax(axis=1)
+        each = np.arange(len(points))
+        return Agreement(
+            likelihood[each, likelier],
+            likelihood[:, 0] - likelihood[:, 1],
+            self._inlier_share(mass[each, likelier])[..., None] * offsets[each, likelier],
+        )
 
     def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
         """Offsets ``(K, 12, 3)`` from the limbs of skeletons to the landmarks, in metres.
 
         Landmarks are first scaled to the size of each skeleton.
         """
-        assert self.limbs_3d is not None and self.limb_scores is not None
-        limbs = np.asarray(points_3d[:, LIMB_ROWS], np.float64)
-        limbs = limbs - limbs[:, LIMB_HIPS].mean(axis=1, keepdims=True)
-        weights = self.limb_scores[:, None]
-        inner = (weights * limbs * self.limbs_3d).sum(axis=(1, 2))
-        size = inner / max(float((weights * self.limbs_3d**2).sum()), 1e-9)
-        size = np.clip(size, *self.parameters.size_range)[:, None, None]
-        return np.asarray(size * self.limbs_3d - limbs)
-
-    def compare_sides(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log likelihoods ``(K,)`` and residuals ``(K, P, 2)`` in the picture, sides as given."""
-        offsets = self.positions - points[:, list(self.rows)]
-        mass = self._mass(offsets)
-        inlier_probability = mass / (mass + self.parameters.outlier_weight)
-        return self._log_likelihoods(mass), inlier_probability[..., None] * offsets
+        return self._offsets_of_limbs(np.asarray(points_3d[:, LIMB_ROWS], np.float64))
 
     def inlier_probability(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Probability ``(K, P)`` that keypoints at offsets ``(K, P, 2)`` are not outliers."""
-        mass = self._mass(offsets)
-        return np.asarray(mass / (mass + self.parameters.outlier_weight))
+        return self._inlier_share(self._mass(offsets))
+
+    def _offsets_of_limbs(self, limbs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Offsets ``(..., 12, 3)`` from limbs to the landmarks; see :meth:`limb_offsets`."""
+        assert self.limbs_3d is not None and self.limb_scores is not None
+        limbs = limbs - limbs.take(LIMB_HIPS, axis=-2).mean(axis=-2, keepdims=True)
+        weighted = self.limb_scores[:, None] * self.limbs_3d
+        inner = limbs.reshape(*limbs.shape[:-2], -1) @ weighted.ravel()
+        size = inner / max(float((weighted * self.limbs_3d).sum()), 1e-9)
+        size = np.clip(size, *self.parameters.size_range)[..., None, None]
+        return np.asarray(size * self.limbs_3d - limbs)
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Likelihoods ``(K, P)`` of keypoints at offsets ``(K, P, 2)`` that are not outliers."""
-        squares = (offsets**2).sum(axis=-1)
-        mass = self.scores * np.exp(-squares / (2 * self.parameters.sigma_px**2))
+        """Likelihoods ``(..., P)`` of keypoints at offsets ``(..., P, 2)`` that are no outliers."""
+        mass = self.scores * np.exp(_squares(offsets) / (-2 * self.parameters.sigma_px**2))
         mass[mass < self.parameters.min_mass] = 0
         return np.asarray(mass)
 
-    def _log_likelihoods(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums ``(K,)`` of the log likelihoods of points, each an inlier or an outlier."""
-        outlier_weight = self.parameters.outlier_weight
-        return np.asarray(np.log((mass + outlier_weight) / (1 + outlier_weight)).sum(axis=1))
+    def _inlier_share(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(mass / (mass + self.parameters.outlier_weight))
 
-    def _compare_limbs(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Log likelihoods ``(K,)`` of the limbs in three dimensions."""
-        assert self.limb_scores is not None
-        squares = (self.limb_offsets(points_3d) ** 2).sum(axis=-1)
-        mass = self.limb_scores * np.exp(-squares / (2 * self.parameters.sigma_m**2))
-        return np.asarray(self.parameters.limb_weight * self._log_likelihoods(mass))
+    def _log_likelihoods(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums ``(...)`` of the log likelihoods of points, each an inlier or an outlier."""
+        outlier_weight = self.parameters.outlier_weight
+        return np.asarray(np.log((mass + outlier_weight) / (1 + outlier_weight)).sum(axis=-1))
 
 
 def fit_to_keypoints(
@@ -196,9 +194,10 @@ def fit_to_keypoints(
         Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
     fitted, placed = points_3d, points_normalised
+    lengths = bone_lengths(points_3d)
     px_per_metre = pixels_per_metre(points_3d, points_normalised)[:, None, None]
     if keypoints.limbs_3d is not None:
-        fitted = with_bone_lengths_of(points_3d, _move_to_landmark_depth(keypoints, points_3d))
+        fitted = with_bone_lengths(_move_to_landmark_depth(keypoints, points_3d), lengths)
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
     for sigma_px, share, iterations in keypoints.parameters.fit_stages:
         blurred = replace(keypoints, parameters=replace(keypoints.parameters, sigma_px=sigma_px))
@@ -207,10 +206,10 @@ def fit_to_keypoints(
             moves = share * _residuals(blurred, placed, rows)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
-            moved = with_bone_lengths_of(points_3d, moved)
+            moved = with_bone_lengths(moved, lengths)
             # The pelvis has no keypoint and follows the hips.
-            pelvis_moves = moves[:, _HIP_POINTS].mean(axis=1, keepdims=True)
-            placed = placed + (moved - fitted)[..., :2] * px_per_metre + pelvis_moves
+            placed = placed + moves[:, _HIP_POINTS].mean(axis=1, keepdims=True)
+            placed += (moved - fitted)[..., :2] * px_per_metre
             fitted = moved
     return fitted, placed
 
@@ -222,11 +221,28 @@ def _move_to_landmark_depth(
     assert keypoints.limb_scores is not None
     parameters, offsets = keypoints.parameters, keypoints.limb_offsets(points_3d)
     shares = np.repeat(parameters.depth_share * keypoints.limb_scores[None], len(points_3d), axis=0)
-    near = np.exp(-(offsets**2).sum(axis=-1) / (2 * parameters.sigma_m**2))
+    near = np.exp(-_squares(offsets) / (2 * parameters.sigma_m**2))
     shares[1:] *= near[1:]
     moved = points_3d.copy()
     moved[:, LIMB_ROWS] += shares[..., None] * offsets
     return moved
+
+
+def _squares(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared lengths; NumPy is several times slower along axes of length two or three."""
+    x, y, *more = np.moveaxis(vectors, -1, 0)
+    squares = x * x + y * y
+    for z in more:
+        squares += z * z
+    return np.asarray(squares)
+
+
+def _with_other_side(rows: Sequence[int]) -> NDArray[np.int64]:
+    """Rows of points, and of the same points on the other side of the body: ``(2, P)``."""
+    return np.stack([np.asarray(rows), OTHER_SIDE[list(rows)]])
+
+
+_BOTH_LIMBS = _with_other_side(LIMB_ROWS)
 
 
 def _match_sides(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:

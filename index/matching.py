@@ -19,7 +19,6 @@ from index.posture import POSTURES, Posture, camera_up, classify_postures, lying
 from index.ranking import NetworkRanking, fused_distances
 from index.rotations import (
     RotatedQuery,
-    compare_rotated_entries,
     find_rotated_candidates,
     landmark_rotations,
     seen_from,
@@ -54,7 +53,8 @@ class Hypothesis:
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
     confidence : float
-        Probability that the mean joint error in the normalised frame is below 5 px.
+        Probability that the mean joint error in the normalised frame is below 5 px; 0 with
+        landmarks, from which :mod:`app.estimation.ordering` computes it.
     points_3d : (24, 3) float64 array
         Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     points_normalised : (24, 2) float64 array
@@ -105,7 +105,7 @@ class Match:
         choose.
     features : (N, F) float64 array
         Features from which the confidences were computed: :data:`index.confidence.FEATURES`, or
-        :data:`index.reranker.RERANKING_FEATURES`.
+        :data:`index.reranker.RERANKING_FEATURES`; none with landmarks.
     first_batch : int
         Number of hypotheses that do not depend on how many were requested.
     """
@@ -195,58 +195,61 @@ class _Query:
 
     def batch(self, n: int) -> Match:
         """Find the hypotheses of one batch of about ``n``."""
-        index, ranking = self.index, self.ranking
+        index, ranking, keypoints = self.index, self.ranking, self.keypoints
         queries, candidates, modes = (
             self._modes_of_silhouette(n)
-            if self.keypoints is None
-            else self._modes_with_keypoints(n, self.keypoints)
+            if keypoints is None
+            else self._modes_with_keypoints(n, keypoints)
         )
-        distances = modes.distances if ranking is None else ranking.distances(modes)
-        # What the network has ranked is not re-ranked later, so no spare modes are needed.
-        nearest = np.argsort(distances, kind="stable")[: None if ranking is None else n]
-        modes, distances = modes.take(nearest), distances[nearest]
         centres = candidates.take(modes.centres)
-        errors_px = _outline_errors(index, queries, centres)
-        features = match_features(candidates, modes, errors_px)
-        if ranking is not None:
-            features = ranking.features(features, modes, distances)
-        confidences = index.calibration(reranked=ranking is not None).probability(features)
         rotation_deg = centres.rotation_deg - self.roll_deg
         entry_roll_deg = index.roll_deg(centres.entry_ids, centres.mirrored)
         tilt_deg = wrap_degrees(rotation_deg + entry_roll_deg)
-        if self.keypoints is not None:
+        distances = modes.distances
+        if keypoints is not None:
             # Compared before the fit: a pose that has to change far to fit is less likely.
-            agreement = self.keypoints.compare(modes.points_normalised, modes.points_3d)
-            distances = fused_distances(modes.distances, agreement, tilt_deg)
-            order = np.argsort(distances, kind="stable")
-            modes, centres, features = modes.take(order), centres.take(order), features[order]
-            distances, rotation_deg, tilt_deg, errors_px, confidences = (
-                values[order]
-                for values in (distances, rotation_deg, tilt_deg, errors_px, confidences)
-            )
+            agreement = keypoints.compare(modes.points_normalised, modes.points_3d)
+            distances = fused_distances(distances, agreement, tilt_deg)
+        elif ranking is not None:
+            distances = ranking.distances(modes)
+        # What the network has ranked is not re-ranked later, so no spare modes are needed.
+        nearest = np.argsort(distances, kind="stable")[: None if ranking is None else n]
+        modes, centres = modes.take(nearest), centres.take(nearest)
+        distances, rotation_deg, tilt_deg = (
+            values[nearest] for values in (distances, rotation_deg, tilt_deg)
+        )
+        errors_px = _outline_errors(index, queries, centres)
+        if keypoints is None:
+            features = match_features(candidates, modes, errors_px)
+            if ranking is not None:
+                features = ranking.features(features, modes, distances)
+            confidences = index.calibration(reranked=ranking is not None).probability(features)
+        else:
+            features, confidences = np.empty((len(modes), 0)), np.zeros(len(modes))
             points_3d, points_normalised = fit_to_keypoints(
-                self.keypoints, modes.points_3d, modes.points_normalised
+                keypoints, modes.points_3d, modes.points_normalised
             )
             modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
         adjusted_m = mean_joint_distance(modes.points_3d, centres.points_3d)
         points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
         postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
         hypotheses = [
-            Hypothesis(
-                entry_id=int(centres.entry_ids[row]),
-                mirrored=bool(centres.mirrored[row]),
-                silhouette_distance=float(modes.distances[row]),
-                reprojection_error_px=float(errors_px[row]),
-                confidence=float(confidences[row]),
-                points_3d=points_3d[row],
-                points_normalised=modes.points_normalised[row],
-                posture=postures[row],
-                rotation_deg=float(rotation_deg[row]),
-                tilt_deg=float(tilt_deg[row]),
-                distance=float(distances[row]),
-                adjusted_m=float(adjusted_m[row]),
+            Hypothesis(*values)
+            for values in zip(
+                centres.entry_ids.tolist(),
+                centres.mirrored.tolist(),
+                modes.distances.tolist(),
+                errors_px.tolist(),
+                confidences.tolist(),
+                points_3d,
+                modes.points_normalised,
+                postures,
+                rotation_deg.tolist(),
+                tilt_deg.tolist(),
+                distances.tolist(),
+                adjusted_m.tolist(),
+                strict=True,
             )
-            for row in range(len(modes))
         ]
         return Match(hypotheses, features, len(hypotheses))
 
@@ -314,13 +317,9 @@ class _Query:
         self, queries: Sequence[RotatedQuery], nearest: NearestEntries | None, growth: int
     ) -> Candidates:
         """Entries near the landmarks, and near the silhouette unless it is not whole."""
-        parts = []
-        if nearest is not None:
-            parts.append(compare_rotated_entries(self.index, queries, nearest))
-        if self.whole or nearest is None:
-            k = growth * self.parameters.silhouette_candidates
-            parts.append(find_rotated_candidates(self.index, queries, k))
-        return Candidates.merged(parts).unique()
+        searched = self.whole or nearest is None
+        k = growth * self.parameters.silhouette_candidates if searched else 0
+        return find_rotated_candidates(self.index, queries, k, nearest)
 
     def _likeliest(
         self, candidates: Candidates, keypoints: Keypoints, count: int

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import INSIDE, averaged, normalise, principal_axis_deg
-from index.candidates import Candidates, compare_entries, find_candidates_of_each
+from index.candidates import Candidates, compare_entries, nearest_entries
 from index.parameters import ROTATIONS, RotationParameters
 from index.search import NearestEntries
 from index.skeleton import rotate_clockwise, wrap_degrees
@@ -56,9 +56,12 @@ class RotatedQuery:
 
 
 def find_rotated_candidates(
-    index: PoseIndex, queries: Sequence[RotatedQuery], k: int
+    index: PoseIndex,
+    queries: Sequence[RotatedQuery],
+    k: int,
+    nearest: NearestEntries | None = None,
 ) -> Candidates:
-    """Find the ``k`` entries nearest to each rotation of a silhouette.
+    """Find the ``k`` entries nearest to each rotation of a silhouette, and compare others with it.
 
     Few cameras of an index are rolled; rotating the query has the same effect.
 
@@ -67,45 +70,31 @@ def find_rotated_candidates(
     queries : sequence of RotatedQuery
         Rotations of the same silhouette.
     k : int
-        Candidates per rotation.
+        Candidates per rotation; 0 for only those that are given.
+    nearest : NearestEntries, optional
+        Entries near the landmarks; each is compared with the rotation that is nearest to its own.
 
     Returns
     -------
     Candidates
-        Nearest first, with the skeletons rotated to fit the query.
+        Nearest first and each once, with the skeletons rotated to fit the query.
     """
-    found = find_candidates_of_each(index, np.stack([query.silhouette for query in queries]), k)
-    return Candidates.merged(
-        [_rotate_candidates(*pair) for pair in zip(found, queries, strict=True)]
-    )
-
-
-def compare_rotated_entries(
-    index: PoseIndex, queries: Sequence[RotatedQuery], nearest: NearestEntries
-) -> Candidates:
-    """Compare a silhouette with the entries nearest to its keypoints.
-
-    Each entry is compared with the rotation of the silhouette that is nearest to its own. The
-    result is as in :func:`find_rotated_candidates`.
-    """
-    rotations_deg = np.array([query.rotation_deg for query in queries])
-    apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
-    assigned = apart.argmin(axis=1)
-    return Candidates.merged(
-        [
-            _rotate_candidates(
-                compare_entries(
-                    index,
-                    query.silhouette,
-                    nearest.entry_ids[assigned == position],
-                    nearest.mirrored[assigned == position],
-                ),
-                query,
-            )
-            for position, query in enumerate(queries)
-            if (assigned == position).any()
-        ]
-    )
+    vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
+    found = []
+    if nearest is not None:
+        rotations_deg = np.array([query.rotation_deg for query in queries])
+        apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
+        found.append((nearest.entry_ids, nearest.mirrored, apart.argmin(axis=1)))
+    if k:
+        found.append(nearest_entries(index, vectors, k))
+    entry_ids, mirrored, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    keys = (2 * entry_ids + mirrored) * len(queries) + rows
+    once = np.sort(np.unique(keys, return_index=True)[1])
+    rows = rows[once]
+    candidates = compare_entries(index, vectors[rows], entry_ids[once], mirrored[once])
+    for row, query in enumerate(queries):
+        _rotate(candidates, rows == row, query)
+    return candidates.in_order()
 
 
 def silhouette_rotations(
@@ -225,14 +214,12 @@ def rotate_silhouette(
     return rotated, inverse
 
 
-def _rotate_candidates(candidates: Candidates, query: RotatedQuery) -> Candidates:
-    """Rotate the skeletons of candidates as the query was rotated."""
+def _rotate(candidates: Candidates, chosen: NDArray[np.bool_], query: RotatedQuery) -> None:
+    """Rotate the skeletons of chosen candidates ``(K,)`` as the query was rotated, in place."""
     if query.rotation_deg == 0:
-        return candidates
+        return
     linear, offset = query.to_query[:, :2], query.to_query[:, 2]
-    return replace(
-        candidates,
-        rotation_deg=np.full(len(candidates), query.rotation_deg),
-        points_3d=rotate_clockwise(candidates.points_3d, query.rotation_deg),
-        points_normalised=candidates.points_normalised @ linear.T + offset,
-    )
+    points_3d, placed = candidates.points_3d, candidates.points_normalised
+    candidates.rotation_deg[chosen] = query.rotation_deg
+    points_3d[chosen] = rotate_clockwise(points_3d[chosen], query.rotation_deg)
+    placed[chosen] = placed[chosen] @ linear.T + offset

@@ -24,10 +24,10 @@ STEPS_PER_UNIT = np.float32(8)
 """Values of descriptors are multiples of 1/8, far below the effect of noise: files compress to a
 quarter, and a byte holds each value exactly."""
 
-_BYTES = faiss.ScalarQuantizer.QT_8bit_direct_signed
-"""FAISS's code for whole numbers from -128 to 127, which are stored exactly."""
-
 _MAX_STEPS = 127
+
+_ZERO = np.float32(128)
+"""Added to whole numbers from -127 to 127: FAISS compares bytes without a sign faster."""
 
 _VECTORS_PER_BLOCK = 65_536
 """Vectors converted at a time: converting all of a large index would take gigabytes."""
@@ -88,14 +88,13 @@ class ExactNeighbours:
     def __init__(self, vectors: NDArray[np.floating]) -> None:
         dimension = vectors.shape[1]
         self._factor = scale_factor(vectors)
-        self._faiss: Any
-        if self._factor == STEPS_PER_UNIT:
-            # As exact as floats, in half the time.
-            self._faiss = faiss.IndexScalarQuantizer(dimension, _BYTES, faiss.METRIC_L2)
-        else:
-            self._faiss = faiss.IndexFlatL2(dimension)
+        self._in_bytes = self._factor == STEPS_PER_UNIT
+        # Bytes are as exact as floats, in half the time.
+        empty = _byte_index if self._in_bytes else faiss.IndexFlatL2
+        self._faiss: Any = empty(dimension)
         for block in _blocks(vectors):
-            self._faiss.add(block * self._factor)
+            scaled = block * self._factor
+            self._faiss.add(scaled + _ZERO if self._in_bytes else scaled)
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)
@@ -109,10 +108,16 @@ class ExactNeighbours:
         truncate the fraction and let numbers beyond a byte's range overflow.
         """
         scaled = np.ascontiguousarray(queries * self._factor, np.float32)
-        if self._factor == STEPS_PER_UNIT:
-            scaled = np.rint(scaled).clip(-_MAX_STEPS, _MAX_STEPS)
+        if self._in_bytes:
+            scaled = np.rint(scaled).clip(-_MAX_STEPS, _MAX_STEPS) + _ZERO
         squared, ids = self._faiss.search(scaled, k)
         return squared / self._factor**2, ids
+
+
+def _byte_index(dimension: int) -> Any:
+    """An empty index of whole numbers from 0 to 255, which it stores exactly."""
+    code = faiss.ScalarQuantizer.QT_8bit_direct
+    return faiss.IndexScalarQuantizer(dimension, code, faiss.METRIC_L2)
 
 
 def scale_factor(vectors: NDArray[np.floating]) -> np.float32:
@@ -194,8 +199,8 @@ class LandmarkSearch:
             raise ValueError(
                 f"expected vectors of shape (E, {LANDMARK_DIMENSION}), got {vectors.shape}"
             )
-        self._faiss = faiss.IndexScalarQuantizer(LANDMARK_DIMENSION, _BYTES, faiss.METRIC_L2)
-        self._faiss.add(np.ascontiguousarray(vectors, np.float32))
+        self._faiss = _byte_index(LANDMARK_DIMENSION)
+        self._faiss.add(np.asarray(vectors, np.float32) + _ZERO)
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)
@@ -217,7 +222,7 @@ class LandmarkSearch:
             unrolled = rotate_clockwise(points_3d, -roll_deg)
             queries += [unrolled, mirrored_limbs(unrolled)]
         k = min(k, len(self))
-        squared, ids = self._faiss.search(pose_vectors(np.stack(queries)), k)
+        squared, ids = self._faiss.search(pose_vectors(np.stack(queries)) + _ZERO, k)
         variants = np.repeat(np.arange(len(queries)), k)
         squared, ids = squared.ravel(), ids.ravel()
         order = np.lexsort((ids, variants, squared))[:k]

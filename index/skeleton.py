@@ -360,7 +360,7 @@ def pixels_per_metre(
 
 def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lengths ``(..., 18)`` of the bones, and vectors ``(..., 18, 3)`` from parent to child."""
-    bones = points[..., _CHILDREN, :] - points[..., _PARENTS, :]
+    bones = points.take(_CHILDREN, axis=-2) - points.take(_PARENTS, axis=-2)
     return np.sqrt((bones**2).sum(axis=-1)), bones
 
 

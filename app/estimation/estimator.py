@@ -112,12 +112,9 @@ def fit_poses(
     else:
         facing, hypotheses = order_by_landmarks(found.hypotheses, max(n, voters), found.first_batch)
     presence = 1.0 if observed.presence is None else observed.presence
-    hypotheses = [replace(one, confidence=presence * one.confidence) for one in hypotheses]
-    voting = hypotheses[:voters]
-    votes = vote_posture([one.posture for one in voting], [one.confidence for one in voting])
-    posture = estimate_posture(
-        votes, observed.frame_posture, presence, max(one.confidence for one in hypotheses)
-    )
+    confidences = [presence * one.confidence for one in hypotheses]
+    votes = vote_posture([one.posture for one in hypotheses[:voters]], confidences[:voters])
+    posture = estimate_posture(votes, observed.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(
         np.array([one.points_3d for one in hypotheses[:n]]),
@@ -128,12 +125,11 @@ def fit_poses(
     projected = []
     for row, one in enumerate(hypotheses[:n]):
         label = index.label(one.entry_id, mirrored=one.mirrored)
-        label = replace(label, roll_deg=one.tilt_deg)
-        fields = {**vars(one), "points_3d": placed.points_3d[row]}
+        fields = vars(one) | {"confidence": confidences[row], "points_3d": placed.points_3d[row]}
         projected.append(
             ProjectedHypothesis(
                 **fields,
-                label=label,
+                label=replace(label, roll_deg=one.tilt_deg),
                 points_2d=placed.points_2d[row],
                 pelvis=placed.pelvis[row],
             )

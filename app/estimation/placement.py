@@ -73,10 +73,9 @@ def place_skeletons(
         Pixels of the frame, and metres in the axes of the line of sight to the hips.
     """
     if landmarks is None:
-        placed = [_as_it_is(*pair, camera) for pair in zip(points_3d, points_2d, strict=True)]
-        stacked = _stacked(placed, list(points_2d))
+        placed = _as_they_are(points_3d, points_2d, camera)
         # A mask may be a crop: nothing shows where the optical axis is, unless the caller says so.
-        return stacked if camera.given else replace(stacked, points_3d=points_3d)
+        return placed if camera.given else replace(placed, points_3d=points_3d)
     visibility = landmarks.visibility[_LANDMARKS]
     visible = np.where(visibility > parameters.min_visibility, visibility, 0.0)
     weights = np.maximum(visible, 1e-3)
@@ -85,48 +84,49 @@ def place_skeletons(
     metres = landmarks.metres[_LANDMARKS]
     origin = place_on_sight_lines(metres, camera.rays(seen), line, weights).origin
     depth = float((line @ origin)[2])
+    rows = _rows_shown(points_2d, seen)
+    each = np.arange(len(rows))[:, None]
+    about_hips = points_3d - points_3d[:, _HIPS].mean(axis=1, keepdims=True)
+    shown = about_hips[each, rows]
+    size = (weights[:, None] * metres * shown).sum(axis=(1, 2)) / (weights[:, None] * shown**2).sum(
+        axis=(1, 2)
+    )
+    depths = np.clip(size, *parameters.sizes)[:, None] * about_hips[..., 2]
     reliability = visible / (1 + (landmarks.depth_sd[_LANDMARKS] / parameters.half_way_sd_m) ** 2)
-    placed, shown = [], []
-    for rank, (own_3d, own_2d) in enumerate(zip(points_3d, points_2d, strict=True)):
-        rows = _POINTS if rank == 0 else _rows_shown(own_2d, seen)
-        about_hips = own_3d - own_3d[_HIPS].mean(axis=0)
-        size = (weights[:, None] * metres * about_hips[rows]).sum() / (
-            weights[:, None] * about_hips[rows] ** 2
-        ).sum()
-        depths = np.clip(size, *parameters.sizes) * about_hips[:, 2]
-        if rank == 0:
-            depths[rows] += reliability * (metres[:, 2] - depths[rows])
-        pixels = own_2d.copy()
-        pixels[rows] += visible[:, None] * (seen - pixels[rows])
-        lines = camera.rays(pixels) @ line.T
-        lines = lines / np.maximum(lines[:, 2:], parameters.min_forward)
-        placed.append(lines * np.maximum(depth + depths, parameters.min_distance_m)[:, None] @ line)
-        shown.append(pixels)
-    return _stacked(placed, shown)
+    depths[0, _POINTS] += reliability * (metres[:, 2] - depths[0, _POINTS])
+    pixels = points_2d.copy()
+    pixels[each, rows] += visible[:, None] * (seen - pixels[each, rows])
+    lines = camera.rays(pixels) @ line.T
+    lines = lines / np.maximum(lines[..., 2:], parameters.min_forward)
+    return _about_pelvis(
+        lines * np.maximum(depth + depths, parameters.min_distance_m)[..., None] @ line, pixels
+    )
 
 
-def _as_it_is(
+def _as_they_are(
     own_3d: NDArray[np.float64], own_2d: NDArray[np.float64], camera: PinholeCamera
-) -> NDArray[np.float64]:
-    """A skeleton turned to its line of sight, where it looks as large as in the image."""
+) -> PlacedSkeletons:
+    """Skeletons turned to their lines of sight, where they look as large as in the image."""
     rays = camera.rays(own_2d)
-    line = to_line_of_sight(rays[_PELVIS])
-    origin = place_on_sight_lines(own_3d, rays, line, np.ones(len(rays))).origin
-    return np.asarray(own_3d @ line + origin)
+    lines = to_line_of_sight(rays[:, _PELVIS])
+    origin = place_on_sight_lines(own_3d, rays, lines, np.ones(rays.shape[1])).origin
+    return _about_pelvis(own_3d @ lines + origin[:, None], own_2d)
 
 
 def _rows_shown(own_2d: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray[np.integer]:
-    """Points of a skeleton that landmarks show: the same side's, or the other's if nearer."""
+    """Points ``(M, P)`` of skeletons that landmarks show.
+
+    Those of the same side, or of the other if they are nearer, but never for the first skeleton.
+    """
     other = OTHER_SIDE[_POINTS]
     same, exchanged = (
-        np.linalg.norm(own_2d[rows] - seen, axis=1).mean() for rows in (_POINTS, other)
+        np.linalg.norm(own_2d[:, rows] - seen, axis=-1).mean(axis=1) for rows in (_POINTS, other)
     )
-    return _POINTS if same <= exchanged else other
+    rows = np.where((exchanged < same)[:, None], other, _POINTS)
+    rows[0] = _POINTS
+    return rows
 
 
-def _stacked(
-    placed: list[NDArray[np.float64]], shown: list[NDArray[np.float64]]
-) -> PlacedSkeletons:
-    points = np.array(placed)
+def _about_pelvis(points: NDArray[np.float64], pixels: NDArray[np.float64]) -> PlacedSkeletons:
     pelvis = points[:, _PELVIS]
-    return PlacedSkeletons(points - pelvis[:, None], np.array(shown), pelvis)
+    return PlacedSkeletons(points - pelvis[:, None], pixels, pelvis)

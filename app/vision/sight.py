@@ -133,13 +133,13 @@ def window_axes(camera: PinholeCamera, window: PersonWindow) -> NDArray[np.float
 
 @dataclass(frozen=True)
 class PlacedBody:
-    """A body on the lines of sight of its landmarks.
+    """Bodies on the lines of sight of their landmarks.
 
     Parameters
     ----------
-    points : (P, 3) float64 array
+    points : (..., P, 3) float64 array
         Metres from the camera, its axes.
-    origin : (3,) float64 array
+    origin : (..., 3) float64 array
         Where the origin of the depths lies, likewise.
     """
 
@@ -160,11 +160,11 @@ def place_on_sight_lines(
 
     Parameters
     ----------
-    metres : (P, 3) float64 array
+    metres : (..., P, 3) float64 array
         About any origin, axes of a line of sight; z is trusted.
-    rays : (P, 3) float64 array
+    rays : (..., P, 3) float64 array
         Directions of the landmarks, camera axes.
-    axes : (3, 3) float64 array
+    axes : (..., 3, 3) float64 array
         Camera axes to those of the line of sight.
     weights : (P,) float64 array
         How far each counts; not negative, not all zero.
@@ -173,22 +173,21 @@ def place_on_sight_lines(
     -------
     PlacedBody
     """
-    lines = rays @ axes.T
-    lines = lines / np.maximum(lines[:, 2:], 0.05)
-    x, y, w = lines[:, 0], lines[:, 1], weights
+    lines = rays @ axes.swapaxes(-1, -2)
+    lines = lines / np.maximum(lines[..., 2:], 0.05)
+    x, y, depths = lines[..., 0], lines[..., 1], metres[..., 2]
     # Least squares for the origin (a, b, c): metres_x + a = x * (metres_z + c), likewise y.
-    gap_x, gap_y = x * metres[:, 2] - metres[:, 0], y * metres[:, 2] - metres[:, 1]
-    total = w.sum()
-    normal = np.array(
-        [
-            [total, 0.0, -(w @ x)],
-            [0.0, total, -(w @ y)],
-            [-(w @ x), -(w @ y), w @ (x * x + y * y)],
-        ]
-    )
-    right = np.array([w @ gap_x, w @ gap_y, -(w @ (x * gap_x + y * gap_y))])
-    origin = np.linalg.solve(normal + 1e-9 * total * np.eye(3), right)
-    nearest = NEAREST_M - float(metres[:, 2].min())
-    depths = metres[:, 2] + max(float(origin[2]), nearest)
-    origin[2] = max(float(origin[2]), nearest)
-    return PlacedBody(lines * depths[:, None] @ axes, origin @ axes)
+    gap_x, gap_y = x * depths - metres[..., 0], y * depths - metres[..., 1]
+    terms = (x, y, x * x + y * y, gap_x, gap_y, x * gap_x + y * gap_y)
+    sum_x, sum_y, sum_squares, sum_gap_x, sum_gap_y, sum_gaps = (term @ weights for term in terms)
+    total = weights.sum()
+    normal = np.zeros((*sum_x.shape, 3, 3))
+    normal[..., 0, 0] = normal[..., 1, 1] = total
+    normal[..., 0, 2] = normal[..., 2, 0] = -sum_x
+    normal[..., 1, 2] = normal[..., 2, 1] = -sum_y
+    normal[..., 2, 2] = sum_squares
+    right = np.stack([sum_gap_x, sum_gap_y, -sum_gaps], axis=-1)
+    origin = np.linalg.solve(normal + 1e-9 * total * np.eye(3), right[..., None])[..., 0]
+    origin[..., 2] = np.maximum(origin[..., 2], NEAREST_M - depths.min(axis=-1))
+    depths = depths + origin[..., 2:]
+    return PlacedBody(lines * depths[..., None] @ axes, (origin[..., None, :] @ axes)[..., 0, :])

@@ -60,8 +60,8 @@ def test_farther_points_are_less_likely(seed: int, near: float, farther: float) 
     points, keypoints = skeleton(seed), shown(skeleton(seed))
     both = np.stack([points, points])
     both[:, ROWS[seed % len(ROWS)], 1] += (near, near + farther)
-    own, _ = keypoints.compare_sides(both)
-    assert own[1] < own[0]
+    likelihood = keypoints.compare(both, NO_DEPTH).log_likelihood
+    assert likelihood[1] < likelihood[0]
 
 
 @given(seed=seeds)
@@ -111,7 +111,7 @@ def test_keypoints_of_lower_scores_weigh_less(seed: int) -> None:
     both = np.stack([points, points + 9])
     sure = shown(points)
     unsure = replace(sure, scores=sure.scores / 4)
-    spans = [np.ptp(one.compare_sides(both)[0]) for one in (sure, unsure)]
+    spans = [np.ptp(one.compare(both, NO_DEPTH).log_likelihood) for one in (sure, unsure)]
     assert spans[1] < spans[0]
 
 

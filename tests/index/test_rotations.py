@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
 from index.parameters import ROTATIONS
 from index.rotations import (
+    RotatedQuery,
+    find_rotated_candidates,
     landmark_rotations,
     rotate_silhouette,
     silhouette_rotations,
 )
+from index.search import NearestEntries
 from index.store import PoseIndex
 
 EVERY_WAY = (-170.0, -90.0, -53.0, 8.0, 90.0, 121.0, 180.0)
@@ -140,6 +143,28 @@ def test_mirrored_rotations_are_as_likely() -> None:
     rolls = np.array([14.0] * 30 + [-31.0] * 20 + [3.0] * 50)
     assert landmark_rotations(UPRIGHT, rolls) == [0.0, 15.0]
     assert landmark_rotations(UPRIGHT, -rolls) == [0.0, -15.0]
+
+
+def test_candidates_of_several_rotations_come_once_and_in_order(toy_index: PoseIndex) -> None:
+    queries = [RotatedQuery.of(toy_index.silhouette(77), rotation) for rotation in (0.0, 15.0)]
+    searched = find_rotated_candidates(toy_index, queries, 30)
+    # Of the first rotation, half of them found by the search as well; and the same of the second.
+    upright = searched.rotation_deg == 0
+    near = NearestEntries(
+        np.concatenate([searched.entry_ids[upright][:5], np.arange(5)]),
+        np.concatenate([searched.mirrored[upright][:5], np.zeros(5, bool)]),
+        np.repeat([-3.0, 22.0], 5),
+        np.zeros(10),
+    )
+    found = find_rotated_candidates(toy_index, queries, 30, near)
+    keys = np.stack([found.entry_ids, found.mirrored, found.rotation_deg], axis=1)
+    assert len(np.unique(keys, axis=0)) == len(found) and 60 < len(found) <= 65
+    assert (np.diff(found.distances) >= 0).all()
+    given = find_rotated_candidates(toy_index, queries, 0, near)
+    assert sorted(given.rotation_deg) == [0.0] * 5 + [15.0] * 5
+    assert_allclose(
+        given.distances, np.linalg.norm(given.offsets.astype(np.float64), axis=1), atol=1e-6
+    )
 
 
 class TestSilhouetteRotations:
