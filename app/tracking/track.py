@@ -221,7 +221,7 @@ class Track:
     def _weight(self, observed: ObservedPerson) -> float:
         """How far the posture of a frame counts: as far as it is right given its landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
-        right = observed.reliability**self._parameters.reliability_exponent
+        right = math.pow(observed.reliability, self._parameters.reliability_exponent)
         return 1 - presence * (1 - right)
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
