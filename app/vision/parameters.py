@@ -132,6 +132,8 @@ class ReadingParameters:
     """
 
     good_quality: float = 0.85  # From which no further window is tried.
+    # Below which the window is read to which the best reading points.
+    doubtful_quality: float = 0.6
     # Weights in the quality, beside the agreement with MoveNet.
     presence_weight: float = 0.3
     drift_weight: float = 1.0
@@ -143,8 +145,9 @@ class ReadingParameters:
     # From the frame's border; nearer landmarks are at most as visible as MoveNet's keypoints.
     border_distance: float = 0.3
     hips_to_feet: float = 1.7  # Distance relative to the trunk.
-    # Lean of the trunk up to which a window that is not turned is tried as well: in windows turned
-    # to the trunk of leaning people, the network exchanges left and right at times.
+    # Leans of the trunk between which a window that is not turned is tried as well: in windows
+    # turned to the trunk of leaning people, the network exchanges left and right at times.
+    min_lean_deg: float = 15.0
     max_lean_deg: float = 60.0
 
 

@@ -93,7 +93,7 @@ class PersonReader:
         beyond = window_beyond_border(keypoints, box, frame.shape, self.parameters)
         roll_deg = trunk_roll_deg(keypoints, self.parameters) or 0.0
         about = [PersonWindow.about_box(box, roll_deg)]
-        if 0 < abs(roll_deg) < self.parameters.max_lean_deg:
+        if self.parameters.min_lean_deg < abs(roll_deg) < self.parameters.max_lean_deg:
             about.append(PersonWindow.about_box(box))
         best = self._best_reading(frame, (*beyond, *windows, *about), keypoints)
         return best if keypoints is None else fuse(best, keypoints, self.parameters)
@@ -104,7 +104,7 @@ class PersonReader:
         windows: Iterable[PersonWindow],
         keypoints: ObservedKeypoints | None,
     ) -> PoseReading:
-        """The first good reading; without one, the best, or that of the window it points to."""
+        """The first good reading; without one the best or, in doubt, that of its next window."""
 
         def quality_of(reading: PoseReading) -> float:
             return reading_quality(reading, keypoints, self.parameters)
@@ -115,6 +115,8 @@ class PersonReader:
             if quality_of(readings[-1]) >= self.parameters.good_quality:
                 return readings[-1]
         best = max(readings, key=quality_of)
+        if quality_of(best) >= self.parameters.doubtful_quality:
+            return best
         return max(best, self.network.read(frame, best.next_window), key=quality_of)
 
 
