@@ -136,7 +136,7 @@ def postures(watched: Iterable[Watched]) -> Figures:
         for truth, labels in sorted(truths.items()):
             right = np.array([label in ANSWERS[truth] for label in labels])
             unclear = np.array([label in ("unclear", None) for label in labels])
-            figures.setdefault(source, {})[truth] = {
+            figures.setdefault(source, {})[truth.replace(" ", "_")] = {
                 "frames": len(labels),
                 "right": percent(right),
                 "wrong": percent(~right & ~unclear),

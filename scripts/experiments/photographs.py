@@ -160,7 +160,7 @@ def measure_confusions(asked: Sequence[Asked]) -> Figures:
                 name.replace(" ", "_"): percent(clear & (some.argmax(axis=1) == number))
                 for number, name in enumerate(GROUPS)
             }
-            figures.setdefault(source, {})[truth] = {
+            figures.setdefault(source, {})[truth.replace(" ", "_")] = {
                 "frames": len(some), **answers, "unclear": percent(~clear),
             }  # fmt: skip
     return figures
