@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Sequence
+
+# As in the service; NumPy's BLAS reads it once, when it is imported.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 COMMANDS = {
     "build": ("scripts.build", "build an index from motion capture"),
@@ -21,6 +25,7 @@ COMMANDS = {
     "pages": ("scripts.experiments.pages", "render the pages of results from their JSON again"),
     "figures": ("scripts.figures", "write headline figures from the JSON into the documents"),
     "bench": ("scripts.load.bench", "time whole requests against a yardstick"),
+    "profile": ("scripts.load.profile", "print where the time of a frame goes, stage by stage"),
     "overload": ("scripts.load.overload", "offer a server ten times the load it carries"),
     "soak": ("scripts.load.soak", "send many mixed requests; watch memory and latency"),
     "fuzz": ("scripts.load.fuzz", "upload damaged and odd images"),

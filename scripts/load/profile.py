@@ -1,0 +1,146 @@
+"""Print where the time of a frame goes: milliseconds and core-milliseconds of each stage.
+
+The frames are processed in this process, so that the processor time of a stage is that of all its
+threads. ``idle`` is the share of the cores that a frame leaves unused while it is processed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.estimation.estimator import Estimator
+from app.estimation.results import Evidence
+from app.estimation.upload import Upload
+from app.scheduling.job import STAGES, Job, ParallelMap
+from app.scheduling.process import available_cores
+from app.serving.loading import load_estimator
+from app.settings import Settings
+from app.tracking.session import CameraSession
+from index import DEFAULT_PATH
+from index.parameters import DEFAULT_HYPOTHESES
+from scripts.experiments import pages
+from scripts.load.bench_cases import FILM, Street
+from scripts.load.scenes import encode
+from scripts.results import RESULTS, SHARED, machine, revision
+
+TOTAL = "total"
+
+Process = Callable[[Job, int], object]
+"""Processes a case's frame of a number."""
+
+
+class ProfiledJob(Job):
+    """A job that counts the processor time of its stages as well."""
+
+    def __init__(self, parallel_map: ParallelMap) -> None:
+        super().__init__(parallel_map=parallel_map)
+        self.core_ms = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the processor time that all threads spend inside."""
+        started = time.process_time()
+        with super().stage(name):
+            yield
+        self.core_ms[name] += (time.process_time() - started) * 1000
+
+
+def profiled(
+    process: Process, parallel_map: ParallelMap, frames: int
+) -> dict[str, tuple[float, float]]:
+    """Return means over frames: milliseconds and core-milliseconds of each stage and in all."""
+    process(Job(parallel_map=parallel_map), 0)  # Warms up.
+    rows = []
+    for number in range(1, frames + 1):
+        job, started = ProfiledJob(parallel_map), time.process_time()
+        process(job, number)
+        core_ms = {**job.core_ms, TOTAL: (time.process_time() - started) * 1000}
+        rows.append([(job.timings_ms()[name], core_ms[name]) for name in core_ms])
+    means = np.mean(np.array(rows), axis=0).tolist()
+    return {name: tuple(pair) for name, pair in zip((*STAGES, TOTAL), means, strict=True)}
+
+
+def processes(estimator: Estimator, street: Street) -> dict[str, Process]:
+    """Return the kinds of frames by their titles."""
+
+    def estimating(evidence: Evidence = "photograph", **images: Any) -> Process:
+        upload = Upload(**images)
+        return lambda job, _: estimator.estimate(upload, DEFAULT_HYPOTHESES, job, evidence)
+
+    def following(film: Sequence[bytes]) -> Process:
+        session = CameraSession(estimator)
+        return lambda job, number: session.process(
+            Upload(frame=film[number % len(film)]), number / 10, DEFAULT_HYPOTHESES, job
+        )
+
+    silhouette = estimator.find_people(Upload(street.frame, boxes=[street.box]), Job()).people[0]
+    assert silhouette.silhouette is not None
+    mask = encode(".png", silhouette.silhouette.mask(street.busy[0].shape).astype(np.uint8))
+    films = {
+        name: [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
+        for name, film in (("street", street.film), ("tall", street.tall))
+    }
+    return {
+        "photograph, 768x576, four walkers": estimating(frame=street.frame),
+        "photograph, 1080x1920, two people": estimating(frame=films["tall"][0]),
+        "one caller's box": estimating(frame=street.frame, boxes=[street.box]),
+        "one mask": estimating(frame=street.frame, mask=mask),
+        "one mask, `evidence=silhouette`": estimating("silhouette", mask=mask),
+        "camera, 768x576, street": following(films["street"]),
+        "camera, 1080x1920, two people": following(films["tall"]),
+    }
+
+
+def table(found: Mapping[str, Mapping[str, tuple[float, float]]], cores: int) -> list[Any]:
+    """Return a row of figures for each stage that takes time."""
+    return [
+        {
+            "frame": frame,
+            "stage": stage,
+            "wall_ms": wall_ms,
+            "core_ms": core_ms,
+            "idle": max(0.0, 1 - core_ms / (cores * wall_ms)),
+        }
+        for frame, stages in found.items()
+        for stage, (wall_ms, core_ms) in stages.items()
+        if wall_ms >= 0.05
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Profile as the command line asks."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
+    parser.add_argument("--shared", type=Path, default=SHARED)
+    parser.add_argument("--frames", type=int, default=FILM, help="of each kind")
+    parser.add_argument("--write", action="store_true", help="into docs/results/profile")
+    options = parser.parse_args(arguments)
+    cores = available_cores()
+    estimator = load_estimator(Settings(index=options.index))
+    kinds = processes(estimator, Street.read(options.shared / "real"))
+    with ThreadPoolExecutor(cores) as pool:
+
+        def parallel_map(function: Callable[[Any], Any], items: Any, /) -> list[Any]:
+            return list(pool.map(function, items))
+
+        found = {
+            title: profiled(process, parallel_map, options.frames)
+            for title, process in kinds.items()
+        }
+    figures = {"frames": options.frames, "cores": cores, "stages": table(found, cores)}
+    given = sys.argv[1:] if arguments is None else arguments
+    command = shlex.join(["python", "-m", "scripts", "profile", *given])
+    origin = {"command": command, "revision": revision(), "machine": machine()}
+    print(pages.render("profile", {**origin, "figures": figures}))
+    if options.write:
+        pages.write(RESULTS, "profile", command, figures)
