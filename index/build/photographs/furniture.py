@@ -172,7 +172,7 @@ def bed(
 def blanket(
     body: NDArray[np.float32], top: float, share: float, materials: Materials, generator: Generator
 ) -> Mesh:
-    """Cloth over the feet's end of somebody who lies along z, up to a share of the length."""
+    """Cloth over the legs of a person who lies along z, up to a share of the length."""
     low, high = float(body[:, 2].min()), float(body[:, 2].max())
     begin = high - share * (high - low)
     x = np.arange(float(body[:, 0].min()) - 0.25, float(body[:, 0].max()) + 0.25, 0.04)
@@ -191,7 +191,7 @@ def blanket(
 def lap_blanket(
     body: NDArray[np.float32], floor: float, seat: float, materials: Materials, generator: Generator
 ) -> Mesh:
-    """Cloth over the legs of somebody who sits towards +z."""
+    """Cloth over the legs of a person who sits and faces +z."""
     legs = body[(body[:, 1] < seat + 0.22) & (body[:, 2] > 0.05)]
     hem = floor + generator.uniform(0.05, 0.35)
     return blanket(legs, hem, 0.98, materials, generator)

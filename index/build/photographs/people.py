@@ -84,7 +84,7 @@ class Person:
 
 @dataclass(frozen=True)
 class Outfit:
-    """What somebody wears: garments by name, and clothes painted on the skin."""
+    """What a person wears: garments by name, and clothes painted on the skin."""
 
     garments: tuple[str, ...] = ()
     painted: bool = False

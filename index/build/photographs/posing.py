@@ -43,7 +43,7 @@ _CLASS_ROWS = np.array([CLASSES.index(CLASS_OF_POSTURE[posture]) for posture in 
 Support = Literal["ground", "seat", "cycle"]
 
 REACHING_DOWN_ABOVE = 0.65
-"""Height of the pelvis, in legs, above which hands on the ground are those of somebody who bends.
+"""Height of the pelvis, in legs, above which a person with hands on the ground bends.
 """
 
 

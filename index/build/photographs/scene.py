@@ -1,4 +1,4 @@
-"""One photograph: a body in a pose, what carries and hides it, a room, light, a camera."""
+"""One photograph: a body in a pose, its surroundings, a room, light, a camera."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ from index.build.photographs.posing import (
     CLASSES,
     SHARES,
     PoseSource,
-    Support,
     classes_of,
     read_pose_source,
 )
@@ -40,6 +39,12 @@ from index.build.photographs.raster import (
     vertex_normals,
 )
 from index.build.photographs.rooms import Room, build_room
+from index.build.photographs.surroundings import (
+    PosedBody,
+    clutter_about,
+    level_direction,
+    support_of,
+)
 from index.build.render import skin
 from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
 
@@ -56,16 +61,14 @@ MIN_DEPTH_M, NEAREST_M = 0.12, 0.35
 """Things nearer to the camera than the first are not drawn; people are not nearer than the second.
 """
 
-COMPANIONS, HIDDEN, TABLES, WALKING_FRAMES = 0.14, 0.22, 0.42, 0.07
-"""Shares: of people with a second person near them; of subjects behind a thing; of those on chairs
-who sit at a table; of people with a walking frame at hand."""
+COMPANIONS, HIDDEN = 0.14, 0.22
+"""Shares: of people with a second person near them; of subjects behind a thing."""
 
 EMPTY = -1
 """Class of pictures that show nobody."""
 
 _SHADOW_PIXELS, _SHADOW_REACH_M = 256, 2.6
-_EARS = [7, 8]
-_NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
+_PELVIS = JOINT_NAMES.index("pelvis")
 
 
 @dataclass(frozen=True)
@@ -112,21 +115,6 @@ class Photograph:
     covered: float
 
 
-@dataclass(frozen=True)
-class _Body:
-    """A posed body in world axes, its pelvis over the origin."""
-
-    mesh: Mesh
-    landmarks: NDArray[np.float64]
-    joints: NDArray[np.float64]
-    posture: int
-    seat: float
-    support: Support
-
-    def placed(self, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Mesh:
-        return self.mesh.placed(turn, shift)
-
-
 @dataclass
 class Studio:
     """Takes photographs; the same ones for the same seed.
@@ -153,7 +141,7 @@ class Studio:
         return cls(people, read_pose_source(motion, people[0].avatar, held_out=held_out))
 
     def take(self, generator: np.random.Generator, *, empty: bool = False) -> Photograph:
-        """Take one photograph, of somebody or of things alone."""
+        """Take one photograph, of a person or of things alone."""
         wanted = str(generator.choice(list(SHARES), p=list(SHARES.values())))
         while True:
             materials = Materials()
@@ -171,16 +159,16 @@ class Studio:
         body = self._body(wanted, materials, generator)
         if body is None:
             return None
-        floor, around = _support(wanted, body, materials, generator)
+        floor, around = support_of(wanted, body, materials, generator)
         things = list(around)
         if generator.random() < COMPANIONS:
             posture = str(generator.choice(["standing", "bending", "crouching"], p=[0.6, 0.2, 0.2]))
             other = self._body(posture, materials, generator)
             if other is not None:
                 turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
-                away = generator.uniform(0.45, 2.5) * _level(generator)
+                away = generator.uniform(0.45, 2.5) * level_direction(generator)
                 low = float(other.mesh.vertices[:, 1].min())
-                things.append(other.placed(turn, away + np.array([0, floor - low, 0])))
+                things.append(other.mesh.placed(turn, away + np.array([0, floor - low, 0])))
         return _photograph(body.mesh, body, things, floor, materials, generator)
 
     def _still_life(
@@ -195,7 +183,7 @@ class Studio:
 
     def _body(
         self, wanted: str, materials: Materials, generator: np.random.Generator
-    ) -> _Body | None:
+    ) -> PosedBody | None:
         """A body in a pose of a class; None where the pose came out as another."""
         person = self.people[generator.integers(len(self.people))]
         pose = self.source.draw(wanted, generator)
@@ -222,131 +210,13 @@ class Studio:
             rows[person.parts],
         )  # fmt: skip
         seat = float(np.quantile(vertices[person.seat, 1], 0.02))
-        return _Body(mesh, landmarks, joints[:JOINTS], posture, seat, pose.support)
+        return PosedBody(mesh, landmarks, joints[:JOINTS], posture, seat, pose.support)
 
 
 def _rests(joints: NDArray[np.float64]) -> bool:
     """Whether the trunk of a body that lies is on the ground rather than on the limbs."""
     trunk = joints[[_PELVIS, JOINT_NAMES.index("chest")], 1]
     return bool(trunk.max() - joints[:JOINTS, 1].min() < POSES.trunk_below_m)
-
-
-def _level(generator: np.random.Generator) -> NDArray[np.float64]:
-    angle = generator.uniform(0, 2 * np.pi)
-    return np.array([np.sin(angle), 0.0, np.cos(angle)])
-
-
-def _support(
-    wanted: str, body: _Body, materials: Materials, generator: np.random.Generator
-) -> tuple[float, list[Mesh]]:
-    """Height of the floor, and what somebody sits on, at or lies on."""
-    vertices = body.mesh.vertices
-    low = float(vertices[:, 1].min())
-    if body.support == "cycle":
-        return _cycle(body, low, materials, generator)
-    if wanted == "sitting" and body.seat - low > 0.2:
-        return _seat(body, low, materials, generator)
-    if wanted == "sitting":
-        return _sitting_low(vertices, low, materials, generator)
-    if wanted == "lying" and generator.random() < 0.5:
-        floor = low - generator.choice([generator.uniform(0.02, 0.1), generator.uniform(0.25, 0.7)])
-        axis = body.joints[_NECK] - body.joints[_PELVIS]
-        # Turned so that the head points to -z.
-        turn = about_vertical(np.array([-np.arctan2(-axis[0], -axis[2])]))[0]
-        along = vertices @ turn.T
-        ends = (float(along[:, 2].min()), float(along[:, 2].max()))
-        things = [furniture.bed(floor, low + 0.03, ends, materials, generator)]
-        if generator.random() < 0.4:
-            share = generator.uniform(0.25, 0.85)
-            things.append(furniture.blanket(along, low + 0.03, share, materials, generator))
-        return floor, [thing.placed(turn.T, np.zeros(3)) for thing in things]
-    if wanted in ("standing", "bending", "lying") and generator.random() < WALKING_FRAMES:
-        frame = furniture.walking_frame(materials, generator)
-        if wanted != "lying":
-            return low, [frame.placed(np.eye(3), [0.0, low, generator.uniform(0.2, 0.45)])]
-        turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
-        away = generator.uniform(0.3, 0.9) * _level(generator)
-        return low, [frame.placed(turn, away + np.array([0, low, 0]))]
-    return low, []
-
-
-def _cycle(
-    body: _Body, low: float, materials: Materials, generator: np.random.Generator
-) -> tuple[float, list[Mesh]]:
-    floor = min(low, body.seat - 0.6) - generator.uniform(0.02, 0.2)
-    things = [furniture.cycle(floor, body.seat + 0.01, materials, generator)]
-    if generator.random() < 0.35:
-        head = body.landmarks[_EARS].mean(axis=0)
-        things.append(furniture.helmet(head, materials, generator))
-    return floor, things
-
-
-def _seat(
-    body: _Body, low: float, materials: Materials, generator: np.random.Generator
-) -> tuple[float, list[Mesh]]:
-    """A chair or the like; perhaps a table before it, or a blanket over the legs."""
-    vertices, floor = body.mesh.vertices, low
-    if generator.random() < 0.15:
-        floor -= generator.uniform(0, 0.25)
-    near = np.abs(vertices[:, 1] - body.seat - 0.2) < 0.2
-    behind = float(np.quantile(vertices[near, 2], 0.02)) - 0.02
-    things = [furniture.chair(floor, body.seat + 0.01, behind, materials, generator)]
-    chance = generator.random()
-    if chance < TABLES:
-        lap = float(vertices[vertices[:, 2] > 0.15][:, 1].min(initial=0.0))
-        top = max(floor + generator.uniform(0.62, 0.8), min(0.12, lap + 0.3))
-        near_z = generator.uniform(0.15, 0.5)
-        things.append(furniture.desk(floor, top, near_z, materials, generator))
-    elif chance < TABLES + 0.08:
-        things.append(furniture.lap_blanket(vertices, floor, body.seat, materials, generator))
-    return floor, things
-
-
-def _sitting_low(
-    vertices: NDArray[np.float32], low: float, materials: Materials, generator: np.random.Generator
-) -> tuple[float, list[Mesh]]:
-    """On the ground, on a sofa or a bed with the legs along it."""
-    chance = generator.random()
-    if chance < 0.55:
-        return low, []
-    floor = low - generator.uniform(0.25, 0.6)
-    if chance < 0.75:
-        return floor, [furniture.chair(floor, low + 0.02, -0.6, materials, generator)]
-    ends = (-generator.uniform(0.2, 0.6), float(vertices[:, 2].max()))
-    things = [furniture.bed(floor, low + 0.03, ends, materials, generator)]
-    if generator.random() < 0.5:
-        share = generator.uniform(0.4, 0.8)
-        legs = vertices[vertices[:, 1] < low + 0.35]
-        things.append(furniture.blanket(legs, low + 0.03, share, materials, generator))
-    return floor, things
-
-
-def _clutter(
-    camera: Camera, target: NDArray[np.float64], floor: float, hides: bool,
-    materials: Materials, generator: np.random.Generator,
-) -> list[Mesh]:  # fmt: skip
-    """Things about a target, and one in front of it where it is to be hidden in part."""
-    things = []
-    to_camera = (camera.place - target) * [1, 0, 1]
-    distance = float(np.linalg.norm(to_camera))
-    for number in range(generator.integers(0, 6)):
-        makers = furniture.CLUTTER
-        thing = makers[generator.integers(len(makers))](materials, generator)
-        turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
-        ground = np.array([target[0], floor, target[2]])
-        if hides and number == 0:
-            share = generator.uniform(0.25, 0.6)
-            aside = np.cross(to_camera / max(distance, 1e-6), [0, 1, 0]) * generator.normal(0, 0.5)
-            place = ground + share * to_camera + aside
-            things.append(thing.placed(turn, place))
-            continue
-        place = ground + generator.uniform(0.9, 4.5) * _level(generator)
-        # Not in the way, nor about the camera.
-        along = np.clip((place - ground) @ to_camera / max(distance**2, 1e-6), 0, 1)
-        radius = float(np.abs(thing.vertices[:, [0, 2]]).max())
-        if np.linalg.norm(place - ground - along * to_camera) > 0.5 + radius:
-            things.append(thing.placed(turn, place))
-    return things
 
 
 def _light(room: Room, generator: np.random.Generator) -> NDArray[np.float32]:
@@ -370,7 +240,7 @@ def _light(room: Room, generator: np.random.Generator) -> NDArray[np.float32]:
 
 def _photograph(
     subject: Mesh,
-    body: _Body | None,
+    body: PosedBody | None,
     things: list[Mesh],
     floor: float,
     materials: Materials,
@@ -391,7 +261,7 @@ def _photograph(
     if extent > 6 or inside < 0.3:
         return None
     hides = bool(generator.random() < HIDDEN)
-    things = things + _clutter(camera, target, floor, hides, materials, generator)
+    things = things + clutter_about(camera, target, floor, hides, materials, generator)
     room = build_room(np.stack([camera.place, low, high]), floor, generator)
     light = _light(room, generator)
     smallest, largest = HEIGHTS_PX
