@@ -127,6 +127,8 @@ def hang_up_after_sending(url: str, video: bytes) -> None:
     address = httpx.URL(url)
     head = f"POST /sequence HTTP/1.1\r\nHost: {address.host}\r\nContent-Type: video/avi\r\n"
     with socket.create_connection((address.host, address.port)) as connection:
+        # The end is sent together with the hang-up: else a busy machine may answer between them.
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CORK, 1)
         connection.sendall(f"{head}Content-Length: {len(video)}\r\n\r\n".encode() + video)
 
 

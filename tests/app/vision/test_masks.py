@@ -149,7 +149,7 @@ def test_images_that_are_no_masks_are_refused(data: bytes, message: str) -> None
 
 
 def test_crowds_are_not_scattered() -> None:
-    """A person in every square of 16 pixels, of whom the outline is all there is."""
+    """A person in every square of 16 pixels, each a mere outline."""
     y, x = np.ogrid[:320, :480]
     outlines = (np.minimum(y % 16, x % 16) == 3) * (y // 32 * 5 + x // 96 + 1)
     assert len(decode_mask(encode(outlines.astype(np.uint8)), max_pixels=LIMIT).present) == 50

@@ -156,12 +156,13 @@ class TestBoundedMap:
             nonlocal taken
             for _ in range(20):
                 taken += 1
-                yield (60.0,)
+                yield (10.0,)
 
         def wait(timeout_s: float) -> None:
             assert released.acquire(timeout=timeout_s)
 
-        with ThreadPoolExecutor(2) as pool:
+        # Of two threads, the one with the later task might take what is released.
+        with ThreadPoolExecutor(1) as pool:
             results = bounded_map(pool, wait, tasks(), 3)
             for finished in range(20):
                 released.release()
