@@ -185,8 +185,7 @@ def draw_labels(scene: Scene) -> NDArray[np.uint8]:
     labels = np.zeros(scene.frame.shape[:2], np.uint8)
     for label, found in enumerate(scene.people, start=1):
         if found.silhouette is not None:
-            crop, left, top = found.silhouette.crop, found.silhouette.left, found.silhouette.top
-            labels[top : top + crop.shape[0], left : left + crop.shape[1]][crop] = label
+            found.silhouette.paint(labels, label)
     return labels
 
 

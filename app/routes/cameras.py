@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -140,10 +142,8 @@ async def list_cameras(request: Request) -> CameraList:
 )
 async def get_camera(request: Request, camera: Camera) -> CameraState:
     """Get the configuration of a camera and the state of its session."""
-    try:
+    with _known(camera):
         return camera_reply(runtime_of(request).sessions.summary(camera))
-    except KeyError:
-        raise _unknown(camera) from None
 
 
 @router.get(
@@ -158,10 +158,8 @@ async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
 
     They are kept as long as the camera has a session or a configuration.
     """
-    try:
+    with _known(camera):
         return events_reply(camera.camera_id, runtime_of(request).sessions.events(camera))
-    except KeyError:
-        raise _unknown(camera) from None
 
 
 # Parsed here, after the key is checked, so that any error is one sentence.
@@ -228,14 +226,18 @@ async def forget_camera(request: Request, camera: Camera) -> None:
     A configuration in the service's file counts again. To remove the zones alone, set an empty
     list.
     """
-    try:
+    with _known(camera):
         runtime_of(request).sessions.forget(camera)
+
+
+@contextmanager
+def _known(camera: CameraKey) -> Iterator[None]:
+    """Answer 404 where the sessions do not know a camera."""
+    try:
+        yield
     except KeyError:
-        raise _unknown(camera) from None
-
-
-def _unknown(camera: CameraKey) -> ProblemError:
-    return ProblemError(
-        404,
-        f"expected a camera that has sent frames of late or is configured, got {camera.camera_id}",
-    )
+        raise ProblemError(
+            404,
+            "expected a camera that has sent frames of late or is configured, "
+            f"got {camera.camera_id}",
+        ) from None

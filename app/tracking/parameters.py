@@ -207,8 +207,8 @@ class EventParameters:
 class ZoneParameters:
     """When a person has entered or left a zone."""
 
-    # Feet at a border move by some hundredths of a body from frame to frame: for as far outside, in
-    # sizes of the person, who has entered is still in the zone.
+    # Distance outside, in sizes of the person, up to which a person who has entered stays in the
+    # zone: feet at a border move by some hundredths of a body from frame to frame.
     margin: float = 0.1
     settling_s: float = 0.5  # For so long a person is inside or outside before it is an event.
 

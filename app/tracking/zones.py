@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,11 +63,8 @@ def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
 
 def distance(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> float:
     """Distance of a point ``(2,)`` to the border of a polygon ``(P, 2)``, pixels."""
-    edges = np.roll(polygon, -1, axis=0) - polygon
-    squared = np.maximum((edges**2).sum(axis=1), np.finfo(float).tiny)
-    along = np.clip(((point - polygon) * edges).sum(axis=1) / squared, 0.0, 1.0)
-    nearest = polygon + along[:, None] * edges
-    return float(np.hypot(*(point - nearest).T).min())
+    inside_px = cv2.pointPolygonTest(polygon.astype(np.float32), tuple(point.tolist()), True)
+    return abs(inside_px)
 
 
 def place(box: Box, posture: Posture | None) -> NDArray[np.float64]:

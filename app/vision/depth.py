@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.vision.dense import DenseNetwork
 from app.vision.geometry import PersonWindow
-from app.vision.landmark_features import LANDMARKS, sample_map
+from app.vision.landmark_features import LANDMARKS
 from app.vision.network_pass import NetworkPass
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, landmark_rows
@@ -152,7 +152,6 @@ class DepthModel:
         """Correct the depths of one pass over a window."""
         places = np.array([[window.x, window.y, window.side, window.roll_deg]])
         sight = sight_features(places, camera.focal[None], camera.centre[None])
-        sampled = sample_map(given.middle[None], given.points[None])
-        features = depth_features(given.points[None], given.world[None], sampled, sight)
+        features = depth_features(given.points[None], given.world[None], given.sampled[None], sight)
         metres, sigmas = decode_depths(self.network(features), network_depths(given.world[None]))
         return Depths(metres[0], sigmas[0])

@@ -6,9 +6,12 @@ The models that rendered people teach (depth, posture, presence) read it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from app.vision.landmark_features import sample_map
 
 POINTS = 39
 """33 landmarks, and 6 points of the circle about the body."""
@@ -51,3 +54,8 @@ class NetworkPass:
                 f"expected points (39, 5), world (39, 3) and maps {MAP_SHAPES}, "
                 f"got {shapes} and {maps}"
             )
+
+    @cached_property
+    def sampled(self) -> NDArray[np.float32]:
+        """The middle map at the landmarks ``(33, 144)``."""
+        return np.asarray(sample_map(self.middle[None], self.points[None])[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -211,9 +211,13 @@ class Silhouette:
     def mask(self, frame_shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """The silhouette as a mask ``(H, W)`` of a frame whose shape begins with these."""
         mask = np.zeros(frame_shape[:2], bool)
-        height, width = self.crop.shape
-        mask[self.top : self.top + height, self.left : self.left + width] = self.crop
+        self.paint(mask, 1)
         return mask
+
+    def paint(self, image: NDArray[Any], value: int) -> None:
+        """Set the pixels of the silhouette in an image ``(H, W)`` of the frame's size."""
+        height, width = self.crop.shape
+        image[self.top : self.top + height, self.left : self.left + width][self.crop] = value
 
 
 def silhouette_from_mask(

@@ -17,7 +17,7 @@ from app.vision.dense import DenseNetwork
 from app.vision.depth import DepthModel
 from app.vision.doubt import Doubt, DoubtModel, doubt_features
 from app.vision.frame_posture import FramePosture, PostureModel, posture_features
-from app.vision.landmark_features import region_features, sample_map
+from app.vision.landmark_features import region_features
 from app.vision.models import FOLDER, network_path
 from app.vision.network_pass import NetworkPass
 from app.vision.sight import PinholeCamera
@@ -83,9 +83,8 @@ class PhotographModels:
             np.array([reading.presence]),
             np.array([box.width / box.height]),
         )
-        sampled = sample_map(given.middle[None], given.points[None])
         posture = self.posture.estimate(
-            np.hstack([shape, trust])[0], region_features(sampled)[0], doubt.right
+            np.hstack([shape, trust])[0], region_features(given.sampled[None])[0], doubt.right
         )
         return Judgement(body, doubt, posture)
 
