@@ -19,6 +19,7 @@ from app.estimation.estimator import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.session import CameraSession
+from index import posture
 from scripts.experiments.photograph_sources import LOW, SITTING, UPRIGHT, HomeFilm, home_films
 from scripts.helpers import track
 from scripts.metrics import percent
@@ -27,11 +28,11 @@ PER_SECOND = 6.0
 EARLY_S = 0.3
 """The labels of a fall's begin are so exact."""
 
-ANSWERS = {
-    SITTING: ("sitting",),
-    LOW: ("lying", "crawling"),
-    UPRIGHT: ("standing", "walking", "running", "arms_raised"),
-}
+KINDS = ("fall", "out_of_bed", "in_bed", "activity")
+"""What films are a test of."""
+
+ANSWERS = {SITTING: ("sitting",), LOW: posture.ON_THE_GROUND, UPRIGHT: posture.UPRIGHT}
+"""Labels that answer each truth."""
 
 Figures = dict[str, Any]
 
@@ -74,11 +75,10 @@ def run(options: argparse.Namespace) -> Figures:
     films = list(home_films(options.shared / "real"))
     watched = [watch(estimator, film) for film in tqdm(films, unit="film")]
     return {
-        "events": {kind: summarise(watched, kind) for kind in ("fall", "out_of_bed", "in_bed",
-                                                               "activity")},
+        "events": {kind: summarise(watched, kind) for kind in KINDS},
         "sources": by_source(watched),
         "postures": postures(watched),
-    }  # fmt: skip
+    }
 
 
 def watch(estimator: Estimator, film: HomeFilm) -> Watched:
@@ -90,8 +90,8 @@ def watch(estimator: Estimator, film: HomeFilm) -> Watched:
         truth = film.truth(at)
         if truth is not None and reply.persons:
             largest = max(reply.persons, key=lambda one: one.person.observed.box.area)
-            posture = largest.person.posture
-            seen.answers.append((truth, posture.label if posture else None))
+            found = largest.person.posture
+            seen.answers.append((truth, found.label if found else None))
     return seen
 
 
@@ -104,8 +104,8 @@ def summarise(watched: Iterable[Watched], kind: str) -> Figures:
     delays = [times[0] for times in detected if times]
     return {
         "films": len(films),
-        "fell": percent(np.array([bool(times) for times in detected])) if films else None,
-        "lying": percent(np.array([bool(one.said("lying")) for one in films])) if films else None,
+        "fell": percent([bool(times) for times in detected]) if films else None,
+        "lying": percent([bool(one.said("lying")) for one in films]) if films else None,
         "delay_s": float(np.median(delays)) if delays and films[0].film.fall is not None else None,
     }
 
@@ -116,11 +116,7 @@ def by_source(watched: Iterable[Watched]) -> Figures:
     for one in watched:
         groups[one.film.source].append(one)
     return {
-        source: {
-            kind: found
-            for kind in ("fall", "out_of_bed", "in_bed", "activity")
-            if (found := summarise(films, kind))["films"]
-        }
+        source: {kind: found for kind in KINDS if (found := summarise(films, kind))["films"]}
         for source, films in sorted(groups.items())
     }
 

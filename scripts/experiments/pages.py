@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import string
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,6 +57,15 @@ Figures = Mapping[str, Any]
 def write(out: Path, page: str, command: str, figures: Figures) -> None:
     """Write the JSON of a page, and the page with its plots."""
     _write_document(out, page, {**_origin(command), "figures": figures})
+
+
+def report(page: str, arguments: Sequence[str] | None, figures: Figures, *, keep: bool) -> None:
+    """Print the page of a command of its name; keep it in ``docs/results`` if asked to."""
+    given = sys.argv[1:] if arguments is None else arguments
+    command = shlex.join(["python", "-m", "scripts", page, *given])
+    print(render(page, {**_origin(command), "figures": figures}))
+    if keep:
+        write(RESULTS, page, command, figures)
 
 
 def write_section(out: Path, section: str, command: str, figures: Figures) -> None:

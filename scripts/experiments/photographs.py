@@ -198,8 +198,8 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> Figu
     stated = np.array([doubt.right for doubt in given])
     return {
         "readings": len(right),
-        "people": percent(np.array([doubt.person > 0.5 for doubt in given])),
-        "right": percent(np.array(right)),
+        "people": percent([doubt.person > 0.5 for doubt in given]),
+        "right": percent(right),
         "stated": percent(stated),
         "ece": expected_calibration_error(stated, np.array(right)),
     }

@@ -9,8 +9,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import shlex
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -33,7 +31,7 @@ from scripts.load.bench_cases import (
 )
 from scripts.load.client import Call, Client
 from scripts.load.server import ServerProcess
-from scripts.results import RESULTS, SHARED, machine, revision
+from scripts.results import SHARED
 
 REPEATS = 3
 """Consecutive requests of a kind: most then find warm caches."""
@@ -156,9 +154,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     street, left_out = read_street(options.shared / "real")
     with ServerProcess(options.index) as server:
         figures = {**benchmark(server, street, options.rounds), "left_out": left_out}
-    given = sys.argv[1:] if arguments is None else arguments
-    command = shlex.join(["python", "-m", "scripts", "bench", *given])
-    origin = {"command": command, "revision": revision(), "machine": machine()}
-    print(pages.render("bench", {**origin, "figures": figures}))
-    if options.write:
-        pages.write(RESULTS, "bench", command, figures)
+    pages.report("bench", arguments, figures, keep=options.write)

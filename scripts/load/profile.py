@@ -7,8 +7,6 @@ threads. ``idle`` is the share of the cores that a frame leaves unused while it 
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,7 +29,7 @@ from index.parameters import DEFAULT_HYPOTHESES
 from scripts.experiments import pages
 from scripts.load.bench_cases import FILM, Street
 from scripts.load.scenes import encode
-from scripts.results import RESULTS, SHARED, machine, revision
+from scripts.results import SHARED
 
 TOTAL = "total"
 
@@ -138,9 +136,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for title, process in kinds.items()
         }
     figures = {"frames": options.frames, "cores": cores, "stages": table(found, cores)}
-    given = sys.argv[1:] if arguments is None else arguments
-    command = shlex.join(["python", "-m", "scripts", "profile", *given])
-    origin = {"command": command, "revision": revision(), "machine": machine()}
-    print(pages.render("profile", {**origin, "figures": figures}))
-    if options.write:
-        pages.write(RESULTS, "profile", command, figures)
+    pages.report("profile", arguments, figures, keep=options.write)

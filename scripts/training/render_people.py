@@ -22,7 +22,6 @@ from tqdm import tqdm
 
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.geometry import PersonWindow
-from app.vision.landmark_features import sample_map
 from app.vision.models import network_path
 from index.build.photographs.posing import CLASSES
 from index.build.photographs.scene import EMPTY, Photograph, Studio
@@ -73,7 +72,7 @@ def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowR
         given.world[None],
         np.array([given.presence], np.float32),
         given.last[None].astype(np.float16),
-        sample_map(given.middle[None], given.points[None]).astype(np.float16),
+        given.sampled[None].astype(np.float16),
         np.array([[window.x, window.y, window.side, window.roll_deg]]),
         np.array([[following.x, following.y, following.side, following.roll_deg]]),
         photograph.focal[None],

@@ -59,7 +59,7 @@ SEEN_FROM = 0.3
 """The network's presence from which a window teaches depth and posture."""
 
 ENSEMBLE = 3
-"""Networks of which each of the posture's two is the mean."""
+"""Number of networks whose mean is each of the two posture networks."""
 
 NOBODY_FROM = 0.1
 """The network's presence from which a window without people is taken for one by it."""

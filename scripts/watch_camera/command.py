@@ -6,8 +6,8 @@
 SOURCE is a video file, the number of a device (0) or the URL of a stream (rtsp://...). The newest
 frame is posted whenever the service has answered the last one. Each event is printed as a line of
 JSON, and delivered once to each receiver: it waits, with ``--queue`` even through a restart of this
-program, until it is taken. Whoever is sent an event twice, because an acknowledgement was lost,
-knows it by its ``id``. All else is said on standard error.
+program, until it is taken. A receiver that gets an event twice, because an acknowledgement was
+lost, recognises it by its ``id``. Everything else is printed to standard error.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class Bridge:
     camera : Camera
     outbox : Outbox
     receivers : sequence of str
-        Who gets each event.
+        Names of the receivers of each event.
     home_assistant : HomeAssistant or None
-        Who is told, too, how many people there are.
+        Shows how many people there are, and which zones are occupied.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class Bridge:
 
 
 def status(answer: Mapping[str, Any]) -> str:
-    """Return who is there and how long the service took."""
+    """Return the people of an answer, and how long the service took."""
     people = ", ".join(
         f"{person['track_id']} {(person['posture'] or {'label': 'unclear'})['label']}"
         for person in answer["persons"]

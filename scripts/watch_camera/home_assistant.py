@@ -83,15 +83,15 @@ class HomeAssistant:
         if not self._client.is_connected():
             raise DeliveryError("the broker does not answer")
         if message["event"] == "fell":
-            # Retained, since whoever listens may come back later than this after a restart of the
-            # broker; expiring, so that nobody takes it for news later on.
+            # Retained, since a listener may return later than this after a restart of the broker;
+            # expiring, so that it is not taken for news later on.
             expiry = Properties(PacketTypes.PUBLISH)
             expiry.MessageExpiryInterval = FELL_SHOWN_S
             self._publish_surely("fell", "ON", retain=True, properties=expiry)
         self._publish_surely("events", json.dumps(message))
 
     def show(self, presence: Presence, zones: Iterable[str]) -> None:
-        """Publish who is there where it has changed, and announce zones that are new."""
+        """Publish how many people there are and which zones are occupied; announce new zones."""
         zones = list(zones)
         for gone in [zone for zone in self._zones if zone not in zones]:
             self._retain(self._config("binary_sensor", f"zone_{slug(gone)}"), "")

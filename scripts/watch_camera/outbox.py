@@ -89,10 +89,7 @@ class Outbox:
     def wait_until_empty(self, timeout_s: float | None = None) -> bool:
         """Wait until all is taken; return whether it is."""
         with self._changed:
-            count = "select count(*) from waiting"
-            return self._changed.wait_for(
-                lambda: not self._database.execute(count).fetchone()[0], timeout_s
-            )
+            return self._changed.wait_for(lambda: len(self) == 0, timeout_s)
 
     def _oldest(self, receiver: str) -> tuple[int, str] | None:
         row: tuple[int, str] | None = self._database.execute(

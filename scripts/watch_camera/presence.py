@@ -1,4 +1,4 @@
-"""Who is before a camera, and in which of its zones, by the events."""
+"""The people before a camera and in each of its zones, by the events."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Presence:
         return len(self._people)
 
     def is_occupied(self, zone: str) -> bool:
-        """Whether anybody is in a zone."""
+        """Whether a person is in a zone."""
         return bool(self._zones.get(zone))
 
     def begin(self, persons: Iterable[Mapping[str, Any]]) -> None:

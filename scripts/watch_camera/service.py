@@ -9,6 +9,7 @@ from urllib.parse import quote, urlencode, urlsplit
 
 import cv2
 
+from scripts.watch_camera.connections import connection_to
 from scripts.watch_camera.source import Frame
 
 RETRY_AFTER_S = 1.0
@@ -28,11 +29,8 @@ class Camera:
 
     def __init__(self, url: str, camera_id: str, api_key: str | None) -> None:
         parts = urlsplit(url)
-        kind = (
-            http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
-        )
         self.camera_id = camera_id
-        self._connection = kind(parts.netloc, timeout=_TIMEOUT_S)
+        self._connection = connection_to(parts, _TIMEOUT_S)
         self._path = f"{parts.path.rstrip('/')}/cameras/{quote(camera_id, safe='')}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
 

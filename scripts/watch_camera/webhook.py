@@ -6,6 +6,7 @@ import http.client
 import json
 from urllib.parse import urlsplit
 
+from scripts.watch_camera.connections import connection_to
 from scripts.watch_camera.outbox import DeliveryError, Message, RefusalError
 
 _TIMEOUT_S = 10.0
@@ -22,9 +23,7 @@ class Webhook:
     def send(self, message: Message) -> None:
         """Post a message; return once it is accepted."""
         parts = self._parts
-        secure = parts.scheme == "https"
-        connect = http.client.HTTPSConnection if secure else http.client.HTTPConnection
-        connection = connect(parts.netloc.rpartition("@")[2], timeout=_TIMEOUT_S)
+        connection = connection_to(parts, _TIMEOUT_S)
         headers = {"Content-Type": "application/json", "Idempotency-Key": message["id"]}
         target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         try:

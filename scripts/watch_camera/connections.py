@@ -1,0 +1,13 @@
+"""Connections over HTTP or HTTPS."""
+
+from __future__ import annotations
+
+import http.client
+from urllib.parse import SplitResult
+
+
+def connection_to(parts: SplitResult, timeout_s: float) -> http.client.HTTPConnection:
+    """Return a connection to the host of a URL, opened by its first request."""
+    secure = parts.scheme == "https"
+    connect = http.client.HTTPSConnection if secure else http.client.HTTPConnection
+    return connect(parts.netloc.rpartition("@")[2], timeout=timeout_s)
