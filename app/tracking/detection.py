@@ -8,8 +8,8 @@ and to check the tracks: MoveNet, which needs no window, finds those that have g
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,10 @@ from app.vision.silhouettes import silhouettes_of
 class _Target:
     """A person to read: a detection, or a track whose person no detection shows."""
 
-    detection: Detection  # Of a track, its predicted box and its window.
+    detection: Detection  # Of a track, its predicted box.
     track: Track | None  # None for a detection.
+    window: PersonWindow | None  # Of the track, also of one that a detection shows.
+    tracked: PoseReading | None = None  # In that window, where it has been read already.
 
 
 class TrackedPeopleDetector:
@@ -118,33 +120,43 @@ class TrackedPeopleDetector:
         ]
         lost = [track for track in tracks if track.seen_at < self._read_at]
         due = timestamp - self._searched_at >= self._parameters.search_every_s
+        shown: dict[Track | None, PoseReading] = {}
         if with_window and len(with_window) == len(recent) and not due:
-            read = self._read_all(frame, self._targets((), with_window), job)
-            lost_now = [target.track for target, reading in read if reading is None]
-            if not lost_now:
+            read = self._read_all(frame, self._targets((), with_window, shown), job)
+            shown = {target.track: reading for target, reading in read if reading is not None}
+            if len(shown) == len(recent):
                 return read
-            lost += [track for track in lost_now if track is not None and track not in lost]
+            lost += [track for track in recent if track not in shown and track not in lost]
+            with_window = [(track, box) for track, box in with_window if track in shown]
         with job.stage("detect"):
             places = [track.box_filter.seen for track in lost]
             detections = self._finder.detector.detect(frame, places)[: self._finder.max_persons]
         self._searched_at = timestamp
-        return self._read_all(frame, self._targets(detections, with_window), job)
+        return self._read_all(frame, self._targets(detections, with_window, shown), job)
 
     def _targets(
-        self, detections: Iterable[Detection], with_window: Iterable[tuple[Track, Box]]
+        self,
+        detections: Iterable[Detection],
+        with_window: Iterable[tuple[Track, Box]],
+        shown: Mapping[Track | None, PoseReading],
     ) -> list[_Target]:
-        """Detections, with the windows of the tracks that they show, then all other tracks."""
+        """Detections, with the windows of the tracks that they show, then all other tracks.
+
+        ``shown`` are the readings in windows that have been read already.
+        """
         targets: list[_Target] = []
-        unseen = [(track, box) for track, box in with_window]
+        unseen = dict(with_window)
         for detection in detections:
-            best = max(unseen, key=lambda pair: pair[1].iou(detection.box), default=None)
-            if best is not None and best[1].iou(detection.box) >= self._parameters.min_track_iou:
-                unseen.remove(best)
-                windows = (*detection.windows, *_windows(best[0]))
-                detection = replace(detection, windows=windows)
-            targets.append(_Target(detection, None))
-        for track, box in unseen:
-            targets.append(_Target(Detection(box, 0.0, None, _windows(track)), track))
+            overlap = {track: box.iou(detection.box) for track, box in unseen.items()}
+            track = max(overlap, key=lambda one: overlap[one], default=None)
+            if track is None or overlap[track] < self._parameters.min_track_iou:
+                targets.append(_Target(detection, None, None))
+            else:
+                del unseen[track]
+                targets.append(_Target(detection, None, track.next_window, shown.get(track)))
+        for track, box in unseen.items():
+            alone = Detection(box, 0.0)
+            targets.append(_Target(alone, track, track.next_window, shown.get(track)))
         return targets
 
     def _read_all(
@@ -157,10 +169,15 @@ class TrackedPeopleDetector:
 
     def _read(self, frame: NDArray[np.uint8], target: _Target) -> PoseReading | None:
         """Read a person; None where a track's window no longer shows anybody."""
-        detection, reader = target.detection, self._finder.reader
-        if target.track is None:
-            return reader.read(frame, detection.box, detection.keypoints, detection.windows)
-        reading = reader.network.read(frame, detection.windows[0])
+        detection, reader, reading = target.detection, self._finder.reader, target.tracked
+        if reading is None and target.window is not None:
+            reading = reader.network.read(frame, target.window)
+        if target.track is None or reading is None:
+            return reader.read(
+                frame, detection.box, detection.keypoints, detection.windows, reading
+            )
+        if reading is target.tracked:
+            return reading
         if reading.presence < self._min_presence or reading.drift > self._parameters.max_drift:
             return None
         if reading.body_px < self._parameters.movenet_from_px:
@@ -179,10 +196,6 @@ class TrackedPeopleDetector:
         box = reading.landmarks.box()
         margin = self._parameters.body_margin * max(box.width, box.height)
         return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
-
-
-def _windows(track: Track) -> tuple[PersonWindow, ...]:
-    return () if track.next_window is None else (track.next_window,)
 
 
 def _distinct(found: Sequence[tuple[_Target, PoseReading]]) -> list[tuple[_Target, PoseReading]]:

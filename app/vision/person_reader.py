@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,7 @@ class PersonReader:
         box: Box,
         keypoints: ObservedKeypoints | None = None,
         windows: Sequence[PersonWindow] = (),
+        tracked: PoseReading | None = None,
     ) -> PoseReading:
         """Read the person in a box.
 
@@ -82,6 +84,8 @@ class PersonReader:
             MoveNet's, in pixels of the frame; by default they are read in the box.
         windows : sequence of PersonWindow
             Windows to try besides the one about the box, the likeliest first.
+        tracked : PoseReading, optional
+            In the window that the person's track expects; no other is read if it is good.
 
         Returns
         -------
@@ -95,25 +99,29 @@ class PersonReader:
         about = [PersonWindow.about_box(box, roll_deg)]
         if self.parameters.min_lean_deg < abs(roll_deg) < self.parameters.max_lean_deg:
             about.append(PersonWindow.about_box(box))
-        best = self._best_reading(frame, (*beyond, *windows, *about), keypoints)
-        return best if keypoints is None else fuse(best, keypoints, self.parameters)
+        best = self._best_reading(frame, (*beyond, *windows, *about), keypoints, tracked)
+        if keypoints is None or best.keypoints is not None:
+            return best
+        return fuse(best, keypoints, self.parameters)
 
     def _best_reading(
         self,
         frame: NDArray[np.uint8],
         windows: Iterable[PersonWindow],
         keypoints: ObservedKeypoints | None,
+        tracked: PoseReading | None,
     ) -> PoseReading:
         """The first good reading; without one the best or, in doubt, that of its next window."""
 
         def quality_of(reading: PoseReading) -> float:
             return reading_quality(reading, keypoints, self.parameters)
 
+        known = [] if tracked is None else [tracked]
         readings = []
-        for window in windows:
-            readings.append(self.network.read(frame, window))
-            if quality_of(readings[-1]) >= self.parameters.good_quality:
-                return readings[-1]
+        for reading in chain(known, (self.network.read(frame, window) for window in windows)):
+            if quality_of(reading) >= self.parameters.good_quality:
+                return reading
+            readings.append(reading)
         best = max(readings, key=quality_of)
         if quality_of(best) >= self.parameters.doubtful_quality:
             return best

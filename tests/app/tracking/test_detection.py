@@ -18,7 +18,7 @@ from app.tracking.session import CameraSession
 from app.tracking.track import Sighting, Track
 from app.vision.images import decode_image
 from app.vision.sight import PinholeCamera
-from tests.app.tracking.drawn import ColourDetector, draw, ids, send
+from tests.app.tracking.drawn import ColourDetector, ColourReader, draw, ids, send
 
 
 def frame(*people: tuple[int, int]) -> NDArray[np.uint8]:
@@ -39,6 +39,18 @@ def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
             assert observed.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
             assert len(tracked.person.hypotheses) == 3
     assert detector.searches == 1 + 1 // DEFAULTS.detection.search_every_s
+
+
+def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
+    session: CameraSession, detector: ColourDetector, drawn: Estimator
+) -> None:
+    send(session, 0.0, (0, 10), (1, 200))
+    reader = drawn.finder.reader
+    assert isinstance(reader, ColourReader)
+    before, searches = reader.passes, detector.searches
+    send(session, 0.1, (0, 12))
+    assert detector.searches == searches + 1
+    assert reader.passes == before + 2
 
 
 def test_a_detection_larger_than_the_body_moves_no_box(

@@ -58,6 +58,19 @@ def test_right_one_of_several_windows_is_chosen(
         assert np.linalg.norm(apart, axis=1).mean() < 0.05 * height
 
 
+def test_good_reading_in_the_window_of_a_track_suffices(
+    person_reader: PersonReader,
+    street: NDArray[np.uint8],
+    walkers: list[Box],
+    readings: list[PoseReading],
+) -> None:
+    box, reading, neighbour = walkers[2], readings[2], readings[0]
+    keypoints = reading.keypoints
+    assert person_reader.read(street, box, keypoints, tracked=reading) is reading
+    found = person_reader.read(street, box, keypoints, tracked=neighbour)
+    assert_allclose(found.landmarks.positions, reading.landmarks.positions)
+
+
 def test_agreement_presence_and_little_drift_are_good(readings: list[PoseReading]) -> None:
     reading = readings[2]
     same = reading.landmarks.keypoints()
