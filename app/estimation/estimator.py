@@ -38,15 +38,17 @@ from index.store import PoseIndex
 
 
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
-    """Threads of one pass of a network, and copies of the network, that share the cores.
+    """Threads of one pass of a network, and copies of the network.
+
+    Two people read at once keep two cores busier than one after the other: the threads of one copy
+    wait for each other at the end of every layer.
 
     Examples
     --------
-    >>> network_threads(cores=8, concurrency=8)
+    >>> network_threads(cores=8, concurrency=4)
     (2, 4)
     """
-    threads = min(THREADS_PER_PASS, cores)
-    return threads, max(1, min(concurrency, cores // threads))
+    return min(THREADS_PER_PASS, cores), min(concurrency, cores)
 
 
 def load_networks(

@@ -27,7 +27,7 @@ from index.posture import LOW, POSTURES
 from scripts.results import RESULTS, machine, revision
 
 TEMPLATES = Path(__file__).with_name("templates")
-RELIABILITY = ("overload", "fuzz", "soak", "clients")
+RELIABILITY = ("cameras", "overload", "fuzz", "soak", "clients")
 """Measurements of a running server: each is a section of one page, and is repeated by itself."""
 
 NAMES = {
