@@ -48,7 +48,6 @@ class TrackedPeopleDetector:
     def __init__(self, finder: PeopleFinder, parameters: TrackingParameters = DEFAULTS) -> None:
         self._finder = finder
         self._parameters = parameters.detection
-        self._min_presence = parameters.track.min_presence
         self._searched_at = self._read_at = -math.inf
 
     def find(
@@ -95,7 +94,7 @@ class TrackedPeopleDetector:
                 continue
             score = target.track.score if target.track else target.detection.score
             # A detector's box may hold more than the body that is read in it.
-            place = silhouette.box if reading.presence >= self._min_presence else box
+            place = silhouette.box if reading.presence >= self._parameters.min_presence else box
             person = make_observation(
                 frame, upload.camera, place, "detector", score, silhouette, reading
             )
@@ -178,7 +177,10 @@ class TrackedPeopleDetector:
             )
         if reading is target.tracked:
             return reading
-        if reading.presence < self._min_presence or reading.drift > self._parameters.max_drift:
+        if (
+            reading.presence < self._parameters.min_presence
+            or reading.drift > self._parameters.max_drift
+        ):
             return None
         if reading.body_px < self._parameters.movenet_from_px:
             return reading

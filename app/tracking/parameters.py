@@ -35,7 +35,9 @@ class DetectionParameters:
 
     search_every_s: float = 0.4  # Between two searches of the whole frame.
     window_lasts_s: float = 0.5  # For so long a window shows where its person is.
-    # Distance from a window to the next, in windows, beyond which it has lost the body.
+    # A window has lost its person below this presence by the landmark network, and where the next
+    # one would be farther away than this, in windows.
+    min_presence: float = 0.5
     max_drift: float = 0.35
     # Size of a body from which MoveNet places joints in a track's window too. That takes as long
     # as the reading itself; poses of smaller people are averaged over more frames instead.
@@ -82,13 +84,13 @@ class MatchingParameters:
 class TrackParameters:
     """When a track counts as a person."""
 
-    # Probability by the detector that confirms a track at once, and sightings that confirm others.
+    # Where landmarks are read, the probability that a track is a person, from which it counts as
+    # one; and the share of people among the windows that have taught it.
+    min_probability: float = 0.9
+    people_share: float = 6 / 7
+    # Elsewhere, the score by the detector that is enough at once, and sightings that always are.
     confirming_score: float = 0.6
     confirming_sightings: int = 3
-    # Presence from which the landmark network sees a person. It must have done so once in a
-    # detection: on tables and tripods it often stays near 0, and it falls below 0.1 where a person
-    # has left.
-    min_presence: float = 0.5
     # Exponent of the probability that landmarks are right, for how far a frame's posture counts.
     # On held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability
     # is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.

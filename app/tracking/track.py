@@ -20,6 +20,7 @@ from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedP
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest, zones_of
 from app.vision.geometry import Box, PersonWindow
+from app.vision.odds import log_odds, probability_of
 from index.posture import Posture
 from index.skeleton import side_rows
 
@@ -134,11 +135,10 @@ class Track:
         """Zones in which the person was last seen."""
         self.box_filter = BoxFilter(observed.box, timestamp, parameters.box)
         self.age_frames = 0
-        self.sightings = 0
+        self.sightings = self._windows = 0
+        self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
         self.score = 0.0
         """Highest probability by the detector that this is a person; 1 if the caller said so."""
-        self.presence = 0.0
-        """Highest presence by the landmark network; 1 where it does not decide."""
         self.seen_at = timestamp
         """Time of the last sighting, seconds."""
         self.next_window: PersonWindow | None = observed.next_window
@@ -156,10 +156,21 @@ class Track:
     @property
     def is_confirmed(self) -> bool:
         """Whether the track counts as a person."""
-        return self.presence >= self._parameters.min_presence and (
+        if self._shown_odds is not None:
+            return self._probability(self._shown_odds) >= self._parameters.min_probability
+        return (
             self.score >= self._parameters.confirming_score
             or self.sightings >= self._parameters.confirming_sightings
         )
+
+    def _probability(self, shown_odds: float) -> float:
+        """Probability that a person is tracked, by Bayes' rule.
+
+        The detector's highest score comes before the windows, the mean of which counts as one
+        observation: the same furniture looks like a person in all frames.
+        """
+        prior = log_odds(self._parameters.people_share)
+        return probability_of(log_odds(self.score) + shown_odds - prior)
 
     def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
         """Take in where the person is in this frame, and in which of the camera's zones."""
@@ -172,8 +183,10 @@ class Track:
         self.seen_at = timestamp
         if observed.source not in ("background", "track"):
             self.score = max(self.score, _score(observed))
-        presence = observed.presence if observed.source == "detector" else None
-        self.presence = max(self.presence, 1.0 if presence is None else presence)
+        if observed.source == "detector" and observed.doubt is not None:
+            self._windows += 1
+            odds, mean = log_odds(observed.doubt.person), self._shown_odds or 0.0
+            self._shown_odds = mean + (odds - mean) / self._windows
         self.next_window = observed.next_window
         if self.appearance is None:
             self.appearance = sighting.appearance
@@ -221,7 +234,8 @@ class Track:
     def _weight(self, observed: ObservedPerson) -> float:
         """How far the posture of a frame counts: as far as it is right given its landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
-        right = math.pow(observed.reliability, self._parameters.reliability_exponent)
+        right = 1.0 if observed.doubt is None else observed.doubt.right
+        right = math.pow(right, self._parameters.reliability_exponent)
         return 1 - presence * (1 - right)
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
