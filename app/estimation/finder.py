@@ -176,7 +176,7 @@ def make_observation(
 def _judged(
     person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
 ) -> ObservedPerson:
-    """A person with what rendered people have taught: depths, posture and doubt."""
+    """A person with what rendered people have taught: depths, posture, presence and reliability."""
     judged = photograph_models().judge(reading, camera)
     body = judged.body
     return replace(
@@ -185,13 +185,14 @@ def _judged(
             landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
         ),
         frame_posture=judged.posture,
-        doubt=judged.doubt,
+        presence=judged.doubt.person,
+        reliability=judged.doubt.right,
     )
 
 
 def without_landmarks(person: ObservedPerson) -> ObservedPerson:
     """A person as the silhouette alone shows them."""
-    return replace(person, landmarks=None, frame_posture=None, doubt=None)
+    return replace(person, landmarks=None, frame_posture=None, reliability=1.0)
 
 
 def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:

@@ -88,6 +88,7 @@ class TrackParameters:
     # one; and the share of people among the windows that have taught it.
     min_probability: float = 0.9
     people_share: float = 6 / 7
+    presence_mean_s: float = 3.0  # Over which windows are averaged: a person may take a seat.
     # Elsewhere, the score by the detector that is enough at once, and sightings that always are.
     confirming_score: float = 0.6
     confirming_sightings: int = 3

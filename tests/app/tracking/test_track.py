@@ -11,7 +11,6 @@ from app.estimation.results import ObservedPerson
 from app.tracking.results import TrackedPerson
 from app.tracking.track import BoxFilter, Sighting, Track
 from app.tracking.zones import Zone
-from app.vision.doubt import Doubt
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
 from tests.app.tracking.people import person_of, seen_from
@@ -19,9 +18,10 @@ from tests.app.tracking.people import person_of, seen_from
 BOX = Box(100, 100, 30, 80)
 
 
-def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Sighting:
-    doubt = None if person is None else Doubt(person, right=person / 2)
-    observed = ObservedPerson(BOX, "detector", score, None, doubt=doubt)
+def detected(
+    score: float | None = 0.9, presence: float | None = None, **fields: object
+) -> Sighting:
+    observed = ObservedPerson(BOX, "detector", score, None, presence=presence)
     return Sighting(replace(observed, **fields))  # type: ignore[arg-type]
 
 
@@ -64,13 +64,13 @@ class TestBoxFilter:
         ([detected(0.5)] * 2, False),
         ([detected(0.5)] * 3, True),
         ([detected(None, source="background")], False),
-        # Where landmarks are read, both networks' doubts count.
-        ([detected(0.5, person=0.99)], True),
-        ([detected(0.9, person=0.7)] * 9, False),
-        ([detected(0.5, person=0.9), detected(0.95, person=0.99)], True),
+        # Where landmarks are read, what the windows show counts as well.
+        ([detected(0.5, presence=0.99)], True),
+        ([detected(0.9, presence=0.7)] * 9, False),
+        ([detected(0.5, presence=0.9), detected(0.95, presence=0.99)], True),
         # Furniture that looks like a person looks like one in every frame.
-        ([detected(0.5, person=0.93)] * 99, False),
-        ([detected(None, person=0.7, source="boxes")], True),
+        ([detected(0.5, presence=0.93)] * 99, False),
+        ([detected(None, presence=0.7, source="boxes")], True),
     ],
 )
 def test_confirmed_by_the_detector_and_by_what_the_windows_show(
