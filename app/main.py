@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 
 import anyio
 from fastapi import FastAPI
@@ -76,6 +77,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     )
     runtime = Runtime(settings, executor, metrics, sessions)
     metrics.sessions.set_function(lambda: len(sessions))
+    metrics.observe_cameras(sessions.traffic)
     metrics.sequences.set_function(lambda: runtime.sequences)
     metrics.in_flight.set_function(lambda: executor.queue.in_flight)
     metrics.capacity_used.set_function(executor.queue.load)
@@ -153,7 +155,12 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     app.add_middleware(HeadMiddleware)
     app.add_middleware(IdentityMiddleware, api_keys=settings.api_keys)
     # The outermost, so that it also sees refused requests.
-    app.add_middleware(AccessLogMiddleware, metrics=runtime.metrics, table=table)
+    app.add_middleware(
+        AccessLogMiddleware,
+        metrics=runtime.metrics,
+        table=table,
+        on_refused=partial(cameras.count_dropped, runtime.sessions),
+    )
 
 
 async def _end_idle_sessions(runtime: Runtime) -> None:

@@ -6,12 +6,13 @@ import logging
 import re
 import time
 import uuid
+from collections.abc import Callable
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.errors import ProblemError, ProblemResponse
-from app.http.metrics import Metrics
+from app.http.metrics import PROBES, Metrics
 from app.http.request_state import RequestState, request_id, request_state
 from app.http.routing import RouteTable
 
@@ -30,12 +31,22 @@ class AccessLogMiddleware:
     metrics : Metrics
     table : RouteTable
         Names the route that a request was meant for, even if it is refused before.
+    on_refused : callable
+        Called with the scope of a refused request and the reason.
     """
 
-    def __init__(self, app: ASGIApp, *, metrics: Metrics, table: RouteTable) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        metrics: Metrics,
+        table: RouteTable,
+        on_refused: Callable[[Scope, str], None] = lambda scope, reason: None,
+    ) -> None:
         self.app = app
         self._metrics = metrics
         self._table = table
+        self._on_refused = on_refused
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
@@ -73,10 +84,7 @@ class AccessLogMiddleware:
         known = self._table.find(scope["path"])
         route = known.path if known else "other"
         status = 500 if notes.status is None else notes.status
-        self._metrics.requests.labels(route, str(status)).inc()
-        self._metrics.seconds.labels(route).observe(seconds)
-        if notes.rejected_reason:
-            self._metrics.rejected.labels(notes.rejected_reason).inc()
+        self._metrics.observe_request(route, status, seconds, notes.rejected_reason)
         fields = {
             "method": scope["method"],
             "path": scope["path"],
@@ -86,8 +94,9 @@ class AccessLogMiddleware:
         }
         if notes.rejected_reason:
             fields["rejected"] = notes.rejected_reason
+            self._on_refused(scope, notes.rejected_reason)
         # Probes and scrapes come every few seconds.
-        quiet = route in ("/healthz", "/readyz", "/metrics") and status < 400
+        quiet = route in PROBES and status < 400
         log.log(logging.DEBUG if quiet else logging.INFO, "request", extra={"fields": fields})
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 
 from prometheus_client import (
@@ -10,20 +10,30 @@ from prometheus_client import (
     Counter,
     Gauge,
     Histogram,
+    Metric,
     ProcessCollector,
     generate_latest,
 )
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.registry import Collector
 
 from app.estimation.results import Person
 from app.settings import Settings
 from app.tracking.results import Event
+from app.tracking.sessions import CameraTraffic
 from index.search import FailureReason
 
 # A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.
 _MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 350, 500, 750)
 _SECONDS = (*(milliseconds / 1000 for milliseconds in _MILLISECONDS), 1, 1.5, 2, 3, 5, 7.5, 10)
 _TENTHS = tuple(tenth / 10 for tenth in range(1, 11))
+_VIDEO_SECONDS = (1, 2.5, 5, 10, 30, 60, 120, 300, 600, 1200, 1800, 3600)
 _PERSONS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 50)
+
+PROBES = ("/healthz", "/readyz", "/metrics")
+"""Routes that are asked every few seconds, and whose durations say nothing."""
+
+_SEQUENCE = "/sequence"
 
 
 def buckets_until(deadline_s: float) -> tuple[float, ...]:
@@ -35,6 +45,40 @@ def buckets_until(deadline_s: float) -> tuple[float, ...]:
     (0.00025, 0.0005, 0.001, 0.002)
     """
     return (*(bound for bound in _SECONDS if bound < deadline_s), deadline_s)
+
+
+class CameraCollector(Collector):
+    """Metrics of the cameras that have a session when they are scraped, and of no others.
+
+    Parameters
+    ----------
+    traffic : callable
+        Returns the traffic of these cameras.
+    """
+
+    def __init__(self, traffic: Callable[[], Iterable[CameraTraffic]]) -> None:
+        self._traffic = traffic
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield each metric with a sample for each camera."""
+        labels = ("caller", "camera")
+        age = GaugeMetricFamily(
+            "pose_camera_frame_age_seconds",
+            "Time since the last answered frame of a camera that has a session.",
+            labels=labels,
+        )
+        dropped = CounterMetricFamily(
+            "pose_camera_frames_dropped",
+            "Frames of a camera that were refused while it had a session, by reason.",
+            labels=(*labels, "reason"),
+        )
+        for camera in self._traffic():
+            named = (str(camera.key.caller), camera.key.camera_id)
+            age.add_metric(named, camera.idle_s)
+            for reason, count in camera.dropped.items():
+                dropped.add_metric((*named, reason), count)
+        yield age
+        yield dropped
 
 
 class Metrics:
@@ -54,12 +98,14 @@ class Metrics:
         histogram = partial(Histogram, registry=self.registry)
         durations = buckets_until(deadline_s)
         # fmt: off
-        self.requests = counter(
+        self._requests = counter(
             "pose_requests", "Requests answered, by route and status.", ["route", "status"])
-        self.seconds = histogram(
+        self._seconds = histogram(
             "pose_request_seconds", "From the first byte of a request to the last of its answer.",
             ["route"], buckets=durations)
-        self.rejected = counter(
+        self._sequence_seconds = histogram(
+            "pose_sequence_seconds", "The same of a request with a video.", buckets=_VIDEO_SECONDS)
+        self._rejected = counter(
             "pose_rejected", "Requests refused, by reason.", ["reason"])
         self._stages = histogram(
             "pose_stage_seconds", "Time of one frame in one stage.", ["stage"], buckets=durations)
@@ -107,6 +153,20 @@ class Metrics:
             max_wait_s=f"{settings.max_wait_s:g}",
             request_timeout_s=f"{settings.request_timeout_s:g}",
         ).set(1)
+
+    def observe_cameras(self, traffic: Callable[[], Iterable[CameraTraffic]]) -> None:
+        """Report the traffic of cameras, asked for at each scrape."""
+        self.registry.register(CameraCollector(traffic))
+
+    def observe_request(self, route: str, status: int, seconds: float, rejected: str) -> None:
+        """Count a request, its duration, and why it was refused, ``""`` if it was not."""
+        self._requests.labels(route, str(status)).inc()
+        if route == _SEQUENCE:
+            self._sequence_seconds.observe(seconds)
+        elif route not in PROBES:
+            self._seconds.labels(route).observe(seconds)
+        if rejected:
+            self._rejected.labels(rejected).inc()
 
     def observe_index(self, name: str, version: str) -> None:
         """Report the loaded index, in place of the one before."""

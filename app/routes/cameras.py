@@ -9,6 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import ValidationError
+from starlette.types import Scope
 
 from app.api.replies import camera_reply, events_reply, settings_from, track_reply
 from app.api.tracking_schemas import (
@@ -19,7 +20,7 @@ from app.api.tracking_schemas import (
     TrackResponse,
 )
 from app.http.errors import ProblemError
-from app.http.identity import CAMERA_PATTERN, RequireKey, identity_of
+from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.request_state import request_state
 from app.messages import located
 from app.routes.openapi import documented
@@ -28,7 +29,7 @@ from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
-from app.tracking.sessions import CameraKey, TooManyCamerasError
+from app.tracking.sessions import CameraKey, CameraSessions, TooManyCamerasError
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
@@ -45,13 +46,23 @@ CameraId = Annotated[
 ]
 
 
-def _owner(request: Request) -> int:
-    """Return the owner of a request's cameras: all callers are the same where there are no keys."""
-    return identity_of(request.scope).caller.key or 0
+def _owner(identity: Identity) -> int:
+    """Return the owner of a caller's cameras: all callers are the same where there are no keys."""
+    return identity.caller.key or 0
+
+
+def count_dropped(sessions: CameraSessions, scope: Scope, reason: str) -> None:
+    """Count a refused request for the camera whose frame it brought, if it did."""
+    identity = identity_of(scope)
+    stream = identity.stream
+    # The header X-Camera-ID names a camera on other routes, too.
+    is_frame = scope["method"] == "POST" and scope["path"].startswith(f"{router.prefix}/")
+    if stream is not None and is_frame and identity.is_authorised:
+        sessions.count_dropped(CameraKey(_owner(identity), stream.camera), reason)
 
 
 async def _camera_key(request: Request, camera_id: CameraId) -> CameraKey:
-    return CameraKey(_owner(request), camera_id)
+    return CameraKey(_owner(identity_of(request.scope)), camera_id)
 
 
 Camera = Annotated[CameraKey, Depends(_camera_key)]
@@ -129,7 +140,7 @@ async def track_frame(
 )
 async def list_cameras(request: Request) -> CameraList:
     """List the caller's cameras that have a session or a configuration, ordered by name."""
-    sessions = runtime_of(request).sessions.summaries(_owner(request))
+    sessions = runtime_of(request).sessions.summaries(_owner(identity_of(request.scope)))
     return CameraList(cameras=[camera_reply(session) for session in sessions])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -29,6 +29,23 @@ class CameraKey(NamedTuple):
 
     caller: int
     camera_id: str
+
+
+@dataclass(frozen=True)
+class CameraTraffic:
+    """The frames of a camera that has a session.
+
+    Parameters
+    ----------
+    idle_s : float
+        Seconds since the last frame that was answered.
+    dropped : mapping of str to int
+        Frames refused since the session began, by reason.
+    """
+
+    key: CameraKey
+    idle_s: float
+    dropped: Mapping[str, int]
 
 
 class TooManyCamerasError(ValueError):
@@ -107,6 +124,7 @@ class _OpenSession:
         self.session = session
         self.estimator = estimator
         self.busy = True
+        self.dropped: Counter[str] = Counter()
         self._first = self.last = now
 
     def note(self, frame: TrackedFrame, now: float) -> None:
@@ -281,6 +299,22 @@ class CameraSessions:
             self._end_idle()
             self._check_known(key)
             return tuple(self._events.get(key, ()))
+
+    def count_dropped(self, key: CameraKey, reason: str) -> None:
+        """Count a refused frame of a camera, if it has a session."""
+        with self._lock:
+            if key in self._open:
+                self._open[key].dropped[reason] += 1
+
+    def traffic(self) -> list[CameraTraffic]:
+        """Return the traffic of all cameras that have a session."""
+        with self._lock:
+            self._end_idle()
+            now = self._clock()
+            return [
+                CameraTraffic(key, now - opened.last, dict(opened.dropped))
+                for key, opened in self._open.items()
+            ]
 
     def forget(self, key: CameraKey) -> None:
         """Forget a camera's session, events and what the caller has set; KeyError as `summary`.

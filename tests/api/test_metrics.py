@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import pytest
 from fastapi.testclient import TestClient
-from prometheus_client.parser import text_string_to_metric_families
+from pydantic import SecretStr
 
+from app.http.metrics import PROBES
 from app.scheduling.queue import FairQueue, OverloadedError
 from app.serving.runtime import VERSION
 from tests.conftest import Photo, Serving
-from tests.support.service import sample
+from tests.support.service import sample, samples, send
+
+
+def buckets(client: TestClient, histogram: str, **labels: str) -> list[float]:
+    """Upper bounds of a histogram with these labels."""
+    return [float(found["le"]) for found in samples(client, f"{histogram}_bucket", **labels)]
 
 
 def test_metrics_count_requests_and_their_results(client: TestClient, photo: Photo) -> None:
@@ -68,15 +74,25 @@ def test_an_early_refusal_counts_for_its_route(
 
 def test_histograms_of_durations_end_at_the_deadline(serving: Serving) -> None:
     client = serving(request_timeout_s=4.0)
-    client.get("/healthz")
-    bounds = [
-        float(found.labels["le"])
-        for family in text_string_to_metric_families(client.get("/metrics").text)
-        for found in family.samples
-        if found.name == "pose_request_seconds_bucket" and found.labels["route"] == "/healthz"
-    ]
+    client.get("/index")
+    bounds = buckets(client, "pose_request_seconds", route="/index")
     assert bounds[-2:] == [4.0, float("inf")]
     assert bounds == sorted(set(bounds))
+
+
+def test_durations_of_probes_are_left_out(client: TestClient) -> None:
+    for probe in PROBES:
+        client.get(probe)
+        assert sample(client, "pose_requests_total", route=probe) is not None
+        assert not buckets(client, "pose_request_seconds", route=probe)
+
+
+def test_durations_of_videos_have_buckets_of_minutes(client: TestClient) -> None:
+    assert client.post("/sequence", files={"video": b"?"}).status_code == 400
+    bounds = buckets(client, "pose_sequence_seconds")
+    assert (bounds[0], bounds[-2]) == (1, 3600)
+    assert sample(client, "pose_sequence_seconds_count") == 1
+    assert not buckets(client, "pose_request_seconds", route="/sequence")
 
 
 def test_metrics_name_the_build(serving: Serving) -> None:
@@ -89,3 +105,43 @@ def test_events_of_cameras_are_counted(client: TestClient, photo: Photo) -> None
     client.post("/cameras/yard/frames", files=photo.files)
     client.post("/cameras/gate/frames", files=photo.files)
     assert sample(client, "pose_events_total", event="entered") == 2
+
+
+def test_dropped_frames_are_counted_by_camera(client: TestClient, photo: Photo) -> None:
+    yard = {"caller": "0", "camera": "yard"}
+    assert send(client, photo, timestamp="1").status_code == 200
+    assert send(client, photo, timestamp="1").status_code == 409
+    assert client.post("/cameras/yard/frames", files={"frame": b"?"}).status_code == 400
+    assert client.post("/cameras/gate/frames", files={"frame": b"?"}).status_code == 400
+    # Neither a frame of the session nor a frame at all.
+    client.post("/pose", files={"frame": b"?"}, headers={"X-Camera-ID": "yard"})
+    client.get("/cameras/yard/frames")
+    dropped = samples(client, "pose_camera_frames_dropped_total")
+    assert dropped == [{**yard, "reason": reason} for reason in ("late_frame", "undecodable")]
+    assert sample(client, "pose_camera_frames_dropped_total", reason="late_frame") == 1
+
+
+def test_a_strangers_frames_do_not_count_for_a_camera(serving: Serving, photo: Photo) -> None:
+    client = serving(api_keys=(SecretStr("first"), SecretStr("second")))
+    owner = {"X-API-Key": "second"}
+    assert send(client, photo, headers=owner, timestamp="1").status_code == 200
+    assert send(client, photo).status_code == 401
+    assert not samples(client, "pose_camera_frames_dropped_total")
+    send(client, photo, headers=owner, timestamp="1")
+    dropped = samples(client, "pose_camera_frames_dropped_total")
+    assert dropped == [{"caller": "1", "camera": "yard", "reason": "late_frame"}]
+
+
+def test_a_camera_has_series_as_long_as_its_session(client: TestClient, photo: Photo) -> None:
+    age = "pose_camera_frame_age_seconds"
+    assert not samples(client, age)
+    for timestamp in ("1", "1"):
+        send(client, photo, timestamp=timestamp)
+    first = sample(client, age, caller="0", camera="yard")
+    second = sample(client, age, caller="0", camera="yard")
+    assert first is not None
+    assert second is not None
+    assert 0 <= first < second < 60
+    client.delete("/cameras/yard")
+    assert not samples(client, age)
+    assert not samples(client, "pose_camera_frames_dropped_total")

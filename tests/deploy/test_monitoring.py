@@ -44,6 +44,9 @@ def metrics(serving: Any, photo: Photo) -> dict[str, set[str]]:
     client.post("/pose", files=photo.files)
     client.post("/pose", files={"frame": b"?"})
     client.post("/cameras/yard/frames", files=photo.files)
+    client.post("/cameras/gate/frames", files=photo.files)
+    client.post("/cameras/gate/frames", files={"frame": b"?"})
+    client.post("/sequence", files={"video": b"?"})
     client.delete("/cameras/yard")
     labels: dict[str, set[str]] = {}
     for family in text_string_to_metric_families(client.get("/metrics").text):

@@ -50,6 +50,16 @@ def sample(client: Client, metric: str, /, **labels: str) -> float | None:
     return None
 
 
+def samples(client: Client, metric: str, /, **labels: str) -> list[dict[str, str]]:
+    """Labels of all samples of a metric that have these."""
+    return [
+        found.labels
+        for family in text_string_to_metric_families(client.get("/metrics").text)
+        for found in family.samples
+        if found.name == metric and labels.items() <= found.labels.items()
+    ]
+
+
 def send(
     client: Client,
     photo: Photo,

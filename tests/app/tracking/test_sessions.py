@@ -12,7 +12,7 @@ from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
-from app.tracking.sessions import CameraKey, CameraSessions
+from app.tracking.sessions import CameraKey, CameraSessions, CameraTraffic
 from app.vision.sight import PinholeCamera
 
 UPLOAD = Upload(b"frame")
@@ -131,6 +131,18 @@ def test_idle_sessions_end() -> None:
     registry.now += 60.5
     assert CameraKey(0, "gate") not in registry
     assert registry.send("gate") == "new"
+
+
+def test_traffic_is_known_as_long_as_a_session() -> None:
+    registry = Registry()
+    yard = CameraKey(0, "yard")
+    registry.count_dropped(yard, "undecodable")
+    registry.send("yard")
+    registry.count_dropped(yard, "late_frame")
+    registry.now += 5
+    assert registry.traffic() == [CameraTraffic(yard, 5.0, {"late_frame": 1})]
+    registry.now += 60
+    assert registry.traffic() == []
 
 
 def test_the_caller_with_the_most_sessions_makes_room() -> None:
