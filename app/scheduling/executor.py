@@ -16,6 +16,7 @@ A frame must not start frames, nor a part parts: both would wait for threads tha
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 import time
 from collections import deque
@@ -33,7 +34,7 @@ T = TypeVar("T")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_TRIM_AFTER_S = 0.05
+_TRIM_EVERY_S = 10.0
 
 _role: ContextVar[Literal["", "frame", "part"]] = ContextVar("role", default="")
 
@@ -106,6 +107,7 @@ class Executor:
         self._jobs: set[Job] = set()
         self._lock = threading.Lock()
         self._helping = 0
+        self._trimmed_at = -math.inf
         self._divided: deque[_Parts[Any, Any]] = deque()
 
     async def run(
@@ -214,7 +216,7 @@ class Executor:
 
     def _begin(self, ticket: Ticket, work: Callable[[Job], T], job: Job) -> Future[T]:
         loop, context = asyncio.get_running_loop(), copy_context()
-        future = self._threads.submit(context.run, _as_frame, work, job)
+        future = self._threads.submit(context.run, self._as_frame, work, job)
         self._jobs.add(job)
 
         def end(future: Future[T]) -> None:
@@ -225,6 +227,18 @@ class Executor:
 
         future.add_done_callback(end)
         return future
+
+    def _as_frame(self, work: Callable[[Job], T], job: Job) -> T:
+        _role.set("frame")
+        try:
+            return work(job)
+        finally:
+            # Some ten megabytes stay behind. The next frame needs them again, and it takes as long
+            # as a tenth of its work to get them back from the system.
+            now = time.monotonic()
+            if now - self._trimmed_at > _TRIM_EVERY_S:
+                self._trimmed_at = now
+                trim_heap()
 
     def _end(self, ticket: Ticket, worked: bool) -> None:
         self.queue.release(ticket, worked=worked)
@@ -249,17 +263,6 @@ class Executor:
                     self._helping += 1
                     return parts
         return None
-
-
-def _as_frame(work: Callable[[Job], T], job: Job) -> T:
-    _role.set("frame")
-    started = time.monotonic()
-    try:
-        return work(job)
-    finally:
-        # Long work takes much memory, and some ten megabytes of it stay behind.
-        if time.monotonic() - started > _TRIM_AFTER_S:
-            trim_heap()
 
 
 def _retrieve_error(done: asyncio.Future[Any]) -> None:
