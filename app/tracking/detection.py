@@ -24,6 +24,7 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.people import Detection
 from app.vision.person_reader import fuse, sides_exchanged
 from app.vision.silhouettes import silhouettes_of
+from app.vision.truncation import ends_at_border
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,8 @@ class TrackedPeopleDetector:
         """Read the tracks by their windows or, where that does not suffice, all that is found.
 
         The search lowers its threshold near people who were lost at the frame before or at this
-        one.
+        one. A track that is not confirmed yet, or whose person has left the frame, causes no search
+        before the next one is due.
         """
         recent = [
             track
@@ -117,15 +119,17 @@ class TrackedPeopleDetector:
         with_window = [
             (track, track.box_filter.predict(timestamp)) for track in recent if track.next_window
         ]
-        lost = [track for track in tracks if track.seen_at < self._read_at]
+        people = [track for track in tracks if track.track_id is not None]
+        lost = [track for track in people if track.seen_at < self._read_at]
         due = timestamp - self._searched_at >= self._parameters.search_every_s
         shown: dict[Track | None, PoseReading] = {}
         if with_window and len(with_window) == len(recent) and not due:
             read = self._read_all(frame, self._targets((), with_window, shown), job)
             shown = {target.track: reading for target, reading in read if reading is not None}
-            if len(shown) == len(recent):
+            newly_lost = [track for track in people if track in recent and track not in shown]
+            if all(ends_at_border(track.box_filter.seen, frame.shape) for track in newly_lost):
                 return read
-            lost += [track for track in recent if track not in shown and track not in lost]
+            lost += [track for track in newly_lost if track not in lost]
             with_window = [(track, box) for track, box in with_window if track in shown]
         with job.stage("detect"):
             places = [track.box_filter.seen for track in lost]

@@ -113,7 +113,7 @@ def pose_call(**parts: bytes) -> Call:
 
 def walkers_case() -> Case:
     """Return the case that needs nothing outside the repository."""
-    return Case("298x320, four walkers", (pose_call(frame=WALKERS.read_bytes()),), 1.9)
+    return Case("298x320, four walkers", (pose_call(frame=WALKERS.read_bytes()),), 1.4)
 
 
 def mask_call(street: Street) -> Call:
@@ -137,15 +137,15 @@ def street_cases(street: Street, mask: bytes) -> dict[str, Case]:
     films = {"street": street.film, "tall": street.tall}
     calls = {name: camera_calls(name, film) for name, film in films.items()}
     return {
-        "four_walkers": Case(f"{size}, four walkers", busy, 1.9),
-        "nobody": Case(f"{SMALL[0]}x{SMALL[1]}, nobody", empty, 0.7),
-        "box": Case(f"{size}, one caller's box", boxed, 0.36),
-        "mask_silhouette": Case(f"{size}, one mask, `evidence=silhouette`", (silhouette,), 0.10),
+        "four_walkers": Case(f"{size}, four walkers", busy, 1.4),
+        "nobody": Case(f"{SMALL[0]}x{SMALL[1]}, nobody", empty, 0.5),
+        "box": Case(f"{size}, one caller's box", boxed, 0.28),
+        "mask_silhouette": Case(f"{size}, one mask, `evidence=silhouette`", (silhouette,), 0.08),
         "mask": Case(f"{size}, one mask", (masked,), 0.28),
-        "large_nobody": Case(f"{LARGE[0]}x{LARGE[1]}, nobody", large, 1.4),
-        "two_people": Case("1080x1920, two people", tall, 1.8),
-        "camera": Case(f"{size}, next frame of a camera", calls["street"], 1.2, True),
-        "tall_camera": Case("1080x1920, next frame of a camera", calls["tall"], 0.8, True),
+        "large_nobody": Case(f"{LARGE[0]}x{LARGE[1]}, nobody", large, 0.6),
+        "two_people": Case("1080x1920, two people", tall, 1.1),
+        "camera": Case(f"{size}, next frame of a camera", calls["street"], 0.9, True),
+        "tall_camera": Case("1080x1920, next frame of a camera", calls["tall"], 0.7, True),
     }
 
 

@@ -72,8 +72,10 @@ def decoded(pixels: NDArray[np.uint8]) -> DecodedUpload:
     return DecodedUpload(pixels, pixels, None, None, None, camera, square)
 
 
-def followed(drawn: Estimator, left: int, *expected_at: int) -> list[int | None]:
-    """Find a person at 100, and at ``left`` a frame later; by the window of which track?
+def followed(
+    drawn: Estimator, left: int, *expected_at: int, confirmed: bool = True
+) -> list[int | None]:
+    """Find a person at 100, and at ``left`` a frame later; return the tracks that led to them.
 
     All tracks have the window of the first frame, and each is expected somewhere.
     """
@@ -82,6 +84,8 @@ def followed(drawn: Estimator, left: int, *expected_at: int) -> list[int | None]
     assert first.track is None
     boxes = [replace(first.observed.box, x=place) for place in expected_at]
     tracks = [Track(Sighting(replace(first.observed, box=box)), 0.0) for box in boxes]
+    for number, track in enumerate(tracks):
+        track.track_id = number if confirmed else None
     sightings = people.find(decoded(frame((0, left))), 0.1, tracks, Job())
     return [None if one.track is None else tracks.index(one.track) for one in sightings]
 
@@ -96,3 +100,11 @@ def test_a_person_outside_their_window_is_found_by_a_search(
 ) -> None:
     assert followed(drawn, 104, 100) == [0] and detector.searches == 1
     assert followed(drawn, 260, 100) == [None] and detector.searches == 3
+
+
+@pytest.mark.parametrize(("place", "confirmed"), [(100, False), (-10, True)])
+def test_unconfirmed_tracks_and_people_at_the_border_cause_no_search(
+    drawn: Estimator, detector: ColourDetector, place: int, confirmed: bool
+) -> None:
+    assert followed(drawn, 260, place, confirmed=confirmed) == []
+    assert detector.searches == 1
