@@ -18,8 +18,9 @@ from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
 from app.estimation.results import ObservedPerson
-from app.vision.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.geometry import Boxes
+from app.vision.hog_detector import HogDetector
+from app.vision.network_detector import NetworkDetector, detection_features
 from app.vision.odds import sigmoid
 from index.skeleton import wrap_degrees
 from scripts.datasets import Photograph, as_array, rotate_box

@@ -22,9 +22,10 @@ from app.estimation.estimator import Estimator, normalise_person
 from app.estimation.results import Person
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
+from app.vision.hog_detector import HogDetector
 from app.vision.models import write_fitted
+from app.vision.network_detector import NetworkDetector, detection_features
 from index.confidence import RIGHT_BELOW_PX
 from index.parameters import RANKING
 from index.skeleton import LIMB_ROWS, LIMBS
