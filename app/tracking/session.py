@@ -16,8 +16,8 @@ from app.estimation.results import Evidence, ObservedPerson, Scene
 from app.estimation.square_pixels import SquarePixels
 from app.estimation.upload import DecodedUpload, Upload
 from app.scheduling.job import Job
+from app.tracking.association import appearance_histogram, associate
 from app.tracking.detection import TrackedPeopleDetector
-from app.tracking.matching import appearance_histogram, associate
 from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track

@@ -226,7 +226,7 @@ class Windows:
         return np.asarray((np.array(self.subjects) == subject)[self.motion])
 
 
-def merged(parts: Sequence[Windows]) -> Windows:
+def joined_windows(parts: Sequence[Windows]) -> Windows:
     """Concatenate windows of several sources."""
     firsts = np.cumsum([0, *(len(part.actions) for part in parts[:-1])])
     return Windows(
