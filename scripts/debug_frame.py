@@ -31,8 +31,7 @@ from app.vision.geometry import PersonWindow
 from app.vision.people import Detection
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from scripts.helpers import place_entry
-from scripts.outputs import check_outputs
+from scripts.helpers import check_outputs, place_entry
 
 CELL_PX = 360
 """Height of the pictures of a person."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scripts.watch_camera.log import say
+from scripts.watch_camera.common import say
 
 Message = Mapping[str, Any]
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scripts.watch_camera.log import say
+from scripts.watch_camera.common import say
 
 RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0)
 
