@@ -352,7 +352,7 @@ def events_reply(camera_id: str, events: Iterable[Event]) -> tracking_schemas.Ca
 
 
 def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
-    """Read what a caller says about a camera."""
+    """Convert a camera's configuration."""
     zones = [
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]

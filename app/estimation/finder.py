@@ -177,7 +177,7 @@ def make_observation(
 def _judged(
     person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
 ) -> ObservedPerson:
-    """A person with what rendered people have taught: depths, posture, presence and reliability."""
+    """Add what models trained on rendered people say: depths, posture, presence, reliability."""
     judged = photograph_models().judge(reading, camera)
     body = judged.body
     return replace(

@@ -43,7 +43,7 @@ class HogDetector:
     def detect(
         self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
     ) -> list[Detection]:
-        """Find the people; see :class:`Detector`; ``expected_boxes`` is ignored."""
+        """Find the people of a frame, best first; ``expected_boxes`` is ignored."""
         height, width = frame.shape[:2]
         boxes, margins = self.people(frame)
         constants = fitted_constants("detection")

@@ -37,7 +37,7 @@ class NetworkDetector:
     movenet : MoveNet
     body_detector : BlazePoseDetector
     landmarks : LandmarkNetwork
-        Confirms people whom MoveNet does not detect.
+        Confirms people that MoveNet misses.
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
     min_score : float, optional
@@ -110,7 +110,7 @@ class NetworkDetector:
         return [*both, *alone], np.array(scores, np.float64).reshape(-1, 3)
 
     def _movenet_people(self, frame: NDArray[np.uint8]) -> list[Detection]:
-        """The people whom MoveNet detects in the overview and tiles, one for each, best first."""
+        """MoveNet's detections in the overview and tiles, one for each person, best first."""
         height, width = frame.shape[:2]
         tiles = tiles_of(width, height, self._min_person_px, self._tiling)
         found: list[Detection] = []
@@ -132,7 +132,7 @@ class NetworkDetector:
         return [found[i] for i in kept]
 
     def _confirmed(self, frame: NDArray[np.uint8], body: BlazePoseDetection) -> Detection | None:
-        """A body that MoveNet does not detect, if the landmark network sees a person there."""
+        """A body that MoveNet misses, if the landmark network sees a person there."""
         reading = self._landmarks.read(frame, body.window)
         box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
         if box is None or reading.presence < self._parameters.min_presence:
@@ -140,13 +140,13 @@ class NetworkDetector:
         return Detection(box, 0.0, None, (body.window,))
 
     def _is_same(self, window: PersonWindow, box: Box) -> bool:
-        """Whether the window about a body and a box are about the same person."""
+        """Whether a body's window and a box belong to the same person."""
         inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
         low, high = self._parameters.same_size
         return inside and low < window.side / PersonWindow.about_box(box).side < high
 
     def _may_be(self, box: Box, expected: Box) -> bool:
-        """Whether a box may hold an expected person, standing there or on the ground beside."""
+        """Whether a box may hold an expected person, standing there or on the ground nearby."""
         x, y, width, height = expected.x, expected.y, expected.width, expected.height
         margin = max(width, height) / 2
         reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)

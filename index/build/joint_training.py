@@ -198,7 +198,7 @@ class Examples:
 
 
 def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
-    """Pictures ``(B, H, W)`` of which some pixels beside the outline are flipped."""
+    """Pictures ``(B, H, W)`` with some pixels beside the outline flipped."""
     around = np.pad(pictures, ((0, 0), (1, 1), (1, 1)))
     shifted = [
         around[:, 1 + y : 1 + y + pictures.shape[1], 1 + x : 1 + x + pictures.shape[2]]

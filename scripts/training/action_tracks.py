@@ -80,7 +80,7 @@ CAMERAS_OF_RECORDED = 4
 
 OTHER_FPS = 5
 ACROBATICS = ("breakdance", "cartwheel", "fall", "flip", "roll")
-"""Actions in which people throw themselves down, so that a reported fall is hardly false."""
+"""Actions in which people throw themselves down, where a reported fall is hardly false."""
 
 
 @dataclass(frozen=True)

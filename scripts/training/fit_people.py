@@ -1,4 +1,4 @@
-"""Fit detection scores and confidences to photographs: what simulation cannot teach.
+"""Fit detection scores and confidences to photographs, since simulation cannot teach them.
 
 Writes the parts `detection` and `confidence` of ``app/vision/models/fitted.json`` within about ten
 minutes. The data are street photographs (Penn-Fudan), frames of the street video, and sports

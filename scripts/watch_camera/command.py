@@ -49,7 +49,7 @@ Event = Mapping[str, Any]
 
 
 class Bridge:
-    """Posts a camera's frames and hands on what happens.
+    """Posts a camera's frames and passes the events on.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Bridge:
         self.answered = 0
 
     def watch(self, source: Source, fps: float) -> None:
-        """Post frames until a file ends; raise where none can be accepted."""
+        """Post frames until a file ends; raise if the service will accept none."""
         status_at = time.monotonic()
         for frame in source.frames():
             began = time.monotonic()
@@ -91,7 +91,7 @@ class Bridge:
         say(f"the end: {self.answered} frames were answered")
 
     def _track(self, frame: Frame) -> dict[str, Any] | None:
-        """Post a frame and hand on its events; None where the service does not take it."""
+        """Post a frame and pass its events on; None if the service does not take it."""
         try:
             is_new, answer = self._camera.track(frame)
             if self._lost_since is not None:
@@ -136,7 +136,7 @@ class Bridge:
         self._show()
 
     def _message(self, event: Event) -> dict[str, Any]:
-        """An event with the camera, the time of day, and an id that is its own for ever."""
+        """An event with the camera, the time of day, and a unique id."""
         moment = datetime.fromtimestamp(event["timestamp"], UTC).isoformat(timespec="milliseconds")
         event_id = uuid.uuid5(self._run, json.dumps(event, sort_keys=True))
         camera_id = self._camera.camera_id
