@@ -108,7 +108,7 @@ def train(
             order = np.concatenate([order, generator.permutation(len(examples))])
         batch, order = order[: config.batch], order[config.batch :]
         planes, truth = examples.take(batch, generator)
-        # 32 bits take half as long again; 16 would where the processor has to emulate them.
+        # 32 bits take 1.5 times as long, but so would 16 if the processor had to emulate them.
         with torch.autocast("cpu", torch.bfloat16, torch.cpu._is_avx512_bf16_supported()):
             logits = layers(_channels_first(planes))
         loss = _loss(logits.float(), torch.from_numpy(truth))
