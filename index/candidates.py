@@ -91,7 +91,7 @@ def compare_entries(
 ) -> Candidates:
     """Compare entries ``(K,)``, mirrored or not, each with its query ``(K, D)``, as ordered.
 
-    Distances are computed anew, because searches round in different ways, also between processors.
+    Distances are computed again, because searches round differently, also between processors.
     """
     vectors = index.vectors[entry_ids].astype(np.float32)
     points_3d, points_normalised = index.points(entry_ids)

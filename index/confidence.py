@@ -1,4 +1,9 @@
-"""The probability that a hypothesis is right, from features of the match."""
+"""The probability that a hypothesis is right, from features of the match alone.
+
+:func:`index.build.calibrate.fit_calibration` fits it. With landmarks,
+:func:`app.estimation.ordering.fused_confidences` computes the confidence instead, from constants
+that ``scripts/training/fit_people.py`` fits.
+"""
 
 from __future__ import annotations
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.features import match_features, outline_distances
+from index.features import match_features
 from index.keypoints import Agreement, Keypoints, fit_to_keypoints
 from index.modes import Modes, find_modes, mode_weights
+from index.outlines import outline_distances
 from index.parameters import MATCHING, MatchParameters
 from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
 from index.ranking import NetworkRanking, fused_distances
@@ -49,7 +50,7 @@ class Hypothesis:
     silhouette_distance : float
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose.
-    reprojection_error_px : float
+    outline_distance_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
     confidence : float
@@ -76,7 +77,7 @@ class Hypothesis:
     entry_id: int
     mirrored: bool
     silhouette_distance: float
-    reprojection_error_px: float
+    outline_distance_px: float
     confidence: float
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 For each joint it gives three distributions, over columns and rows of the normalised frame and over
 depths [1]_. It does not estimate poses itself, but measures how well a skeleton found otherwise
-agrees with the silhouette, of which the descriptor keeps only 48 values.
+agrees with the silhouette, while the descriptor keeps only 48 values of it.
 
 Weights and activations are quantised to whole numbers of seven bits and a sign, and their sums stay
 below 2 to the 24th. They are therefore exact in 32-bit floats in whatever order a library adds them

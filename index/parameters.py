@@ -1,7 +1,7 @@
 """Hand-set numbers of matching, each with its unit and its reason.
 
-What was fitted lies beside the index; what a format or a network's architecture fixes, beside its
-code.
+Fitted numbers lie beside the index; those that a format or a network's architecture fixes, beside
+its code.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 DEFAULT_HYPOTHESES = 7
 """Hypotheses returned unless a caller asks for another number; the confidence is fitted for them,
-and the first so many decide posture and facing whatever the number."""
+and this many decide posture and facing however many are requested."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class MatchParameters:
     # Modes computed beyond those requested: a sparse mode may fit best
     spare_modes: int = 4
     # Hypotheses are found in batches of this size, twice it, and so on, so that the first k of n
-    # are those that are found when k are requested
+    # are those found when k are requested
     first_batch: int = DEFAULT_HYPOTHESES
     # A batch this many times the number requested that adds nothing is the last: a person hardly
     # seen may have few distinct poses, and looking for 50 took seconds
@@ -43,7 +43,7 @@ class MatchParameters:
     min_new_pose_m: float = 0.055
     # A person tilted by more than this in the picture is lying rather than standing
     max_standing_tilt_deg: float = 30.0
-    # Landmarks whose trunk is tilted by less are searched as they are only
+    # Landmarks whose trunk is tilted by less are searched only as they are
     max_upright_trunk_deg: float = 12.0
     # Smallest scale at which candidates are placed by keypoints
     min_px_per_metre: float = 5.0
@@ -123,15 +123,15 @@ class RotationParameters:
 class RankingParameters:
     """The order of hypotheses; see :mod:`index.ranking`."""
 
-    # What a unit of the joints' log-likelihood counts beside the logarithm of the distance, in the
-    # order of hypotheses. Like ``support_weight`` chosen on clips and bodies that neither the
-    # network nor the experiment on simulated silhouettes has; stored with a network.
+    # Weight of the joints' log-likelihood against the logarithm of the distance, in the order of
+    # hypotheses. Like ``support_weight`` chosen on clips and bodies that neither the network nor
+    # the experiment on simulated silhouettes has; stored with a network.
     order_weight: float = 3.0
     # The same in the weights of the candidates from which hypotheses are made
     support_weight: float = 1.0
-    # How far a joint may be from where a mode has it, one standard deviation: columns and rows in
-    # pixels, depth in metres. Chosen on every second clip of the experiment on simulated
-    # silhouettes; 2 to 4 pixels do.
+    # Standard deviation of a joint from its place in a mode: columns and rows in pixels, depth in
+    # metres. Chosen on every second clip of the experiment on simulated silhouettes; 2 to 4 pixels
+    # do.
     spread: tuple[float, float, float] = (3.0, 3.0, 0.04)
     # Hypotheses share the probability by the inverse of their distances to this power
     share_power: float = 4.0

@@ -31,8 +31,7 @@ from app.vision.geometry import PersonWindow
 from app.vision.people import Detection
 from index.skeleton import NATIVE
 from index.store import PoseIndex
-from scripts.helpers import place_entry
-from scripts.outputs import check_outputs
+from scripts.helpers import check_outputs, place_entry
 
 CELL_PX = 360
 """Height of the pictures of a person."""
@@ -101,7 +100,7 @@ def describe(number: int, person: Person) -> str:
     for rank, one in enumerate(person.hypotheses, start=1):
         lines.append(
             f"  {rank:4d}  {one.entry_id:6d}  {one.silhouette_distance:8.2f}  {one.distance:5.2f}  "
-            f"{one.reprojection_error_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
+            f"{one.outline_distance_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
             f"{one.confidence:10.2f}  {one.label.clip}, frame {one.label.frame}"
         )
     return "\n".join(lines)

@@ -1,9 +1,10 @@
-"""Calls of the estimator that experiments, training and pictures share."""
+"""What experiments, training, pictures and other commands share."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -79,3 +80,11 @@ def place_entry(
     query = RotatedQuery.of(person.silhouette, hypothesis.rotation_deg + person.roll_deg)
     to_frame = person.to_frame @ np.vstack([query.to_query, [0, 0, 1]])
     return silhouette, np.asarray(to_frame, np.float64)
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
+    """Raise a ``ValueError`` if an output would overwrite an input."""
+    read = {file.resolve() for file in inputs if file is not None}
+    for file in outputs:
+        if file is not None and file.resolve() in read:
+            raise ValueError(f"expected another place to write to than the input {file}")

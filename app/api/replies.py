@@ -216,7 +216,7 @@ def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> 
         entry=hypothesis.entry_id,
         distance=significant(hypothesis.distance),
         silhouette_distance=round(hypothesis.silhouette_distance, DISTANCE_DIGITS),
-        reprojection_error_px=round(hypothesis.reprojection_error_px, 3),
+        reprojection_error_px=round(hypothesis.outline_distance_px, 3),
         confidence=round(hypothesis.confidence, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
@@ -352,7 +352,7 @@ def events_reply(camera_id: str, events: Iterable[Event]) -> tracking_schemas.Ca
 
 
 def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
-    """Read what a caller says about a camera."""
+    """Convert a camera's configuration."""
     zones = [
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]

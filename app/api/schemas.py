@@ -169,8 +169,8 @@ class Image(ImageSize):
         examples=[False],
     )
     warnings: list[ImageWarning] = Field(
-        description="What may spoil the answer. `dark`: hardly anything is to be seen; "
-        "`stretched`: 16 bits a channel of which only a part is used, which was stretched; "
+        description="What may spoil the answer. `dark`: the frame is too dark to show much; "
+        "`stretched`: 16 bits a channel that used only part of their range, which was stretched; "
         "`truncated`: the end of the JPEG is missing, and grey. More may be added.",
         examples=[[]],
     )

@@ -25,7 +25,7 @@ from app.tracking.zones import ZoneKind, has_area
 from index.posture import Posture as PostureLabel
 
 LATEST_TIMESTAMP_S = 1e11
-"""Later than any clock says in seconds, earlier than today in milliseconds."""
+"""Later than any clock in seconds, earlier than today in milliseconds."""
 
 MAX_TRACK_ID_CHARACTERS, MAX_ZONES, MAX_CORNERS = 64, 32, 64
 

@@ -26,10 +26,12 @@ from app.scheduling.job import Job
 from app.scheduling.process import available_cores
 from app.vision import DetectorName
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import Detector, HogDetector, NetworkDetector
+from app.vision.detector import Detector
 from app.vision.geometry import Box
+from app.vision.hog_detector import HogDetector
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.network_detector import NetworkDetector
 from app.vision.person_reader import PersonReader
 from app.vision.photograph_models import photograph_models
 from app.vision.sight import PinholeCamera

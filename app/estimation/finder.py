@@ -14,7 +14,7 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
-from app.vision.detector import Detector, smallest_person_px
+from app.vision.detector import Detector
 from app.vision.geometry import Box
 from app.vision.masks import LabelImage
 from app.vision.people import Detection, Landmarks, Silhouette
@@ -22,6 +22,7 @@ from app.vision.person_reader import PersonReader, attenuate_visibility_at_borde
 from app.vision.photograph_models import photograph_models
 from app.vision.sight import PinholeCamera
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
+from app.vision.tiles import smallest_person_px
 from app.vision.truncation import end_beyond_border
 
 
@@ -176,7 +177,7 @@ def make_observation(
 def _judged(
     person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
 ) -> ObservedPerson:
-    """A person with what rendered people have taught: depths, posture, presence and reliability."""
+    """Add what models trained on rendered people say: depths, posture, presence, reliability."""
     judged = photograph_models().judge(reading, camera)
     body = judged.body
     return replace(

@@ -96,11 +96,11 @@ def fused_confidences(
 def nearest_of_both_facings(
     azimuths_deg: NDArray[np.float64], distances: NDArray[np.float64], n: int
 ) -> list[int]:
-    """Choose ``n`` hypotheses, nearest first, a few of which face the opposite way.
+    """Choose ``n`` hypotheses, nearest first, some of them facing the opposite way.
 
-    The last of every :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING` faces the
-    opposite way to the first, however far it is, unless one before it does. The first k of n are
-    those chosen for k.
+    At least one in every :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING` faces the
+    opposite way to the first, however far it is, if there is such a hypothesis. The first k of n
+    are those chosen for k.
 
     Parameters
     ----------

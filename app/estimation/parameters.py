@@ -56,12 +56,12 @@ class PlacementParameters:
 
     # Visibility below which a landmark does not move a joint
     min_visibility: float = 0.05
-    # Standard deviation of a landmark's depth, metres, at which the first hypothesis goes half the
-    # way to it: the hypothesis has been fitted to the landmarks, so it adds little of its own
+    # Standard deviation of a landmark's depth, metres, at which the first hypothesis moves half way
+    # to it: the hypothesis has been fitted to the landmarks, so it adds little of its own
     half_way_sd_m: float = 0.3
     # The person's size relative to a hypothesis is kept between these
     sizes: tuple[float, float] = (0.8, 1.25)
-    # Forward part of a line of sight and distance, in metres, which joints keep at least
+    # Least forward component of a joint's line of sight, and least distance in metres
     min_forward: float = 0.05
     min_distance_m: float = 0.1
     # Standard deviation of the logarithm of a body's size, and so of its distance
@@ -74,8 +74,8 @@ NORMALISATION = NormalisationParameters()
 POSTURE = PostureParameters()
 
 MAX_FRAMES_OF_PEOPLE = 4
-"""Boxes of the people that a caller marks may together cover the largest frame so many times:
-crowds overlap less, and the work on people grows with their pixels."""
+"""A caller's boxes may together cover this many times the area of the largest frame: crowds overlap
+less, and the work on people grows with their pixels."""
 
 MIN_BOX_PX = 0.01
 """Shortest side of a caller's box: the last digit of an answer."""
@@ -85,7 +85,7 @@ DUPLICATE_BODY_DISTANCE = 0.12
 person."""
 
 HYPOTHESES_PER_OPPOSITE_FACING = 7
-"""One in this many hypotheses faces the opposite way to the first: keypoints may mislead."""
+"""At least one in this many hypotheses faces the opposite way to the first: keypoints may err."""
 
 THREADS_PER_PASS = 2
 """Threads that share a pass of a network with little loss; more do not."""

@@ -114,9 +114,9 @@ def _as_they_are(
 
 
 def _rows_shown(own_2d: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray[np.integer]:
-    """Points ``(M, P)`` of skeletons that landmarks show.
+    """Rows ``(M, P)`` of the points of skeletons that the landmarks show.
 
-    Those of the same side, or of the other if they are nearer, but never for the first skeleton.
+    Left and right are exchanged where that is nearer, except for the first skeleton.
     """
     other = OTHER_SIDE[_POINTS]
     same, exchanged = (

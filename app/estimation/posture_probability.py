@@ -1,9 +1,9 @@
 """How likely a person is in each posture: by landmarks, and by votes of hypotheses.
 
 Each hypothesis has a posture by the rules of :mod:`index.posture` and votes with its confidence. If
-there are landmarks, a model that rendered people have taught gives the probabilities of six
-postures (:mod:`app.vision.frame_posture`), and the votes only divide those that it does not
-distinguish. Without landmarks, the probability of the votes is calibrated.
+there are landmarks, a model trained on rendered people gives the probabilities of six postures
+(:mod:`app.vision.frame_posture`), and the votes only split those into finer ones. Without
+landmarks, the probability of the votes is calibrated.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def estimate_posture(
 
 
 def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares ``(10,)`` of ``POSTURES``: of the landmarks, divided by the votes of hypotheses.
+    """Shares ``(10,)`` of ``POSTURES``: by the landmarks, split by the votes of hypotheses.
 
     Landmarks distinguish six postures; standing from walking, running and raised arms, and
     crouching from kneeling, are distinguished by the votes alone.

@@ -41,7 +41,7 @@ class ObservedPerson:
     landmarks : Landmarks or None
         Pixels of the frame; None if they were not read.
     presence : float or None
-        Probability that a person is there, by what the landmark network shows; None if it did not
+        Probability that a person is there, from the landmark network's output; None if it did not
         run.
     next_window : PersonWindow or None
         Where the landmark network would look for the person in the next frame.
@@ -103,7 +103,7 @@ class ProjectedHypothesis(Hypothesis):
 
 @dataclass(frozen=True)
 class Person:
-    """An observed person and the poses that fit; without a silhouette there are none."""
+    """An observed person and the poses fitted to them; no poses without a silhouette."""
 
     observed: ObservedPerson
     facing: Facing | None

@@ -1,7 +1,7 @@
 """Frames whose pixels are not square: to square pixels and back.
 
-People are found and read in a picture with square pixels; what a caller gets is in pixels of the
-frame that was sent.
+People are found and read in a picture with square pixels; results are in pixels of the frame as
+sent.
 """
 
 from __future__ import annotations

@@ -275,7 +275,7 @@ def _check_together(mask: LabelImage) -> None:
 
 
 def _gaps_between_people(parts: NDArray[np.int32]) -> int:
-    """How often two neighbouring parts of a mask are different people rather than parts of one.
+    """Number of gaps between parts of a mask that separate people rather than parts of one.
 
     ``parts`` are rows of left, top, width, height and area, from left to right.
     """

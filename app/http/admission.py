@@ -36,12 +36,12 @@ class UploadLimits:
     Parameters
     ----------
     max_bytes : int
-    timeout_s : float
+    upload_timeout_s : float
         Longest time to receive it.
     """
 
     max_bytes: int
-    timeout_s: float
+    upload_timeout_s: float
 
 
 class _Upload:
@@ -57,7 +57,7 @@ class _Upload:
     async def next(self, receive: Receive) -> Message:
         """Return the next message; raise TimeoutError if it does not come in time."""
         grace_s = GRACE_S + self.received / MIN_BYTES_PER_S
-        deadline = self._started + min(self.limits.timeout_s, grace_s)
+        deadline = self._started + min(self.limits.upload_timeout_s, grace_s)
         try:
             async with asyncio.timeout_at(deadline) as self._timeout:
                 message = await receive()
@@ -171,7 +171,7 @@ class AdmissionMiddleware:
             except TimeoutError:
                 refusal = ProblemError(
                     408,
-                    f"expected the whole upload in {upload.limits.timeout_s:g} seconds, "
+                    f"expected the whole upload in {upload.limits.upload_timeout_s:g} seconds, "
                     "without a pause",
                     reason="slow_upload",
                     headers={"Connection": "close"},

@@ -25,7 +25,7 @@ _FRAMES_PATH = re.compile("/cameras/([^/]+)/frames")
 
 
 class Caller(NamedTuple):
-    """The owner of requests, as far as it is known.
+    """The owner of requests, if known.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Identity(NamedTuple):
 
     @property
     def sender(self) -> Sender:
-        """The source of a frame, as the queue knows it."""
+        """The sender under which the queue schedules a frame."""
         return Sender(self.caller, self.connection)
 
 

@@ -31,7 +31,7 @@ _VIDEO_SECONDS = (1, 2.5, 5, 10, 30, 60, 120, 300, 600, 1200, 1800, 3600)
 _PERSONS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 50)
 
 PROBES = ("/healthz", "/readyz", "/metrics")
-"""Routes that are asked every few seconds, and whose durations say nothing."""
+"""Routes that are polled every few seconds; their durations say nothing."""
 
 _SEQUENCE = "/sequence"
 

@@ -1,4 +1,4 @@
-"""What the layers that a request passes tell one another."""
+"""Notes on a request that the layers it passes share."""
 
 from __future__ import annotations
 

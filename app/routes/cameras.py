@@ -211,8 +211,8 @@ async def configure_camera(
 
     From the next frame on, persons and events name the zones they are in. A new configuration
     replaces the previous one as a whole, and that of the service's file for this caller. It
-    outlives the camera's session but not the service: what is to survive a restart belongs into
-    the file.
+    outlives the camera's session but not the service: to keep it across restarts, put it in the
+    file.
     """
     try:
         settings = settings_from(configuration)

@@ -105,7 +105,7 @@ class _CameraQuery(_Query):
     pixel_aspect: Annotated[PixelAspect | None, NUMBER] = None
 
     def of(self, upload: Upload) -> Upload:
-        """Return an upload with what is known of its camera."""
+        """Return the upload with the camera settings of the query."""
         return replace(upload, fov_deg=self.fov_deg, pixel_aspect=self.pixel_aspect)
 
 

@@ -153,7 +153,7 @@ class Executor:
     async def _until_begun(
         self, ticket: Ticket, gone: asyncio.Future[None], max_wait_s: float | None
     ) -> None:
-        """Wait until a frame may begin; raise the error and release the ticket if it may not."""
+        """Wait until a frame may begin; if it may not, release its ticket and raise the error."""
         try:
             await _first_of(ticket.begun, gone, max_wait_s)
             if not ticket.begun.done():

@@ -61,7 +61,7 @@ class ParallelMap(Protocol):
 
 
 def serial_map(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
-    """Call a function with one item after the other, where there is no executor."""
+    """Call a function with each item in turn; used without an executor."""
     return [function(item) for item in items]
 
 

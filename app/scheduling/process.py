@@ -1,8 +1,8 @@
 """The operating system's settings of this process: memory, cores, priorities.
 
 Memory: by default glibc keeps a heap per thread, and raises the size above which it returns memory
-with the first large array that is freed. After a few frames the service would hold half as much
-again as it uses.
+with the first large array that is freed. After a few frames the service would hold 1.5 times what
+it uses.
 
 Priorities: one thread answers requests, others work on frames. The first has little to do, but
 every client waits for it, so it takes precedence.

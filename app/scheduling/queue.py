@@ -2,7 +2,7 @@
 
 Admission
     A frame is admitted while its expected wait, from the recent durations of each kind of work,
-    is short enough. A refused sender gets a time to come back at and keeps its place until then;
+    is short enough. A refused sender is told when to come back and keeps its place until then;
     otherwise clients that have just been answered would always arrive first.
 Order
     Callers share the threads' time equally, however much each of them sends, by fair queueing [1]_:
@@ -295,7 +295,7 @@ class FairQueue:
         return next((ticket for ticket in self._waiting if ticket.camera == camera), None)
 
     def _place_of(self, sender: Sender, kind: Hashable) -> _Place:
-        """Return the sender's reserved place, else one of its caller that is due, else a new one.
+        """Return the sender's reserved place, else a due one of its caller, else a new one.
 
         Not every client keeps its connection.
         """

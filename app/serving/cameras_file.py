@@ -1,4 +1,4 @@
-"""The configuration of cameras in a file, which a restart does not forget."""
+"""The configuration of cameras in a file, which survives a restart."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     Parameters
     ----------
     path : Path or None
-        A JSON object: each name with what ``PUT /cameras/{camera_id}`` takes.
+        A JSON object: for each name, the body of ``PUT /cameras/{camera_id}``.
 
     Raises
     ------

@@ -114,7 +114,7 @@ async def _become_ready_or_say_why(runtime: Runtime, loading: asyncio.Future[Est
 
 
 async def _follow(runtime: Runtime, address: MilvusAddress) -> None:
-    """Get ready as soon as Milvus answers, and serve what the alias names from then on."""
+    """Get ready as soon as Milvus answers; from then on, serve the index that the alias names."""
     # A thread of its own: Milvus may take long to answer, and frames need the executor's.
     thread = ThreadPoolExecutor(1, "index", initializer=lower_thread_priority)
 

@@ -1,8 +1,8 @@
 """What a tracked person does: a linear model on features of the motion of the last seconds.
 
 Features tell how a skeleton moves. Lengths are in legs, and joints are described from the person's
-point of view: outward (towards their own side), up and forward of the pelvis. Of a pair of limbs,
-the one that does more and the one that does less count, not the left and the right one.
+point of view: outward (towards their own side), up and forward of the pelvis. Of the two limbs of
+a pair, the larger and the smaller value count, not the left and the right one.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ RATE_HZ = 10.0
 """Poses a second that features are computed from."""
 
 SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
-"""Metres a second: on the spot, shifting, walking, and faster than people walk. By them a linear
-model can recognise walking, which is a range of speeds."""
+"""Metres a second: on the spot, shifting, walking, and faster than a walk. With these bands a
+linear model can recognise walking, which is a range of speeds."""
 
 _PELVIS = POINT_NAMES.index("pelvis")
 _TRUNK = ("spine", "chest", "head")
@@ -153,9 +153,9 @@ class ActionModel:
         Parameters
         ----------
         features : (..., D) float64 array
-            By :func:`window_features`.
+            From :func:`window_features`.
         votes : (..., A) float64 array
-            By :meth:`votes`.
+            From :meth:`votes`.
         clarity : float
             How clearly the motion of limbs is seen, 0 to 1; the less, the more everyday actions
             count.
@@ -213,7 +213,7 @@ class ActionRecogniser:
         smoothed: Smoothed,
         posture: EstimatedPosture | None = None,
     ) -> RecognisedAction | None:
-        """Take in a frame of the track.
+        """Add a frame of the track.
 
         Parameters
         ----------
@@ -321,7 +321,7 @@ def action_features(
     up : (3,) float64 array
         Away from the ground, in the same axes.
     path : (T, 2) float64 array
-        Of the pelvis, metres, by :func:`app.tracking.ground_motion.ground_path`.
+        Of the pelvis, metres, from :func:`app.tracking.ground_motion.ground_path`.
 
     Returns
     -------
@@ -351,7 +351,7 @@ def _in_body_axes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Joints ``(T, 19, 3)`` to the left, up and forward of the pelvis, in legs.
 
-    And the direction that is left, ``(T, 3)``.
+    Also returns the person's left direction, ``(T, 3)``.
     """
     joints = points_3d[:, :JOINTS] - points_3d[:, :1]
     at = {name: joints[:, row] for row, name in enumerate(JOINT_NAMES)}

@@ -2,7 +2,7 @@
 
 Tracked people are read on every frame, in the windows that their last landmarks point to. Now and
 then, and where a track's window shows nobody any more, the whole frame is searched, for new people
-and to check the tracks: MoveNet, which needs no window, finds those that have gone astray.
+and to check the tracks: MoveNet, which needs no window, finds tracks that have drifted off.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class TrackedPeopleDetector:
         tracks : sequence of Track
             All of the session.
         job : Job
-            Whose time it takes.
+            Charged with the time of each stage.
 
         Returns
         -------
@@ -105,11 +105,11 @@ class TrackedPeopleDetector:
     def _read_people(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
     ) -> list[tuple[_Target, PoseReading | None]]:
-        """Read the tracks by their windows or, where that does not suffice, all that is found.
+        """Read the tracks in their windows or, if that is not enough, all people found by a search.
 
-        The search lowers its threshold near people who were lost at the frame before or at this
-        one. A track that is not confirmed yet, or whose person has left the frame, causes no search
-        before the next one is due.
+        The search lowers its threshold near people who were lost in this frame or the one before. A
+        track that is not confirmed yet, or whose person has left the frame, causes no search before
+        the next one is due.
         """
         recent = [
             track
@@ -205,9 +205,9 @@ class TrackedPeopleDetector:
 
 
 def _distinct(found: Sequence[tuple[_Target, PoseReading]]) -> list[tuple[_Target, PoseReading]]:
-    """One reading of each body, in their order: of a detection rather than of a track's window.
+    """One reading of each body, in their order: a detection's rather than a track's.
 
-    Of two tracks the one counts that is predicted nearer to the body.
+    Of two tracks, the one predicted nearer to the body counts.
     """
 
     def rank(row: int) -> tuple[float, float]:

@@ -24,7 +24,7 @@ class _Hysteresis:
         self.since = 0.0
 
     def update(self, timestamp: float, probability: float, seconds: float) -> EventState | None:
-        """Take in a frame that stands for some seconds; return what changed."""
+        """Add a frame that stands for some seconds; return what changed."""
         kept = math.exp(-seconds / self._parameters.settling_s)
         self.level = kept * self.level + (1 - kept) * probability
         if not self.holds and self.level >= self._parameters.begins_from:
@@ -38,7 +38,7 @@ class _Hysteresis:
 
 @dataclass(frozen=True)
 class Reliability:
-    """How far a frame of a track counts, 0 to 1.
+    """How much a frame of a track counts, 0 to 1.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class DropDetector:
         """When the hips began to be far below where they were, seconds; None if they are not."""
 
     def update(self, timestamp: float, hips: HipHeight) -> None:
-        """Take in where the hips are."""
+        """Add the place of the hips in a frame."""
         limits = self._parameters
         self._recent.append((timestamp, hips))
         while self._recent[0][0] < timestamp - limits.drop_within_s:
@@ -144,7 +144,7 @@ class EventDetector:
         *,
         rests: bool = False,
     ) -> tuple[Event, ...]:
-        """Take in a frame of the track and return what begins, ends or happens with it.
+        """Add a frame of the track and return what begins, ends or happens with it.
 
         Parameters
         ----------
@@ -155,8 +155,8 @@ class EventDetector:
         shares : (10,) float64 array
             Probability of each of ``POSTURES`` at this frame.
         reliability : Reliability
-            Weights of the frame: of its posture that the body is read correctly, of being down
-            that there is a person.
+            Weights of the frame: ``body`` for postures and gestures, ``person`` for being on the
+            ground.
         hips : HipHeight, optional
             None where they are not seen.
         rests : bool
@@ -185,7 +185,7 @@ class EventDetector:
         return (*events, *happened("fell", fell, self._down.level))
 
     def unconfirmed(self, track_id: int) -> tuple[Event, ...]:
-        """What had begun to show at the last frame, but was not certain."""
+        """Events that had begun to show at the last frame but were not certain."""
         shown: dict[EventName, float] = {
             "arms_raised": 0.0 if self._arms_raised.holds else self._arms_raised.level,
             "lying": 0.0 if self._lying.holds else self._lying.level,

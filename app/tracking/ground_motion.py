@@ -1,8 +1,8 @@
 """Motion over the ground, from where a person is in the picture.
 
 A person who moves away by ``d`` metres rises in the picture by ``d * sin(elevation)`` metres at
-their scale. Seen by a low camera that sine is small and noise would count most, so it has a floor,
-which is not the same for both uses. A velocity (:class:`GroundMotion`) gives headings, whose
+their scale. From a low camera that sine is small and noise would dominate, so it has a floor, a
+different one for each of two uses. A velocity (:class:`GroundMotion`) gives headings, whose
 direction has to be right: its floor is low, and steps away count less in ``reliable_speed``. A path
 (:func:`ground_path`) gives features of actions, whose speeds have to be right: its floor is high,
 and the weights of actions were trained with it.
@@ -67,7 +67,7 @@ class GroundMotion:
     def update(
         self, timestamp: float, box: Box, px_per_m: float, elevation_deg: float
     ) -> GroundVelocity:
-        """Take in a frame and return the velocity over the last second.
+        """Add a frame and return the velocity over the last second.
 
         Parameters
         ----------

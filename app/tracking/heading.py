@@ -1,7 +1,7 @@
 """Headings over time: a Bayes filter on the circle of azimuths.
 
-Single frames confuse front and back, or left and right, of small people and of people seen from the
-side above all. People turn steadily, and mostly walk in the direction they face.
+Single frames confuse front and back, or left and right, above all of people who are small or seen
+from the side. People turn steadily, and mostly walk in the direction they face.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Heading:
         return float(np.clip(self.shares[_FRONT].sum(), 0, 1))
 
     def on_visible_side(self, azimuth_deg: float, min_turned_deg: float) -> float:
-        """The nearest azimuth from which the camera sees the side that it does: front or back."""
+        """The nearest azimuth from which the camera sees the same side, front or back, as now."""
         low, high = (0.0, 90 - min_turned_deg) if self.front else (90 + min_turned_deg, 180.0)
         return float(np.copysign(np.clip(abs(azimuth_deg), low, high), azimuth_deg))
 
@@ -69,7 +69,7 @@ class HeadingFilter:
         clarity: float,
         velocity: GroundVelocity,
     ) -> Heading:
-        """Take in a frame.
+        """Add a frame.
 
         Parameters
         ----------
@@ -100,14 +100,14 @@ class HeadingFilter:
         return heading
 
     def walking_weight(self, velocity: GroundVelocity) -> float:
-        """How far a person's direction of motion counts, 0 to 1."""
+        """How much a person's direction of motion counts, 0 to 1."""
         low, high = self._parameters.min_walking_m_s, self._parameters.full_walking_m_s
         return float(np.clip((velocity.speed - low) / (high - low), 0, 1))
 
     def _predict(
         self, timestamp: float, before: float, last: Heading
     ) -> tuple[NDArray[np.float64], float]:
-        """The distribution now by the last one, and how far a frame is independent of the last."""
+        """The distribution by prediction, and how independent a frame is of the last."""
         parameters, elapsed = self._parameters, timestamp - before
         shares = last.shares @ _normal_about(_CENTRES_DEG, parameters.turn_deg * np.sqrt(elapsed))
         jumps = 1 - float(np.exp(-parameters.jumps_per_s * elapsed))

@@ -19,14 +19,14 @@ class SessionParameters:
 
     min_step_s: float = 1e-3  # Frames closer together have no order that a camera could have seen.
     max_gap_s: float = 10.0  # After a longer gap the scene may be another one.
-    # A frame that is late by more has not been overtaken by others: the clock was set, or one
-    # timestamp before was wrong.
+    # A frame that is late by more than this was not overtaken: the clock was set, or an earlier
+    # timestamp was wrong.
     max_late_s: float = 5.0
     # Seconds without a sighting after which a track is dropped, and the same for a person who is
     # hidden behind another one, or who vanished away from the border of the frame.
     dropped_after_s: float = 0.5
     predicted_for_s: float = 2.0
-    hidden_share: float = 0.5  # Of a person's box, that another box has to cover to hide them.
+    hidden_share: float = 0.5  # Share of a person's box that another must cover to hide them.
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class DetectionParameters:
     """How the people of a frame are found."""
 
     search_every_s: float = 0.4  # Between two searches of the whole frame.
-    window_lasts_s: float = 0.5  # For so long a window shows where its person is.
+    window_lasts_s: float = 0.5  # A window shows where its person is for this long.
     # A window has lost its person below this presence by the landmark network, and where the next
     # one would be farther away than this, in windows.
     min_presence: float = 0.5
@@ -54,7 +54,7 @@ class BoxParameters:
     place_gain: float = 0.7
     velocity_gain: float = 0.3
     size_gain: float = 0.3
-    drift_s: float = 1.0  # In which the velocity of an unseen person falls to 1/e.
+    drift_s: float = 1.0  # Time for an unseen person's velocity to fall to 1/e.
     min_step_s: float = 1e-3  # A frame that is sent again has the same time.
 
 
@@ -76,7 +76,7 @@ class MatchingParameters:
     size_weight: float = 0.2
     appearance_weight: float = 0.6
     unknown_appearance: float = 0.3  # Cost of the appearance where either is unknown.
-    window_factor: float = 0.5  # Of the cost, for the track in whose window the person was read.
+    window_factor: float = 0.5  # On the cost for the track in whose window the person was read.
     max_cost: float = 1.1  # At a higher cost a sighting begins a new track.
 
 
@@ -85,14 +85,14 @@ class TrackParameters:
     """When a track counts as a person."""
 
     # Where landmarks are read, the probability that a track is a person, from which it counts as
-    # one; and the share of people among the windows that have taught it.
+    # one; and the share of people among the windows of its training.
     min_probability: float = 0.9
     people_share: float = 6 / 7
-    presence_mean_s: float = 3.0  # Over which windows are averaged: a person may take a seat.
-    # Elsewhere, the score by the detector that is enough at once, and sightings that always are.
+    presence_mean_s: float = 3.0  # Windows are averaged over this: a person may take a seat.
+    # Elsewhere, the detector's score that is enough at once, and the sightings that always are.
     confirming_score: float = 0.6
     confirming_sightings: int = 3
-    # Exponent of the probability that landmarks are right, for how far a frame's posture counts.
+    # Exponent of the probability that landmarks are right, for how much a frame's posture counts.
     # On held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability
     # is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
     reliability_exponent: float = 0.25
@@ -103,8 +103,8 @@ class TrackParameters:
 class GroundParameters:
     """How motion over the ground is measured; see :mod:`app.tracking.ground_motion`."""
 
-    window_s: float = 1.0  # Over which a velocity is measured.
-    min_frames: int = 3  # That a velocity needs.
+    window_s: float = 1.0  # A velocity is measured over this.
+    min_frames: int = 3  # Needed for a velocity.
     # Floors of the elevation for a velocity, whose direction counts, and of its sine for the path
     # from which actions are recognised, in which noise must not look like steps.
     min_elevation_deg: float = 6.0
@@ -118,17 +118,18 @@ class GroundParameters:
 class HeadingParameters:
     """The filter of headings.
 
-    They were chosen on UP-Fall's first activities at 0.35 of their size, against their full size,
-    and on Pose2Sim's cameras at a tenth of it. All ``_deg`` but the last are standard deviations.
+    The values were chosen on UP-Fall's first activities at 0.35 of their size, against their full
+    size, and on Pose2Sim's cameras at a tenth of it. Every ``_deg`` except the last is a standard
+    deviation.
     """
 
     turn_deg: float = 80.0  # Of a turn within a second.
     jumps_per_s: float = 0.05  # To any other heading: detection and identity may be wrong.
     seen_deg: float = 20.0  # Of the azimuth of a right hypothesis, for small people.
     clearly_seen_deg: float = 15.0  # The same for large people.
-    outlier_share: float = 0.2  # Of the frames, in which no hypothesis faces the right way.
+    outlier_share: float = 0.2  # Of frames in which no hypothesis faces the right way.
     walking_deg: float = 40.0  # Of the direction in which people walk from the one they face.
-    backward_share: float = 0.1  # Of people, who walk in any other direction.
+    backward_share: float = 0.1  # Of people who walk in any other direction.
     direction_weight: float = 0.3  # Of the walking direction, which is measured over a second.
     min_walking_m_s: float = 0.5  # Speed from which the walking direction counts.
     full_walking_m_s: float = 1.0  # Speed from which it counts in full.
@@ -158,12 +159,12 @@ class SmoothingParameters:
     heading_weight: float = 1.0  # Of the log of the heading's probability.
     nearby_m: float = 0.25  # Poses at this distance from the most probable one weigh 60 % of it.
     sharpness: float = 0.5  # Exponent of probabilities: frames are no independent evidence.
-    # Through whose averages a line is fitted, for silhouettes alone and where landmarks weigh in
-    # full, which follow quick limbs; and the frames in it at most.
+    # Time over which a line is fitted to the averages, for silhouettes alone and where landmarks,
+    # which follow quick limbs, weigh in full; and the most frames in it.
     line_s: float = 0.35
     landmark_line_s: float = 0.12
     max_line_frames: int = 24
-    extrapolated_s: float = 1.0  # For so long a pose is kept where there is no silhouette.
+    extrapolated_s: float = 1.0  # A pose is kept this long without a silhouette.
     # Log odds that a kept pose loses; measured on the clips that the confidence was fitted on.
     lost_per_s: float = 5.0
     # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it
@@ -196,8 +197,8 @@ class EventParameters:
     min_drop_m: float = 0.4
     drop_within_s: float = 1.5
     kept_drop: float = 0.6  # Share of the drop that the hips stay down: a jump comes up again.
-    # Filtered probability of being on the ground that a fall needs after such a drop, what every
-    # further metre takes off it, and what it needs at least: below a seat there is the ground.
+    # Filtered probability of being on the ground that a fall needs after such a drop, its reduction
+    # for every further metre, and its minimum: below a seat there is only the ground.
     min_on_ground: float = 0.5
     on_ground_per_m: float = 1.0
     min_on_ground_after_deep_drop: float = 0.3
@@ -213,7 +214,7 @@ class ZoneParameters:
     # Distance outside, in sizes of the person, up to which a person who has entered stays in the
     # zone: feet at a border move by some hundredths of a body from frame to frame.
     margin: float = 0.1
-    settling_s: float = 0.5  # For so long a person is inside or outside before it is an event.
+    settling_s: float = 0.5  # A person is inside or outside this long before it is an event.
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ class ActionParameters:
     window_s: float = 3.0  # Motion from which an action is recognised.
     min_window_s: float = 1.0  # The shortest motion that suffices.
     every_s: float = 0.5  # Between two results: what people do changes slowly.
-    min_step_s: float = 1 / 40  # Poses closer together add memory alone to motion sampled at 10 Hz.
+    min_step_s: float = 1 / 40  # Poses closer together only add memory: motion is sampled at 10 Hz.
     max_gap_s: float = 1.0  # After a longer gap without a pose the window starts afresh.
     min_vote: float = 0.02  # Share of the votes of an action that no hypothesis shows.
     min_posture: float = 0.1  # Factor of an action that the posture of the moment contradicts.
@@ -236,7 +237,7 @@ class ActionParameters:
 class SummaryParameters:
     """The summary of a video."""
 
-    max_gap_s: float = 2.0  # While unseen for longer, a person is not taken to keep a posture.
+    max_gap_s: float = 2.0  # A person unseen for longer is not taken to keep a posture.
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class PostureFilter:
         box: Box,
         weight: float = 1.0,
     ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
-        """Take in a frame.
+        """Add a frame.
 
         Parameters
         ----------
@@ -54,7 +54,7 @@ class PostureFilter:
         box : Box
             Of the person.
         weight : float
-            How far the frame counts, 0 to 1.
+            How much the frame counts, 0 to 1.
 
         Returns
         -------

@@ -60,7 +60,7 @@ class Event:
         Of the person.
     state : str
         ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
-        ``unconfirmed`` for what had begun to show at the last frame.
+        ``unconfirmed`` if it had only begun to show at the last frame.
     timestamp : float
         Seconds, of the frame.
     probability : float

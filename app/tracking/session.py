@@ -16,8 +16,8 @@ from app.estimation.results import Evidence, ObservedPerson, Scene
 from app.estimation.square_pixels import SquarePixels
 from app.estimation.upload import DecodedUpload, Upload
 from app.scheduling.job import Job
+from app.tracking.association import appearance_histogram, associate
 from app.tracking.detection import TrackedPeopleDetector
-from app.tracking.matching import appearance_histogram, associate
 from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track
@@ -114,8 +114,8 @@ class CameraSession:
         UploadError
             If the images or boxes cannot be used.
         LateFrameError
-            If the timestamp is not after that of the frame before; one that is earlier by more than
-            a late frame can be begins afresh.
+            If the timestamp is not after that of the frame before. If it is earlier by more than a
+            late frame can be, the session starts afresh instead.
         """
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
@@ -148,7 +148,7 @@ class CameraSession:
         )
 
     def unconfirmed(self) -> list[Event]:
-        """What had begun to show at the last frame, but was not certain."""
+        """Events that had begun to show at the last frame but were not certain."""
         return [event for track in self._tracks for event in track.unconfirmed()]
 
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
@@ -206,7 +206,7 @@ class CameraSession:
     def _named_by_caller(
         self, people: Sequence[ObservedPerson], caller_ids: Sequence[str], timestamp: float
     ) -> list[Sighting]:
-        """People with the tracks of the identities that the caller gave them."""
+        """People with the tracks that the caller's identities name."""
         known = {track.caller_id: track for track in self._tracks}
         sightings = []
         for person, caller_id in zip(people, caller_ids, strict=True):
@@ -221,7 +221,7 @@ class CameraSession:
     ) -> list[tuple[ObservedPerson, Track]]:
         """Give each sighting a track, and return the people of confirmed ones, left to right.
 
-        People who are hidden behind another one are among them, where they are expected.
+        People hidden behind another one are included, where they are expected.
         """
         seen = []
         for sighting, known in zip(sightings, self._assign(sightings, timestamp), strict=True):
@@ -235,7 +235,7 @@ class CameraSession:
         return sorted(confirmed, key=lambda pair: pair[0].box.x)
 
     def _assign(self, sightings: Sequence[Sighting], timestamp: float) -> list[Track | None]:
-        """The track of each sighting, None of a new person; the caller's identities hold."""
+        """The track of each sighting, None for a new person; the caller's identities win."""
         tracks = [
             sighting.track if sighting.track and sighting.track.caller_id else None
             for sighting in sightings
@@ -304,7 +304,7 @@ class CameraSession:
         return None
 
     def _vanished(self, track: Track) -> bool:
-        """Whether a person whom the detector found was last seen away from the border."""
+        """Whether a person found by the detector was last seen away from the border."""
         return (
             self._size is not None
             and track.next_window is not None

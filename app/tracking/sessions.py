@@ -97,7 +97,7 @@ class CameraSettings:
     pixel_aspect: float | None = None
 
     def of(self, upload: Upload) -> Upload:
-        """Return an upload with what it does not say about its camera itself."""
+        """Return the upload with missing camera settings filled in from these."""
         return replace(
             upload,
             fov_deg=self.fov_deg if upload.fov_deg is None else upload.fov_deg,

@@ -1,7 +1,7 @@
 """Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
 
-A move from one pose to another costs by the distance that joints move, and a pose costs by how far
-it departs from the person's heading over time. The forward-backward algorithm weighs the states of
+The cost of a move between poses grows with the distance that joints move, that of a pose with its
+distance from the person's heading over time. The forward-backward algorithm weighs the states of
 the last frames by all frames so far. Poses near the most probable state are averaged by these
 weights, and a line is fitted to the averages of the last frames. Small people seen from the side
 keep the side that they show.
@@ -80,7 +80,7 @@ class _Frame:
     confidences: NDArray[np.float64]  # (N,)
     # (N,), by silhouette and landmarks; None where no landmarks were read.
     distances: NDArray[np.float64] | None
-    clarity: float  # How far landmarks count, 0 to 1; 0 where none were read.
+    clarity: float  # How much landmarks count, 0 to 1; 0 where none were read.
 
     def weights(self) -> NDArray[np.float64]:
         """Weights ``(N,)`` of the hypotheses by their confidences; they sum to 1."""
@@ -109,7 +109,7 @@ class _Frame:
         )
 
     def log_likelihoods(self, parameters: SmoothingParameters) -> NDArray[np.float64]:
-        """Of the states ``(N,)``, less a constant, at the reference rate or below."""
+        """Log likelihoods ``(N,)`` of the states, less a constant, at up to the reference rate."""
         result = parameters.confidence_weight * np.log(self.confidences + 1e-3)
         if self.distances is not None:
             result = result - self.clarity * parameters.landmark_weight * np.log(
@@ -166,7 +166,7 @@ class PoseSmoother:
         self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
-        """Take in the track's next frame and return the pose at it.
+        """Add the track's next frame and return the pose at it.
 
         Parameters
         ----------
@@ -320,7 +320,7 @@ class PoseSmoother:
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.
 
-        And the log odds of the hypotheses near it, averaged over these frames.
+        Also returns the log odds of the hypotheses near it, averaged over these frames.
         """
         log_backward = np.zeros(len(self._states[-1].log_forward))
         averages, lengths, odds = [], [], []
@@ -368,7 +368,7 @@ class PoseSmoother:
 
 
 def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
-    """The posture of a state, by the speed that is measured rather than that of its clip."""
+    """The posture of a state, by the measured speed rather than that of its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture
     if velocity.reliable_speed >= POSTURE_RULES.min_running_speed:

@@ -36,7 +36,7 @@ class TrackSummary:
     _frames_with_action: int = 0
 
     def add(self, tracked: TrackedPerson, timestamp: float, max_gap_s: float) -> None:
-        """Add the person's next frame; a posture lasts until then, but through no longer gap."""
+        """Add the person's next frame; a posture lasts until then unless the gap is longer."""
         gap_s = timestamp - self.last_timestamp
         if self._posture is not None and gap_s <= max_gap_s:
             self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s

@@ -111,8 +111,8 @@ class BoxFilter:
 class Track:
     """One person of a camera session.
 
-    In each frame that shows the person, :meth:`see` takes in the place, then :meth:`update` the
-    poses. Where there are none, :meth:`extrapolate` keeps the last one.
+    In each frame that shows the person, :meth:`see` adds the place, then :meth:`update` the poses.
+    Where there are none, :meth:`extrapolate` keeps the last one.
 
     Parameters
     ----------
@@ -166,14 +166,14 @@ class Track:
     def _probability(self, shown_odds: float) -> float:
         """Probability that a person is tracked, by Bayes' rule.
 
-        The detector's highest score comes before the windows, the mean of which counts as one
+        The detector's highest score is the prior. The mean of the windows counts as one
         observation: the same furniture looks like a person in all frames.
         """
         prior = log_odds(self._parameters.people_share)
         return probability_of(log_odds(self.score) + shown_odds - prior)
 
     def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
-        """Take in where the person is in this frame, and in which of the camera's zones."""
+        """Add where the person is in this frame, and in which of the camera's zones."""
         observed = sighting.observed
         truncated = observed.silhouette is not None and observed.silhouette.truncated
         self._locate(observed, zones)
@@ -191,7 +191,7 @@ class Track:
         self.next_window = observed.next_window
         if self.appearance is None:
             self.appearance = sighting.appearance
-        # A person who is partly hidden would take on the colours of whoever hides them.
+        # A partly hidden person would take on the colours of the person in front.
         elif sighting.appearance is not None and not truncated:
             difference = sighting.appearance - self.appearance
             self.appearance = self.appearance + self._parameters.appearance_gain * difference
@@ -199,7 +199,7 @@ class Track:
     def update(
         self, person: Person, timestamp: float, zones: Sequence[Zone] = ()
     ) -> tuple[TrackedPerson, tuple[Event, ...]]:
-        """Take in the poses of this frame; return the person and what begins or ends with it."""
+        """Add the poses of this frame; return the person and what begins or ends with it."""
         observed = person.observed
         smoothed = self._smoother.update(person, timestamp)
         if smoothed is None:
@@ -233,7 +233,7 @@ class Track:
         return self._tracked(person, smoothed.pose), tuple(map(self.annotated, events))
 
     def _weight(self, observed: ObservedPerson) -> float:
-        """How far the posture of a frame counts: as far as it is right given its landmarks."""
+        """How much a frame's posture counts: how likely it is right given its landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
         right = math.pow(observed.reliability, self._parameters.reliability_exponent)
         return 1 - presence * (1 - right)
@@ -246,13 +246,13 @@ class Track:
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
     def unconfirmed(self) -> tuple[Event, ...]:
-        """What had begun to show at the last frame, but was not certain."""
+        """Events that had begun to show at the last frame but were not certain."""
         if self.track_id is None:
             return ()
         return tuple(map(self.annotated, self._event_detector.unconfirmed(self.track_id)))
 
     def cross_zones(self, timestamp: float, zones: Sequence[Zone]) -> list[Event]:
-        """Take in this frame, in which the person was seen; return the zones entered and left."""
+        """Add a frame in which the person was seen; return the zones entered and left."""
         if self.track_id is None:
             return []
         crossings = self._zone_watch.update(
@@ -302,7 +302,7 @@ class Track:
 
 
 def _reliability(observed: ObservedPerson, pose: SmoothedPose, weight: float) -> Reliability:
-    """How far a frame counts: by the landmark network, without landmarks by the pose."""
+    """How much a frame counts: by the landmark network, without landmarks by the pose."""
     if observed.presence is None:
         return Reliability(pose.confidence, pose.confidence)
     presence = max(observed.presence, _score(observed))

@@ -56,7 +56,7 @@ class VideoRun:
     max_frames : int
         Frames that are processed at most.
     timeout_s : float
-        Seconds from now on that all of them may take.
+        Seconds, from now on, for all of them.
     """
 
     def __init__(

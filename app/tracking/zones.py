@@ -107,8 +107,8 @@ class _Stay:
 class ZoneWatch:
     """Watches in which zones a person stays.
 
-    The person enters a zone inside its polygon, and leaves it outside by a margin; either has to
-    last a while. A border between the two changes nothing.
+    A person enters a zone by staying inside its polygon for a while, and leaves it by staying
+    outside by a margin for a while. In between, nothing changes.
     """
 
     def __init__(self, parameters: ZoneParameters = DEFAULTS.zones) -> None:
@@ -123,7 +123,7 @@ class ZoneWatch:
         box: Box,
         posture: Posture | None,
     ) -> list[Event]:
-        """Take in where the person is; return what zones they have entered and left.
+        """Add where the person is; return the zones that they have entered and left.
 
         A zone that the camera no longer has counts as left.
         """
@@ -148,7 +148,7 @@ class ZoneWatch:
         return events
 
     def end(self, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
-        """Leave all zones; the person was last seen at a time."""
+        """Leave all zones; the person was last seen at ``seen_at``."""
         names = list(self._stays)
         return [
             event for name in names for event in self._leave(name, track_id, timestamp, seen_at)

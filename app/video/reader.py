@@ -26,7 +26,7 @@ _MAX_LINE_BYTES = 300
 # FFmpeg's messages name addresses in memory.
 _ADDRESS = re.compile(r" ?@ ?0x[0-9a-f]+")
 _FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg or MJPEG"
-# What FFmpeg says of a Matroska file that is cut off; other formats do not need it.
+# FFmpeg's message for a Matroska file that is cut off; other formats do not need it.
 _CUT_OFF = "File ended prematurely"
 
 log = logging.getLogger("app")
@@ -188,7 +188,7 @@ class VideoReader:
         return VideoFrame(number, timestamp, picture, aspect)
 
     async def _said(self) -> str:
-        """The last line that the decoder writes, which ends; empty if it does not."""
+        """The last line that the decoder writes; empty if it does not end in time."""
         if self._last_line is None:
             return ""
         # The decoder may hang, or have children that do.

@@ -253,9 +253,9 @@ def _hysteresis(possible: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDAr
 def _without_halo(
     mask: NDArray[np.bool_], difference: NDArray[np.float32], min_cover: float
 ) -> NDArray[np.bool_]:
-    """Drop border pixels of which a person covers less than half, since lenses blur edges.
+    """Drop border pixels that a person covers by less than half: lenses blur edges.
 
-    Their difference is less than about half of what it is further inside.
+    Such pixels differ from the background less than half as much as pixels further inside.
     """
     kernel: NDArray[np.uint8] = np.ones((5, 5), np.uint8)
     inside = cv2.erode(mask.astype(np.uint8), kernel, borderValue=1) > 0
@@ -273,7 +273,7 @@ def _likeness(aspect: float, fill: float, parameters: BackgroundParameters) -> f
 
 
 def _nearer_to_other(box: Box, other: Box, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Pixels of ``box``, of this shape, that lie in ``other`` too and nearer its middle."""
+    """Pixels of ``box``, of this shape, that also lie in ``other`` and are nearer its middle."""
     left, top, _, _ = box.pixels()
     x, y = left + np.arange(shape[1]), top + np.arange(shape[0])
     inside_x = (x >= other.x) & (x <= other.right)

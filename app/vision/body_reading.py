@@ -35,7 +35,7 @@ class Body3D:
     sigmas : (33,) float64 array
         Expected absolute error along the line of sight, metres.
     origin : (3,) float64 array
-        The middle of the hips, metres from the camera; as far as the body's size tells.
+        The middle of the hips, metres from the camera, estimated from the body's size.
     sight : (3, 3) float64 array
         Rotation from camera axes to those of the window's line of sight (without its roll).
     """

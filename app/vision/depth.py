@@ -1,7 +1,7 @@
-"""Depth of landmarks, corrected by what rendered people teach, and how sure it is.
+"""Depth of landmarks, corrected by a network trained on rendered people, with its uncertainty.
 
-The landmark network's depth errs by 0.1 m and more. A small network sees its feature map at the
-landmarks and says what is left over, with the scale of a Laplace distribution for each.
+The landmark network's depth errs by 0.1 m and more. A small network reads its feature map at the
+landmarks and predicts these errors, with the scale of a Laplace distribution for each.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MAP_ROWS = [
     LANDMARK_NAMES.index("nose"),
     *landmark_rows("ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index"),
 ]
-"""Landmarks at which the feature map is seen."""
+"""Landmarks at which the feature map is sampled."""
 
 HIPS = landmark_rows("hip")
 

@@ -1,6 +1,6 @@
 """Whether a window shows a person at all, and whether its landmarks are right.
 
-Taught by rendered people, hidden, cut or whole, and by rendered rooms, bags and animals.
+Trained on rendered people, hidden, cut or whole, and on rendered rooms, bags and animals.
 """
 
 from __future__ import annotations

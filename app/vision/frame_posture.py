@@ -1,4 +1,4 @@
-"""The posture of one frame, from landmarks in three dimensions: taught by rendered people."""
+"""The posture in one frame, from landmarks in three dimensions; trained on rendered people."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAME_POSTURES: tuple[FramePostureName, ...] = get_args(FramePostureName)
 
 
 MIN_RIGHT = 0.01
-"""Landmarks are never taken to be less likely right than this, nor more than its opposite."""
+"""The probability that landmarks are right is kept this far from 0 and 1."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class FramePosture:
 
     @property
     def likeliest(self) -> FramePostureName:
-        """The likeliest."""
+        """The likeliest posture."""
         return FRAME_POSTURES[int(self.probabilities.argmax())]
 
     def of(self, name: FramePostureName) -> float:
-        """Probability of one."""
+        """Probability of one posture."""
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 
 

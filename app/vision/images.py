@@ -31,8 +31,8 @@ FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 JPEG = ("JPEG", "MPO")
 
 ImageWarning = Literal["dark", "stretched", "truncated"]
-"""``dark``: hardly anything is to be seen; ``stretched``: 16 bits of which only a part is used were
-stretched to that part; ``truncated``: the end of the image is missing."""
+"""``dark``: the picture is too dark to show much; ``stretched``: a 16-bit image used only part of
+its range, which was stretched; ``truncated``: the end of the image is missing."""
 
 _END_OF_JPEG = b"\xff\xd9"
 # libjpeg's decoder paints what is missing of a JPEG in this grey, exactly.
@@ -99,9 +99,9 @@ def decode_image(
     """Decode a photograph.
 
     The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR, an
-    alpha channel is dropped, and an animation gives its first picture. 16 bits become 8; where the
-    upper half of their range is not used, as by cameras of 10 to 14 bits, the range that is used is
-    stretched. A JPEG of which less than half is missing is read.
+    alpha channel is dropped, and an animation gives its first picture. 16 bits become 8; if the
+    upper half of their range is not used, as with cameras of 10 to 14 bits, the used range is
+    stretched. A JPEG is read if less than half of it is missing.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def decode_image(
 
 
 def _used_range(pixels: NDArray[np.uint16], parameters: ImageParameters) -> tuple[int, int]:
-    """The values from and below which 16 bits are used; all if the upper half is, or nearly none.
+    """The used range of 16 bits, its end excluded; all if it reaches the upper half or is tiny.
 
     Outliers do not count.
     """
@@ -179,7 +179,7 @@ def read_header(data: bytes, parameters: ImageParameters = DEFAULTS.images) -> I
 
 
 def _kind(data: bytes) -> str:
-    """What bytes are that are no image of :data:`FORMATS`."""
+    """Name the kind of bytes that are no image of :data:`FORMATS`."""
     named = (name for start, name in _SIGNATURES.items() if data.startswith(start))
     if data[4:8] == b"ftyp":
         return _BRANDS.get(data[8:12], "a video")
@@ -187,7 +187,7 @@ def _kind(data: bytes) -> str:
 
 
 class _LimitedReads(io.BytesIO):
-    """Encoded bytes of which the number of reads is limited."""
+    """Encoded bytes with a limited number of reads."""
 
     def __init__(self, data: bytes, parameters: ImageParameters) -> None:
         super().__init__(data)

@@ -45,7 +45,7 @@ class LabelImage:
         """Find the labels of an array ``(H, W)``."""
         if labels.ndim != 2:
             raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
-        # `boundingRect` takes no 16 bits.
+        # `boundingRect` takes 8 bits only.
         marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
         left, top, width, height = cv2.boundingRect(marked)
         part = labels[top : top + height, left : left + width].copy()

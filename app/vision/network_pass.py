@@ -1,6 +1,6 @@
 """What one pass of the landmark network gives, in the window's own terms.
 
-The models that rendered people teach (depth, posture, presence) read it.
+The models trained on rendered people (depth, posture, presence) read it.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class ImageParameters:
     outlier_percentile: float = 0.1
     min_used_range: int = 64
     sampled_px: int = 20_000  # Enough for percentiles, which take half a millisecond.
-    max_missing_share: float = 0.5  # Of a JPEG that is read.
+    max_missing_share: float = 0.5  # A JPEG with more missing is refused.
     max_labels: int = 100  # With more values, an image is a mask with soft edges, not a crowd.
     # Pairs of neighbouring pixels with different labels: of all pixels, where there are many such
     # pairs, and at most. Fifty people who fill a frame of 12 megapixels have 400,000, a thirtieth
@@ -31,8 +31,8 @@ class ImageParameters:
     max_label_change_share: float = 0.5
     few_label_changes: int = 10_000
     lossy_threshold: int = 128  # Value from which a pixel of a lossy mask is the person's.
-    # Lossy compression moves black and white by up to this, but at edges; pixels in between may be
-    # this share of those of the person.
+    # Lossy compression moves black and white by up to this, except at edges; pixels in between may
+    # be this share of those of the person.
     lossy_certainty: int = 48
     max_lossy_between: float = 0.5
     lossy_channel_difference: int = 16  # Channels of a lossy grey image differ by up to this.
@@ -76,7 +76,7 @@ class DetectorParameters:
     # Log odds added to a detection where a person was seen a moment ago. People do not vanish, but
     # a falling person is blurred, and then lies in a pose that detectors rarely recognise.
     expected_log_odds: float = 1.0
-    min_expected_share: float = 0.5  # Of a box, that must be within reach of that person.
+    min_expected_share: float = 0.5  # Of a box that must be within reach of that person.
     # Height in the overview from which people are taken from it; smaller ones are taken from the
     # tiles, which separate two people side by side.
     large_person_px: float = 96.0
@@ -108,7 +108,7 @@ class HogParameters:
     # and their axes are no farther apart than this share of the wider one.
     part_share: float = 0.8
     part_distance: float = 0.3
-    mean_iou: float = 0.6  # With a person's best box, above which a box counts in their mean.
+    mean_iou: float = 0.6  # A box counts in a person's mean if it overlaps the best one more.
     mean_margin: float = 0.1  # Added to the margins that weight this mean, which may be 0.
 
 
@@ -121,7 +121,7 @@ class KeypointParameters:
     min_box_cells: float = 0.25  # Sides of a box in heatmap cells; smaller ones are empty.
     input_px: tuple[int, int] = (256, 160)  # Window of one person, the longer side along them.
     window_scale: float = 1.25  # Size of that window relative to the person's box.
-    min_iou: float = 0.2  # With the person's box, from which a detection may be that person.
+    min_iou: float = 0.2  # Overlap with the person's box from which a detection may be theirs.
 
 
 @dataclass(frozen=True)
@@ -131,18 +131,19 @@ class ReadingParameters:
     Distances are in sizes of the body.
     """
 
-    good_quality: float = 0.85  # From which no further window is tried.
-    # Below which the window is read to which the best reading points.
+    good_quality: float = 0.85  # From this quality on, no further window is tried.
+    # Below this quality, the window that the best reading points to is read.
     doubtful_quality: float = 0.6
     # Weights in the quality, beside the agreement with MoveNet.
     presence_weight: float = 0.3
     drift_weight: float = 1.0
-    agreement_distance: float = 0.15  # Within which both networks agree about a keypoint.
+    agreement_distance: float = 0.15  # Up to this, both networks agree about a keypoint.
     unknown_agreement: float = 0.6  # Where MoveNet finds nobody.
     keypoint_weight: float = 2.0  # Of a keypoint of score 1, against the landmark it agrees with.
-    min_trunk_score: float = 0.15  # From which hips and shoulders show the direction of the trunk.
-    min_visible_score: float = 0.25  # From which a keypoint of MoveNet is visible.
-    # From the frame's border; nearer landmarks are at most as visible as MoveNet's keypoints.
+    min_trunk_score: float = 0.15  # Score from which hips and shoulders show its direction.
+    min_visible_score: float = 0.25  # Score from which a keypoint of MoveNet is visible.
+    # Distance from the frame's border; nearer landmarks are at most as visible as MoveNet's
+    # keypoints.
     border_distance: float = 0.3
     hips_to_feet: float = 1.7  # Distance relative to the trunk.
     # Leans of the trunk between which a window that is not turned is tried as well: in windows
@@ -156,7 +157,7 @@ class SilhouetteParameters:
     """Silhouettes from the masks of the landmark network."""
 
     min_probability: float = 0.5  # Of a person's pixels; chosen on even-numbered photographs.
-    max_side_px: int = 384  # At which masks are drawn and cleaned.
+    max_side_px: int = 384  # Largest size at which masks are drawn and cleaned.
     min_cover: float = 0.5  # Share of a person's pixel that the drawn mask covers.
     # Boxes that end so close to the frame's edge are extended to it: the mask shows better than
     # the box whether the body goes on.
@@ -185,8 +186,8 @@ class TruncationParameters:
     # Share of its extent along an edge above which a silhouette is cut: a shoe that just reaches
     # the last row is not.
     min_border_run: float = 0.1
-    unseen_end_share: float = 0.05  # The same, of a box whose head or feet are unseen.
-    min_keypoint_score: float = 0.3  # From which a keypoint is seen.
+    unseen_end_share: float = 0.05  # The same, for a box with unseen head or feet.
+    min_keypoint_score: float = 0.3  # Score from which a keypoint is seen.
     max_cover: float = 0.05  # Share of a whole person's box that a nearer one may cover.
     box_fill: float = 0.5  # Share of a box that a person without a silhouette fills.
 

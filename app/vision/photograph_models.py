@@ -1,4 +1,4 @@
-"""The models that rendered people teach, and what they make of a reading.
+"""The models trained on rendered people, and their judgement of a reading.
 
 They are trained by ``python -m scripts train-photographs``.
 """
@@ -28,7 +28,7 @@ FILE = FOLDER / "photograph_models.npz"
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the models make of a reading."""
+    """The models' judgement of a reading."""
 
     body: Body3D
     doubt: Doubt

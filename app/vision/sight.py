@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from app.vision.geometry import PersonWindow
 
 ASSUMED_FOV_DEG = 60.0
-"""Field of view along the longer side of a frame of which nothing is known."""
+"""Field of view along the longer side of a frame with no known camera settings."""
 
 NEAREST_M = 0.3
-"""Nobody is placed nearer to the camera."""
+"""Nobody is placed nearer to the camera than this."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def place_on_sight_lines(
     axes : (..., 3, 3) float64 array
         Camera axes to those of the line of sight.
     weights : (P,) float64 array
-        How far each counts; not negative, not all zero.
+        How much each counts; not negative, not all zero.
 
     Returns
     -------

@@ -67,10 +67,10 @@ def _connect(address: str) -> Client:
     for logger in ("distributed", "distributed.client"):
         logging.getLogger(logger).setLevel(logging.CRITICAL + 1)
     try:
-        # A client would wait for ever for a stranger, and complain at exit.
+        # A client would wait for ever for a server that is no scheduler, and log errors at exit.
         asyncio.run(_check_scheduler(address))
         return Client(address, timeout=RENDERING.connect_s, set_as_default=False)
-    # A stranger's answer, read as Dask's, may mean anything.
+    # The answer of any other server, read as Dask's, may raise anything.
     except Exception as error:
         raise ShardError(f"no Dask scheduler answers at {address}") from error
 

@@ -108,7 +108,7 @@ def train(
             order = np.concatenate([order, generator.permutation(len(examples))])
         batch, order = order[: config.batch], order[config.batch :]
         planes, truth = examples.take(batch, generator)
-        # 32 bits take half as long again; 16 would where the processor has to emulate them.
+        # 32 bits take 1.5 times as long, but so would 16 if the processor had to emulate them.
         with torch.autocast("cpu", torch.bfloat16, torch.cpu._is_avx512_bf16_supported()):
             logits = layers(_channels_first(planes))
         loss = _loss(logits.float(), torch.from_numpy(truth))
@@ -198,7 +198,7 @@ class Examples:
 
 
 def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDArray[np.uint8]:
-    """Pictures ``(B, H, W)`` of which some pixels beside the outline are flipped."""
+    """Pictures ``(B, H, W)`` with some pixels beside the outline flipped."""
     around = np.pad(pictures, ((0, 0), (1, 1), (1, 1)))
     shifted = [
         around[:, 1 + y : 1 + y + pictures.shape[1], 1 + x : 1 + x + pictures.shape[2]]

@@ -1,7 +1,7 @@
 """Hand-set numbers of the build of an index, each with its unit and its reason.
 
-How many entries, bodies and views an index has is asked of a build (:class:`.builder.Plan`); who
-plays and which clips are held out is in :mod:`.splits`.
+The numbers of entries, bodies and views are arguments of a build (:class:`.builder.Plan`); the
+avatars and the held-out clips are in :mod:`.splits`.
 """
 
 from __future__ import annotations

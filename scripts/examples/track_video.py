@@ -29,7 +29,7 @@ from index import DEFAULT_PATH
 from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
 from scripts.datasets import read_frames
-from scripts.outputs import check_outputs
+from scripts.helpers import check_outputs
 
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
 EVENT_SHOWN_S = 2.0

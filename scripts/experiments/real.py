@@ -21,8 +21,9 @@ from tqdm import tqdm
 from app.estimation.estimator import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import Detector, NetworkDetector
+from app.vision.detector import Detector
 from app.vision.geometry import Box, iou_matrix
+from app.vision.network_detector import NetworkDetector
 from app.vision.parameters import DEFAULTS
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
@@ -47,8 +48,8 @@ from scripts.experiments.real_poses import (
     cut_out,
     in_photographs,
     in_video,
+    mask_iou,
     observed_pck,
-    overlap,
     pose_figures,
     trials_of,
 )
@@ -147,7 +148,7 @@ def measure_silhouettes(photographs: Sequence[Photograph], estimator: Estimator)
         spent += time.perf_counter() - started
         for label, one in enumerate(silhouettes, start=1):
             truth = photograph.labels == label
-            values.append(0.0 if one is None else overlap(one.mask(truth.shape), truth))
+            values.append(0.0 if one is None else mask_iou(one.mask(truth.shape), truth))
     odd = np.concatenate([np.full(len(one.boxes), one.odd) for one in photographs])
     every = np.array(values)
     return {

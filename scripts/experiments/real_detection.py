@@ -18,12 +18,13 @@ from tqdm import tqdm
 
 from app.estimation.estimator import Estimator
 from app.estimation.results import ObservedPerson
-from app.vision.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.geometry import Boxes
+from app.vision.hog_detector import HogDetector
+from app.vision.network_detector import NetworkDetector, detection_features
 from app.vision.odds import sigmoid
 from index.skeleton import wrap_degrees
 from scripts.datasets import Photograph, as_array, rotate_box
-from scripts.experiments.real_poses import overlap
+from scripts.experiments.real_poses import mask_iou
 from scripts.helpers import estimate, find_people
 from scripts.metrics import (
     average_precision,
@@ -170,7 +171,7 @@ def measure_lying(photographs: Sequence[Photograph], estimator: Estimator) -> Fi
                 continue
             counts.boxes_right_way_up += is_turned(person, roll_deg)
             truth = labels == label
-            overlaps.append(overlap(person.silhouette.mask(truth.shape), truth))
+            overlaps.append(mask_iou(person.silhouette.mask(truth.shape), truth))
         for detection in find_people(estimator, photograph.frame):
             counts.upright_detections += 1
             counts.upright_taken_for_lying += not is_turned(detection, 0.0)

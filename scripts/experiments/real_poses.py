@@ -74,7 +74,7 @@ class Shown:
     reference: Reference
 
 
-def overlap(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+def mask_iou(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
     """Return the intersection over union of two masks."""
     return float((mask & truth).sum() / max(1, int((mask | truth).sum())))
 
@@ -212,7 +212,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
     }
 
 
-def fit_confidence(trials: Sequence[Trial]) -> tuple[float, float]:
+def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:
     """Fit slope and bias of the confidence of :mod:`app.estimation.ordering`."""
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
@@ -226,7 +226,7 @@ def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
 
     Slope and bias of the service are fitted to both halves.
     """
-    fitted = {odd: fit_confidence([t for t in trials if t.odd != odd]) for odd in (False, True)}
+    fitted = {odd: fit_slope_and_bias([t for t in trials if t.odd != odd]) for odd in (False, True)}
 
     def refitted(trial: Trial) -> Trial:
         slope, bias = fitted[trial.odd]

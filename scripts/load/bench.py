@@ -136,7 +136,7 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict
 
 
 def read_street(folder: Path) -> tuple[Street | None, list[str]]:
-    """Return the street, or None and what is left out for that."""
+    """Return the street, or None and the cases left out without it."""
     try:
         return Street.read(folder), []
     except FileNotFoundError as error:

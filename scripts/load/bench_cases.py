@@ -95,7 +95,7 @@ def with_four(marks: Sequence[Marks]) -> list[Marks]:
 
 
 def without_people(frames: Sequence[Picture]) -> Picture:
-    """Return the scene ``(480, 640, 3)`` of a fixed camera, as each pixel is most of the time."""
+    """Return the scene ``(480, 640, 3)`` of a fixed camera: the usual value of each pixel."""
     return resized(np.median(np.stack(frames), axis=0).astype(np.uint8), SMALL)
 
 

@@ -1,4 +1,4 @@
-"""See whether any of eight clients starves that wait for answers and come back after a refusal.
+"""See whether any of eight clients starves; each waits for answers and returns after a refusal.
 
 First two clients, for the rate that the service carries; then eight; then eight beside one caller
 with ten times as many connections, from an address of its own. Masks, then photographs. Another

@@ -91,7 +91,7 @@ class Tally:
                 client.hang_up(request.call)
                 return None
             status, headers, _ = client.exchange(request.call)
-        except Exception as error:  # Whatever it is, it is counted and shown.
+        except Exception as error:  # Every error is counted and shown.
             self.broken.append(f"{request.kind} {type(error).__name__}".strip())
             return None
         after = headers["Retry-After"]

@@ -16,7 +16,7 @@ from scripts.results import RESULTS, machine, percentile, revision
 
 Figures = dict[str, Any]
 Criteria = dict[str, bool]
-"""Sentences on what would be wrong, and whether all is well."""
+"""Sentences with what was measured, and whether each meets its criterion."""
 
 Measure = Callable[[ServerProcess, PoseIndex, Any], tuple[Figures, Criteria]]
 

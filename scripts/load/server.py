@@ -31,7 +31,7 @@ class ServerProcess:
         }
 
     def __enter__(self) -> ServerProcess:
-        """Start it."""
+        """Start the process."""
         self._started = time.perf_counter()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "app"], cwd=ROOT, env=self._environment,
@@ -68,6 +68,6 @@ class ServerProcess:
         return self._process.wait(timeout=30)
 
     def __exit__(self, *error: object) -> None:
-        """End it."""
+        """End the process."""
         if self.alive():
             self.stop()

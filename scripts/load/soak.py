@@ -91,7 +91,7 @@ def late_frame(frame: bytes) -> dict[str, bytes]:
 
 
 class Soak:
-    """Clients that share a count of what is still to be sent."""
+    """Clients that share a count of requests still to be sent."""
 
     def __init__(self, server: ServerProcess, mixture: dict[str, Kind], requests: int) -> None:
         self._server, self._mixture = server, mixture
@@ -124,7 +124,7 @@ class Soak:
         with ExitStack() as stack:
             for lock in self._in_flight:
                 stack.enter_context(lock)
-            time.sleep(REST_S)  # The server ends what a client that hung up has left.
+            time.sleep(REST_S)  # The server ends the work of clients that hung up.
             self.memory.append((position, self._server.memory_mb()))
 
 

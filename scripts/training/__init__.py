@@ -1,1 +1,1 @@
-"""What the networks, models and constants of the service are learned with."""
+"""Training of the networks, models and constants of the service."""

@@ -25,7 +25,8 @@ ACTIONS = (
 
 Left out are bend, duck and kick, which mean another motion for each subject (reaching down or
 sideways; creeping or a leap from a run; football or karate); sit-down and roll, since the second
-subject shows less than two seconds of each; and actions of one subject alone, which no other tests.
+subject shows less than two seconds of each; and actions of a single subject, which no other subject
+could test.
 """
 
 SEVERAL_ACTIONS = ("127_25", "127_27", "127_33", "127_35")
@@ -226,7 +227,7 @@ class Windows:
         return np.asarray((np.array(self.subjects) == subject)[self.motion])
 
 
-def merged(parts: Sequence[Windows]) -> Windows:
+def joined_windows(parts: Sequence[Windows]) -> Windows:
     """Concatenate windows of several sources."""
     firsts = np.cumsum([0, *(len(part.actions) for part in parts[:-1])])
     return Windows(

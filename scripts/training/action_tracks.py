@@ -45,8 +45,8 @@ from scripts.training.action_model import (
     SEVERAL_ACTIONS,
     SHORTEST_S,
     Windows,
+    joined_windows,
     make_windows,
-    merged,
     read_motions,
     windows_of,
 )
@@ -80,7 +80,7 @@ CAMERAS_OF_RECORDED = 4
 
 OTHER_FPS = 5
 ACROBATICS = ("breakdance", "cartwheel", "fall", "flip", "roll")
-"""Actions in which people throw themselves down, so that a reported fall is hardly false."""
+"""Actions in which people throw themselves down, where a reported fall is hardly false."""
 
 
 @dataclass(frozen=True)
@@ -314,4 +314,4 @@ def training_windows(shared: Path, tracks: Sequence[Track]) -> Windows:
     motion = shared / "mocap"
     avatars = make_avatars(CALIBRATION_AVATARS, None)
     simulated = make_windows(read_motions(motion, read_manifest(motion), avatars), COPIES, SEED)
-    return merged([simulated, *3 * [track_windows(tracks)[1]]])
+    return joined_windows([simulated, *3 * [track_windows(tracks)[1]]])

@@ -1,4 +1,4 @@
-"""Fit detection scores and confidences to photographs: what simulation cannot teach.
+"""Fit detection scores and confidences to photographs, since simulation cannot teach them.
 
 Writes the parts `detection` and `confidence` of ``app/vision/models/fitted.json`` within about ten
 minutes. The data are street photographs (Penn-Fudan), frames of the street video, and sports
@@ -22,9 +22,10 @@ from app.estimation.estimator import Estimator, normalise_person
 from app.estimation.results import Person
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import HogDetector, NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
+from app.vision.hog_detector import HogDetector
 from app.vision.models import write_fitted
+from app.vision.network_detector import NetworkDetector, detection_features
 from index.confidence import RIGHT_BELOW_PX
 from index.parameters import RANKING
 from index.skeleton import LIMB_ROWS, LIMBS
@@ -76,28 +77,28 @@ def candidate_samples(
             yield row, truth
 
 
-def overlap(box: Box, people: Boxes) -> float:
+def box_overlap(box: Box, people: Boxes) -> float:
     """Return the largest overlap of a box with people."""
     return float(iou_matrix(as_array([box]), people).max(initial=0.0))
 
 
 def pedestrian(people: Boxes) -> Callable[[Box], bool | None]:
     """Judge candidates in street photographs."""
-    return lambda box: overlap(box, people) >= SAME
+    return lambda box: box_overlap(box, people) >= SAME
 
 
 def athlete(body: Boxes) -> Callable[[Box], bool | None]:
     """Judge candidates in sports photographs, where only one person is annotated."""
-    return lambda box: True if overlap(box, body) >= 0.3 else None
+    return lambda box: True if box_overlap(box, body) >= 0.3 else None
 
 
 def walker(marks: Marks) -> Callable[[Box], bool | None]:
     """Judge candidates in the street video: None for barely visible people."""
 
     def judge(box: Box) -> bool | None:
-        if overlap(box, as_array(marks.people)) >= SAME:
+        if box_overlap(box, as_array(marks.people)) >= SAME:
             return True
-        return None if overlap(box, as_array(marks.ignored)) >= 0.3 else False
+        return None if box_overlap(box, as_array(marks.ignored)) >= 0.3 else False
 
     return judge
 

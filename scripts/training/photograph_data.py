@@ -1,4 +1,4 @@
-"""What training keeps of a rendered photograph: one row for each window that the network read."""
+"""Training data from rendered photographs: one row for each window that the network read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class WindowRows:
-    """Windows that the landmark network read, and what was true in them.
+    """Windows that the landmark network read, with the truth about them.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class WindowRows:
     focal, centre, frame_px : (N, 2) float64 array
         As :class:`index.build.photographs.scene.Photograph` has them.
     box : (N, 4) float64 array
-        What is seen of the subject.
+        About the visible part of the subject.
     posture : (N,) int64 array
         Class, or -1 where nobody is.
     landmarks : (N, 33, 3) float32 array
@@ -71,19 +71,19 @@ class WindowRows:
 
 
 def joined(parts: list[WindowRows]) -> WindowRows:
-    """Several as one."""
+    """Concatenate rows."""
     return WindowRows(
         *(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(WindowRows))
     )
 
 
 def read_rows(folder: Path) -> WindowRows:
-    """Read all that a command wrote into a folder.
+    """Read all rows that ``render-people`` wrote into a folder.
 
     Raises
     ------
     FileNotFoundError
-        If it holds none.
+        If the folder holds none.
     """
     files = sorted(Path(folder).glob("windows-*.npz"))
     if not files:

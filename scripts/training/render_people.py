@@ -3,7 +3,7 @@
     python -m scripts render-people --out FOLDER --seed 1
     python -m scripts render-people --out OTHER --count 2000 --seed 7 --held-out
 
-Writes ``windows-NNNN.npz``, 500 photographs each, with what was true in them (see
+Writes ``windows-NNNN.npz``, 500 photographs each, with the truth about them (see
 :mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
 seven shows nobody. The same bytes come out for the same seed; files that are there are not made
 again. ``--sheet FILE`` draws a contact sheet to look at instead.
@@ -62,7 +62,7 @@ def first_window(photograph: Photograph, generator: np.random.Generator) -> Pers
 
 
 def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowRows:
-    """One row."""
+    """The training data of one reading, as a single row."""
     given = reading.network_pass
     assert given is not None
     window, following = reading.window, reading.next_window
@@ -89,7 +89,7 @@ def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowR
 
 
 def photograph_of(studio: Studio, seed: int, number: int) -> tuple[Photograph, np.random.Generator]:
-    """The photograph of a number, whatever was made before it."""
+    """The photograph of a number, which does not depend on those made before it."""
     generator = np.random.default_rng([seed, number])
     empty = bool(generator.random() < EMPTY_SHARE)
     return studio.take(generator, empty=empty), generator

@@ -1,4 +1,4 @@
-r"""Train what rendered people teach: depth, posture and doubt.
+r"""Train the models of depth, posture and doubt on rendered people.
 
     python -m scripts render-people --out /tmp/photographs/train-1 --seed 1
     python -m scripts render-people --out /tmp/photographs/train-2 --seed 2
@@ -62,7 +62,7 @@ ENSEMBLE = 3
 """Number of networks whose mean is each of the two posture networks."""
 
 NOBODY_FROM = 0.1
-"""The network's presence from which a window without people is taken for one by it."""
+"""The network's presence from which it takes a window without people for a person."""
 
 RIGHT_WITHIN, RIGHT_SHARE = 0.2, 0.75
 """A landmark is right within this share of the trunk; a reading is with this share of limb joints.
@@ -77,7 +77,7 @@ LANDMARK_LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ank
 
 @dataclass(frozen=True)
 class Sights:
-    """Cameras of windows: the true ones for half of them, for the others what is assumed."""
+    """Cameras of windows: the true ones for half of them, the assumed one for the others."""
 
     focal: NDArray[np.float64]
     centre: NDArray[np.float64]
@@ -133,7 +133,7 @@ def train_depth(rows: WindowRows, sights: Sights, epochs: int, seed: int) -> Den
     import torch
 
     residual = np.clip((true_depths(rows) - network_depths(rows.world)) / RESIDUAL_M, -12, 12)
-    # What is hidden is known by chance at best.
+    # Depths of hidden landmarks are known by chance at best.
     weights = np.where(rows.shown, 1.0, 0.3)
 
     def loss(outputs: Any, targets: Any) -> Any:
@@ -217,7 +217,7 @@ def train_posture(
 def fit_trust(
     scores: NDArray[np.floating], right: NDArray[np.float64], classes: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Trust ``(2,)`` that makes the truth likeliest; of nobody (-1) no posture is known."""
+    """Trust ``(2,)`` that makes the truth likeliest; the truth of nobody (-1) is uniform."""
     count = scores.shape[1]
     truth = np.where(classes[:, None] < 0, 1 / count, np.eye(count)[classes])
 
@@ -323,7 +323,7 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     truth = true_depths(held)
     found = apply_depth(depth, held, held_sights)
     error = np.abs(found.metres - truth)
-    # Sigmas are the mean absolute error of what they are given for.
+    # Rescaled, so that the mean sigma of these rows is their mean absolute error.
     fit_rows = (seen & calibrates)[:, None] & held.shown
     offsets = np.zeros(2 * LANDMARKS)
     offsets[LANDMARKS:] = np.log(error[fit_rows].mean() / found.sigmas[fit_rows].mean())
@@ -352,7 +352,7 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     )  # fmt: skip
     posture = PostureModel(by_body, by_surroundings, np.zeros(2))
     scores = posture.scores(seen_bodies[1], around[1])
-    # Windows without people that the network takes for some say how sure one may be.
+    # Windows without people that the network takes for people limit the certainty.
     asked = (held.presence > NOBODY_FROM) & calibrates
     trust = fit_trust(scores[asked], right[asked], held.posture[asked])
     say(f"posture: trust {trust[0]:.2f} {trust[1]:.2f}")
@@ -387,7 +387,7 @@ def _doubt_inputs(rows: WindowRows, depths: Depths) -> NDArray[np.float64]:
 
 
 def _decided(rows: WindowRows) -> NDArray[np.bool_]:
-    """Windows of which it is clear whether they show somebody."""
+    """Windows that show nobody, or enough of a person to be sure."""
     return np.asarray((rows.posture < 0) | (rows.shown.sum(axis=1) >= MIN_SHOWN))
 
 
@@ -421,7 +421,7 @@ def report_depth(
 
 
 def report_posture(given: NDArray[np.float64], classes: NDArray[np.int64], say: Any) -> None:
-    """Confusion, calibration, and how often the sure are right."""
+    """Confusion, calibration, and how often sure estimates are right."""
     best, sure = given.argmax(axis=1), given.max(axis=1)
     right = best == classes
     say(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import http.client
+import importlib.util
 import json
 import os
 import signal
@@ -22,14 +23,14 @@ import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scripts.watch_camera import service
-from scripts.watch_camera.log import say
-from scripts.watch_camera.outbox import Outbox, deliver
+from scripts.watch_camera.common import say
+from scripts.watch_camera.outbox import Message, Outbox, deliver
 from scripts.watch_camera.presence import Presence
 from scripts.watch_camera.service import Camera, RefusedError
 from scripts.watch_camera.source import Frame, Source
@@ -48,7 +49,7 @@ Event = Mapping[str, Any]
 
 
 class Bridge:
-    """Posts a camera's frames and hands on what happens.
+    """Posts a camera's frames and passes the events on.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class Bridge:
         self.answered = 0
 
     def watch(self, source: Source, fps: float) -> None:
-        """Post frames until a file ends; raise where none can be accepted."""
+        """Post frames until a file ends; raise if the service will accept none."""
         status_at = time.monotonic()
         for frame in source.frames():
             began = time.monotonic()
@@ -90,7 +91,7 @@ class Bridge:
         say(f"the end: {self.answered} frames were answered")
 
     def _track(self, frame: Frame) -> dict[str, Any] | None:
-        """Post a frame and hand on its events; None where the service does not take it."""
+        """Post a frame and pass its events on; None if the service does not take it."""
         try:
             is_new, answer = self._camera.track(frame)
             if self._lost_since is not None:
@@ -135,7 +136,7 @@ class Bridge:
         self._show()
 
     def _message(self, event: Event) -> dict[str, Any]:
-        """An event with the camera, the time of day, and an id that is its own for ever."""
+        """An event with the camera, the time of day, and a unique id."""
         moment = datetime.fromtimestamp(event["timestamp"], UTC).isoformat(timespec="milliseconds")
         event_id = uuid.uuid5(self._run, json.dumps(event, sort_keys=True))
         camera_id = self._camera.camera_id
@@ -164,6 +165,36 @@ def status(answer: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Watch as the command line asks."""
+    options = _options(arguments)
+    home_assistant = _home_assistant(options)
+    senders: dict[str, Callable[[Message], None]] = {}
+    if options.webhook:
+        senders["webhook"] = Webhook(options.webhook).send
+    if home_assistant is not None:
+        senders["mqtt"] = home_assistant.send
+    outbox, stopping = Outbox(options.queue), threading.Event()
+    for receiver, send in senders.items():
+        work = (outbox, receiver, send, stopping)
+        threading.Thread(target=deliver, args=work, daemon=True).start()
+    camera = Camera(options.url, options.camera_id, options.api_key)
+    bridge = Bridge(camera, outbox, tuple(senders), home_assistant)
+    try:
+        _watch(bridge, outbox, options)
+    except RefusedError as refusal:
+        print(f"watch-camera: the service refuses: {refusal}", file=sys.stderr)
+        return 1
+    finally:
+        stopping.set()
+        if home_assistant is not None:
+            home_assistant.close()
+    if len(outbox):
+        where = f"wait in {options.queue}" if options.queue else "are lost: --queue would keep them"
+        say(f"{len(outbox)} deliveries {where}")
+    return 0
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line; end the program if it cannot be followed."""
     parser = argparse.ArgumentParser(description="A camera's frames to a service, events from it.")
     parser.add_argument("source", help="file, number of a device, or URL of a stream")
     parser.add_argument("camera_id", help="name of the camera for the service")
@@ -186,39 +217,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         url = getattr(options, name)
         if url is not None and url.partition("://")[0] not in schemes:
             parser.error(f"--{name}: expected {schemes[0]}:// or {schemes[1]}://, got {url}")
+    if options.mqtt and importlib.util.find_spec("paho") is None:
+        parser.error("--mqtt: expected the package paho-mqtt: pip install paho-mqtt")
+    return options
+
+
+def _home_assistant(options: argparse.Namespace) -> HomeAssistant | None:
+    """Connect to the broker, if there is one; the only place that needs paho-mqtt."""
+    if not options.mqtt:
+        return None
+    from scripts.watch_camera.home_assistant import HomeAssistant
+
+    return HomeAssistant(options.mqtt, options.camera_id)
+
+
+def _watch(bridge: Bridge, outbox: Outbox, options: argparse.Namespace) -> None:
+    """Watch until a file ends or the program is stopped; then wait for deliveries."""
     # Streams over UDP lose parts of frames.
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "rtsp_transport;tcp")
-    senders, home_assistant = {}, None
-    if options.webhook:
-        senders["webhook"] = Webhook(options.webhook).send
-    if options.mqtt:
-        try:
-            from scripts.watch_camera.home_assistant import HomeAssistant
-        except ModuleNotFoundError:
-            parser.error("--mqtt: expected the package paho-mqtt: pip install paho-mqtt")
-        home_assistant = HomeAssistant(options.mqtt, options.camera_id)
-        senders["mqtt"] = home_assistant.send
-    outbox, stopping = Outbox(options.queue), threading.Event()
-    for receiver, send in senders.items():
-        work = (outbox, receiver, send, stopping)
-        threading.Thread(target=deliver, args=work, daemon=True).start()
-    camera = Camera(options.url, options.camera_id, options.api_key)
-    bridge = Bridge(camera, outbox, tuple(senders), home_assistant)
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        bridge.watch(Source(source), options.fps)
+        bridge.watch(Source(options.source), options.fps)
         outbox.wait_until_empty()
     except KeyboardInterrupt:
         say("stopped")
         outbox.wait_until_empty(STOPS_WITHIN_S)
-    except RefusedError as refusal:
-        print(f"watch-camera: the service refuses: {refusal}", file=sys.stderr)
-        return 1
-    finally:
-        stopping.set()
-        if home_assistant is not None:
-            home_assistant.close()
-    if len(outbox):
-        where = f"wait in {options.queue}" if options.queue else "are lost: --queue would keep them"
-        say(f"{len(outbox)} deliveries {where}")
-    return 0

@@ -42,7 +42,7 @@ def slug(name: str) -> str:
 
 
 class HomeAssistant:
-    """A connection to a broker, which comes back by itself.
+    """A connection to a broker that reconnects by itself.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class HomeAssistant:
             raise DeliveryError("the broker does not answer")
         if message["event"] == "fell":
             # Retained, since a listener may return later than this after a restart of the broker;
-            # expiring, so that it is not taken for news later on.
+            # expiring, so that nobody takes it for a new fall later on.
             expiry = Properties(PacketTypes.PUBLISH)
             expiry.MessageExpiryInterval = FELL_SHOWN_S
             self._publish_surely("fell", "ON", retain=True, properties=expiry)
@@ -110,7 +110,7 @@ class HomeAssistant:
             self._retain(f"{self._base}/zones/{slug(zone)}", state)
 
     def close(self) -> None:
-        """Say that the camera is no longer watched, and hang up."""
+        """Report that the camera is no longer watched, and disconnect."""
         if self._client.is_connected():
             topic = f"{self._base}/available"
             self._client.publish(topic, "offline", qos=1, retain=True).wait_for_publish(_TIMEOUT_S)
@@ -145,7 +145,7 @@ class HomeAssistant:
         self._retain(self._config(component, identity), json.dumps(config))
 
     def _retain(self, topic: str, payload: str) -> None:
-        """Publish what the broker keeps, unless it has it; repeated after each reconnection."""
+        """Publish a retained message unless the broker has it; repeated after each reconnection."""
         with self._changed:
             if self._retained.get(topic) == payload:
                 return

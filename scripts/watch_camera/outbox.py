@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scripts.watch_camera.log import say
+from scripts.watch_camera.common import say
 
 Message = Mapping[str, Any]
 
@@ -37,7 +37,7 @@ class Outbox:
     Parameters
     ----------
     path : Path or None
-        Where they survive the end of the process; None for memory alone.
+        Keeps them beyond the end of the process; None for memory alone.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -53,7 +53,7 @@ class Outbox:
             return count
 
     def put(self, receivers: Iterable[str], message: Message) -> None:
-        """Add a message, which has an ``id``, for each receiver; one that waits already stays."""
+        """Add a message for each receiver, unless one with its ``id`` waits already."""
         with self._changed:
             self._database.execute("begin")
             for receiver in receivers:
@@ -87,7 +87,7 @@ class Outbox:
             self._changed.notify_all()
 
     def wait_until_empty(self, timeout_s: float | None = None) -> bool:
-        """Wait until all is taken; return whether it is."""
+        """Wait until all messages are taken; return whether they are."""
         with self._changed:
             return self._changed.wait_for(lambda: len(self) == 0, timeout_s)
 

@@ -1,4 +1,4 @@
-"""The people before a camera and in each of its zones, by the events."""
+"""The people before a camera and in each of its zones, derived from events."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Presence:
                 self._zones.setdefault(zone, set()).add(person["track_id"])
 
     def update(self, event: Mapping[str, Any]) -> None:
-        """Take in an event."""
+        """Update the people by an event."""
         person = event["track_id"]
         if event["event"] == "entered":
             self._people.add(person)

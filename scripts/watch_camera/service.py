@@ -9,7 +9,7 @@ from urllib.parse import quote, urlencode, urlsplit
 
 import cv2
 
-from scripts.watch_camera.connections import connection_to
+from scripts.watch_camera.common import connection_to
 from scripts.watch_camera.source import Frame
 
 RETRY_AFTER_S = 1.0

@@ -1,4 +1,4 @@
-"""The frames of a file, a device or a stream, the newest alone."""
+"""The newest frame of a file, a device or a stream."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scripts.watch_camera.log import say
+from scripts.watch_camera.common import say
 
 RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0)
 
 
 class Frame(NamedTuple):
-    """How many frames came before it, Unix seconds and BGR."""
+    """A frame: the number of frames before it, Unix seconds and BGR pixels."""
 
     number: int
     timestamp: float
@@ -26,7 +26,7 @@ class Frame(NamedTuple):
 
 
 class Source:
-    """Reads frames in a thread of its own and keeps the newest alone."""
+    """Reads frames in a thread of its own and keeps only the newest."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -81,7 +81,7 @@ class Source:
                 return
             moment = time.monotonic()
             if self.is_file:
-                # As fast as it was filmed.
+                # Play it as fast as it was filmed.
                 moment = began + self._number * interval_s
                 time.sleep(max(0.0, moment - time.monotonic()))
             with self._changed:

@@ -6,7 +6,7 @@ import http.client
 import json
 from urllib.parse import urlsplit
 
-from scripts.watch_camera.connections import connection_to
+from scripts.watch_camera.common import connection_to
 from scripts.watch_camera.outbox import DeliveryError, Message, RefusalError
 
 _TIMEOUT_S = 10.0

@@ -62,7 +62,7 @@ def test_own_silhouette_comes_first(toy_index: PoseIndex, number: int) -> None:
     best = best_hypotheses(toy_index, toy_index.silhouette(number), 3)[0]
     assert best.entry_id == number
     assert best.silhouette_distance == pytest.approx(0, abs=1e-3)
-    assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
+    assert best.outline_distance_px == pytest.approx(0, abs=1e-6)
     # The pose of the entry, averaged with near neighbours of the same mode.
     assert joint_error(best.points_3d, toy_index.entry(number).points_3d) < 0.11
 
@@ -114,7 +114,7 @@ def test_hypotheses_are_ascending_distinct_and_finite(
             assert np.isfinite(points).all()
         assert 0 <= hypothesis.confidence <= 1
         assert hypothesis.silhouette_distance >= 0
-        assert hypothesis.reprojection_error_px >= 0
+        assert hypothesis.outline_distance_px >= 0
     again = best_hypotheses(toy_index, silhouette, n)
     assert [h.entry_id for h in again] == [h.entry_id for h in found]
 
@@ -131,7 +131,7 @@ def test_degenerate_silhouettes(toy_index: PoseIndex, drawn: str) -> None:
     silhouette[(slice(None), slice(None)) if drawn == "full" else (60, 20)] = 1
     for hypothesis in best_hypotheses(toy_index, silhouette, 2):
         assert np.isfinite([hypothesis.silhouette_distance, hypothesis.confidence]).all()
-        assert np.isfinite(hypothesis.reprojection_error_px)
+        assert np.isfinite(hypothesis.outline_distance_px)
 
 
 def rolled_entries(index: PoseIndex) -> list[int]:
@@ -156,7 +156,7 @@ class TestRolledQueries:
             found = best_of(ground_index, ground_index.silhouette(number), roll_deg)
             entry = ground_index.entry(number)
             assert (found.entry_id, found.mirrored) == (number, False)
-            assert found.reprojection_error_px == pytest.approx(0, abs=1e-6)
+            assert found.outline_distance_px == pytest.approx(0, abs=1e-6)
             assert found.rotation_deg == pytest.approx(-roll_deg)
             assert found.tilt_deg == pytest.approx(0, abs=1e-4)
             # In the picture as given, in space as seen without the roll.
@@ -261,7 +261,7 @@ def test_tilt_of_a_leaning_person(toy_index: PoseIndex, number: int, lean: float
     assert abs(best.tilt_deg - lean) < 20
     assert joint_error(best.points_normalised, leaning) < 4
     # Rotated upright, its outline is nearly that of the entry.
-    assert best.reprojection_error_px < 4
+    assert best.outline_distance_px < 4
 
 
 def test_uninformative_silhouette_is_matched_by_keypoints(toy_index: PoseIndex) -> None:

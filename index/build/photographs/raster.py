@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 NOTHING = -1
 """Triangle of a pixel that shows the room."""
+
+Vector: TypeAlias = tuple[float, float, float]
 
 
 @njit(nogil=True, cache=True)
@@ -211,6 +214,88 @@ def _lit(
 
 
 @njit(nogil=True, cache=True)
+def _direct_light(
+    normal: Vector,
+    place: Vector,
+    x: int,
+    y: int,
+    light: NDArray[np.float32],
+    to_light: NDArray[np.float32],
+    heights: NDArray[np.float32],
+    bias: float,
+) -> float:  # pragma: no cover - compiled
+    """Share of the first light that a surface sends back, with shadows."""
+    facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
+    if facing <= 0:
+        return 0.0
+    wx, wy, wz = place
+    return float(facing * _lit(wx, wy, wz, x, y, to_light, heights, light[13], bias))
+
+
+@njit(nogil=True, cache=True)
+def _second_light(
+    normal: Vector, light: NDArray[np.float32]
+) -> float:  # pragma: no cover - compiled
+    """Share of the second light that a surface sends back; it casts no shadows."""
+    facing = normal[0] * light[3] + normal[1] * light[4] + normal[2] * light[5]
+    return float(max(0.0, facing) * light[12])
+
+
+@njit(nogil=True, cache=True)
+def _gleam(
+    normal: Vector, view: Vector, light: NDArray[np.float32]
+) -> float:  # pragma: no cover - compiled
+    """Blinn-Phong highlight of the first light."""
+    hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
+    half = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-9
+    return float(max(0.0, (normal[0] * hx + normal[1] * hy + normal[2] * hz) / half) ** 24)
+
+
+@njit(nogil=True, cache=True)
+def _unit(x: float, y: float, z: float) -> Vector:  # pragma: no cover - compiled
+    length = np.sqrt(x * x + y * y + z * z) + 1e-9
+    return x / length, y / length, z / length
+
+
+@njit(nogil=True, cache=True)
+def _interpolated(
+    values: NDArray[np.float32], corners: NDArray[np.int32], weights: Vector
+) -> Vector:  # pragma: no cover - compiled
+    """Value at a place of a triangle, from those at its corners."""
+    a, b, c = corners[0], corners[1], corners[2]
+    first, second, third = weights
+    return (
+        first * values[a, 0] + second * values[b, 0] + third * values[c, 0],
+        first * values[a, 1] + second * values[b, 1] + third * values[c, 1],
+        first * values[a, 2] + second * values[b, 2] + third * values[c, 2],
+    )
+
+
+@njit(nogil=True, cache=True)
+def _nearest_corner(weights: Vector) -> int:  # pragma: no cover - compiled
+    first, second, third = weights
+    if second > first and second >= third:
+        return 1
+    return 2 if third > first and third > second else 0
+
+
+@njit(nogil=True, cache=True)
+def _wrinkled(
+    normal: Vector, texture: Vector, depth: float, wrinkles: NDArray[np.float32]
+) -> Vector:  # pragma: no cover - compiled
+    """Turn a normal by the waves of cloth; the result has any length."""
+    nx, ny, nz = normal
+    for k in range(len(wrinkles)):
+        w = wrinkles[k]
+        phase = w[0] * texture[0] + w[1] * texture[1] + w[2] * texture[2] + w[3]
+        wave = depth * w[4] * np.sin(phase)
+        nx += wave * w[5]
+        ny += wave * w[6]
+        nz += wave * w[7]
+    return nx, ny, nz
+
+
+@njit(nogil=True, cache=True)
 def shade(
     nearness: NDArray[np.float32],
     shown: NDArray[np.int32],
@@ -261,54 +346,73 @@ def shade(
             if t < 0:
                 continue
             first, second = shares[y, x, 0], shares[y, x, 1]
-            third = 1 - first - second
-            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            strongest = a
-            if second > first and second >= third:
-                strongest = b
-            elif third > first and third > second:
-                strongest = c
-            m = materials[material_of[strongest]]
-            nx = first * normals[a, 0] + second * normals[b, 0] + third * normals[c, 0]
-            ny = first * normals[a, 1] + second * normals[b, 1] + third * normals[c, 1]
-            nz = first * normals[a, 2] + second * normals[b, 2] + third * normals[c, 2]
-            rx = first * textured[a, 0] + second * textured[b, 0] + third * textured[c, 0]
-            ry = first * textured[a, 1] + second * textured[b, 1] + third * textured[c, 1]
-            rz = first * textured[a, 2] + second * textured[b, 2] + third * textured[c, 2]
-            wx = first * vertices[a, 0] + second * vertices[b, 0] + third * vertices[c, 0]
-            wy = first * vertices[a, 1] + second * vertices[b, 1] + third * vertices[c, 1]
-            wz = first * vertices[a, 2] + second * vertices[b, 2] + third * vertices[c, 2]
-            vx, vy, vz = camera[0] - wx, camera[1] - wy, camera[2] - wz
-            far = np.sqrt(vx * vx + vy * vy + vz * vz) + 1e-9
-            vx, vy, vz = vx / far, vy / far, vz / far
-            if nx * vx + ny * vy + nz * vz < 0:
+            weights = (first, second, 1 - first - second)
+            corners = triangles[t]
+            m = materials[material_of[corners[_nearest_corner(weights)]]]
+            nx, ny, nz = _interpolated(normals, corners, weights)
+            texture = _interpolated(textured, corners, weights)
+            wx, wy, wz = _interpolated(vertices, corners, weights)
+            view = _unit(camera[0] - wx, camera[1] - wy, camera[2] - wz)
+            if nx * view[0] + ny * view[1] + nz * view[2] < 0:
                 nx, ny, nz = -nx, -ny, -nz
             if m[10] > 0:
-                for k in range(len(wrinkles)):
-                    w = wrinkles[k]
-                    wave = m[10] * w[4] * np.sin(w[0] * rx + w[1] * ry + w[2] * rz + w[3])
-                    nx += wave * w[5]
-                    ny += wave * w[6]
-                    nz += wave * w[7]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-9
-            nx, ny, nz = nx / length, ny / length, nz / length
-            share = _pattern(int(m[6]), m[7], m[8], m[9], rx, ry, rz)
-            facing = nx * light[0] + ny * light[1] + nz * light[2]
-            direct = 0.0
-            if facing > 0:
-                direct = facing * _lit(
-                    wx + 0.02 * nx, wy + 0.02 * ny, wz + 0.02 * nz, x, y, to_light, heights,
-                    light[13], 0.02,
-                )  # fmt: skip
-            other = max(0.0, nx * light[3] + ny * light[4] + nz * light[5]) * light[12]
+                nx, ny, nz = _wrinkled((nx, ny, nz), texture, m[10], wrinkles)
+            nx, ny, nz = normal = _unit(nx, ny, nz)
+            share = _pattern(int(m[6]), m[7], m[8], m[9], texture[0], texture[1], texture[2])
+            # Probed a little above the surface, which would else shade itself.
+            above = (wx + 0.02 * nx, wy + 0.02 * ny, wz + 0.02 * nz)
+            direct = _direct_light(normal, above, x, y, light, to_light, heights, 0.02)
+            other = _second_light(normal, light)
             sky = 0.72 + 0.28 * ny
-            hx, hy, hz = light[0] + vx, light[1] + vy, light[2] + vz
-            half = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-9
-            gleam = max(0.0, (nx * hx + ny * hy + nz * hz) / half) ** 24 * m[11] * direct
+            gleam = _gleam(normal, view, light) * m[11] * direct
             for k in range(3):
                 base = m[k] * (1 - share) + m[3 + k] * share
                 lit = light[6 + k] * sky + light[9 + k] * direct + other
                 picture[y, x, k] = base * lit + gleam * light[9 + k] * 3
+
+
+@njit(nogil=True, cache=True)
+def _surface_of(
+    camera: NDArray[np.float32], ray: Vector, room: NDArray[np.float32]
+) -> tuple[int, float]:  # pragma: no cover - compiled
+    """The surface of a room that a ray meets, and how many lengths of the ray away it is."""
+    reach, side = 1e9, 0
+    for axis in range(3):
+        step = ray[axis]
+        if abs(step) < 1e-7:
+            continue
+        end = 1 if step > 0 else 0
+        along = (room[end, axis] - camera[axis]) / step
+        if along < reach:
+            reach, side = along, 2 * axis + end
+    return side, reach
+
+
+@njit(nogil=True, cache=True)
+def _panel_at(
+    panels: NDArray[np.float32], side: int, u: float, v: float
+) -> int:  # pragma: no cover - compiled
+    """The last panel that covers a place of a surface, or -1."""
+    for k in range(len(panels) - 1, -1, -1):
+        inside = panels[k, 1] <= u <= panels[k, 2] and panels[k, 3] <= v <= panels[k, 4]
+        if inside and int(panels[k, 0]) == side:
+            return k
+    return -1
+
+
+@njit(nogil=True, cache=True)
+def _inward_normal(side: int) -> Vector:  # pragma: no cover - compiled
+    nx = 1.0 if side == 0 else -1.0 if side == 1 else 0.0
+    ny = 1.0 if side == 2 else -1.0 if side == 3 else 0.0
+    nz = 1.0 if side == 4 else -1.0 if side == 5 else 0.0
+    return nx, ny, nz
+
+
+@njit(nogil=True, cache=True)
+def _lamp_falloff(place: Vector, glow: NDArray[np.float32]) -> float:  # pragma: no cover - compiled
+    """Factor by which light falls off with the distance from a lamp."""
+    near = (place[0] - glow[0]) ** 2 + (place[1] - glow[1]) ** 2 + (place[2] - glow[2]) ** 2
+    return float(1 - glow[3] + glow[3] / (1 + near / (glow[4] * glow[4])))
 
 
 @njit(nogil=True, cache=True)
@@ -363,41 +467,23 @@ def paint_room(
                 to_world[1, 0] * px + to_world[1, 1] * py + to_world[1, 2],
                 to_world[2, 0] * px + to_world[2, 1] * py + to_world[2, 2],
             )
-            reach, side = 1e9, 0
-            for axis in range(3):
-                step = ray[axis]
-                if abs(step) < 1e-7:
-                    continue
-                end = 1 if step > 0 else 0
-                along = (room[end, axis] - camera[axis]) / step
-                if along < reach:
-                    reach, side = along, 2 * axis + end
+            side, reach = _surface_of(camera, ray, room)
+            nearness[y, x] = 1 / reach
             wx = camera[0] + reach * ray[0]
             wy = camera[1] + reach * ray[1]
             wz = camera[2] + reach * ray[2]
-            nearness[y, x] = 1 / reach
             u = wz if side < 2 else wx
             v = wz if 2 <= side < 4 else wy
-            m = materials[side]
-            bright = 0.0
-            for k in range(len(panels) - 1, -1, -1):
-                inside = panels[k, 1] <= u <= panels[k, 2] and panels[k, 3] <= v <= panels[k, 4]
-                if inside and int(panels[k, 0]) == side:
-                    m = panels[k, 6:]
-                    bright = panels[k, 5]
-                    break
-            nx = 1.0 if side == 0 else -1.0 if side == 1 else 0.0
-            ny = 1.0 if side == 2 else -1.0 if side == 3 else 0.0
-            nz = 1.0 if side == 4 else -1.0 if side == 5 else 0.0
+            m, bright = materials[side], 0.0
+            panel = _panel_at(panels, side, u, v)
+            if panel >= 0:
+                m, bright = panels[panel, 6:], panels[panel, 5]
             share = _pattern(int(m[6]), m[7], m[8], m[9], u, v, 0.37)
-            facing = nx * light[0] + ny * light[1] + nz * light[2]
-            direct = 0.0
-            if facing > 0:
-                direct = facing * _lit(wx, wy, wz, x, y, to_light, heights, light[13], 0.03)
-            near = (wx - glow[0]) ** 2 + (wy - glow[1]) ** 2 + (wz - glow[2]) ** 2
-            falls = 1 - glow[3] + glow[3] / (1 + near / (glow[4] * glow[4]))
-            other = max(0.0, nx * light[3] + ny * light[4] + nz * light[5]) * light[12]
-            sky = (0.72 + 0.28 * ny) * falls
+            place, normal = (wx, wy, wz), _inward_normal(side)
+            direct = _direct_light(normal, place, x, y, light, to_light, heights, 0.03)
+            falls = _lamp_falloff(place, glow)
+            other = _second_light(normal, light)
+            sky = (0.72 + 0.28 * normal[1]) * falls
             for k in range(3):
                 base = m[k] * (1 - share) + m[3 + k] * share
                 lit = light[6 + k] * sky + light[9 + k] * direct * falls + other

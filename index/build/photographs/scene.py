@@ -52,7 +52,7 @@ HEIGHTS_PX = (30.0, 400.0)
 """Longest extent of the body in the picture."""
 
 USUALLY_ABOVE_PX = 55.0
-"""Most people are larger: little is to be learned from those of whom little is seen."""
+"""Most people are larger: barely visible people teach the network little."""
 
 MARGIN = 0.95
 """The picture is the frame's part about the body: so many of its extents each way."""

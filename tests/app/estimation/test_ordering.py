@@ -33,7 +33,7 @@ def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: floa
         points_3d[shoulder, 1] = -0.5
     return Hypothesis(
         entry_id=0, mirrored=False, silhouette_distance=others.pop("silhouette_distance", distance),
-        reprojection_error_px=1.0, confidence=others.pop("confidence", 0.5), points_3d=points_3d,
+        outline_distance_px=1.0, confidence=others.pop("confidence", 0.5), points_3d=points_3d,
         points_normalised=np.zeros((POINTS, 2)), distance=distance, **others,
     )  # fmt: skip
 

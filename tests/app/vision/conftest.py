@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import NetworkDetector
+from app.vision.detector import Detector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.network_detector import NetworkDetector
 from app.vision.person_reader import PersonReader
 from tests.conftest import WALKERS
 
@@ -22,6 +25,15 @@ PERSON_WINDOWS = st.builds(PersonWindow, PLACES, PLACES, SIDES, ROLLS)
 
 def moved(box: Box, x: float, y: float) -> Box:
     return Box(box.x + x, box.y + y, box.width, box.height)
+
+
+def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box]) -> float:
+    boxes = [one.box for one in detector.detect(frame)]
+    return float(np.mean([max([p.iou(b) for b in boxes], default=0) >= 0.5 for p in people]))
+
+
+def scores_of(detector: Detector, frame: NDArray[np.uint8], *expected: Box) -> dict[Box, float]:
+    return {one.box: one.score for one in detector.detect(frame, expected)}
 
 
 @pytest.fixture(scope="session")
@@ -63,10 +75,15 @@ def body_detector() -> BlazePoseDetector:
 
 
 @pytest.fixture(scope="session")
-def detector(
+def make_network_detector(
     movenet: MoveNet, body_detector: BlazePoseDetector, landmark_network: LandmarkNetwork
-) -> NetworkDetector:
-    return NetworkDetector(movenet, body_detector, landmark_network)
+) -> Callable[..., NetworkDetector]:
+    return lambda **limits: NetworkDetector(movenet, body_detector, landmark_network, **limits)
+
+
+@pytest.fixture(scope="session")
+def detector(make_network_detector: Callable[..., NetworkDetector]) -> NetworkDetector:
+    return make_network_detector()
 
 
 @pytest.fixture(scope="session")

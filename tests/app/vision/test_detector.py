@@ -1,56 +1,31 @@
-"""Detectors, and the tiles in which MoveNet sees a frame."""
+"""What every detector must do: networks with HOG, and HOG alone."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import (
-    Detector,
-    HogDetector,
-    NetworkDetector,
-    Tile,
-    detection_odds,
-    tiles_of,
-)
+from app.vision.detector import Detector
 from app.vision.geometry import Box
-from app.vision.movenet import MoveNet
-from app.vision.odds import sigmoid
-from app.vision.parameters import DEFAULTS
-from tests.app.vision.conftest import moved
+from app.vision.hog_detector import HogDetector
+from app.vision.network_detector import NetworkDetector
+from tests.app.vision.conftest import found_share, scores_of
 
 Make = Callable[..., Detector]
 
 
-@pytest.fixture(scope="module")
-def network_detector(
-    movenet: MoveNet, body_detector: BlazePoseDetector, landmark_network: LandmarkNetwork
-) -> Make:
-    return lambda **limits: NetworkDetector(movenet, body_detector, landmark_network, **limits)
-
-
 @pytest.fixture(scope="module", params=["network", "hog"])
-def make(request: pytest.FixtureRequest, network_detector: Make) -> Make:
+def make(
+    request: pytest.FixtureRequest,
+    make_network_detector: Callable[..., NetworkDetector],
+) -> Callable[..., Detector]:
     """Makes either detector with some limits."""
-    return network_detector if request.param == "network" else HogDetector
-
-
-def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box]) -> float:
-    boxes = [one.box for one in detector.detect(frame)]
-    return float(np.mean([max([p.iou(b) for b in boxes], default=0) >= 0.5 for p in people]))
-
-
-def scores_of(detector: Detector, frame: NDArray[np.uint8], *expected: Box) -> dict[Box, float]:
-    return {one.box: one.score for one in detector.detect(frame, expected)}
+    return make_network_detector if request.param == "network" else HogDetector
 
 
 def test_walkers_are_detected_and_nothing_else(
@@ -78,33 +53,6 @@ def test_blank_frames_hold_nobody(make: Make, shape: tuple[int, ...], level: int
     assert make().detect(np.full(shape, level, np.uint8)) == []
 
 
-def test_each_person_of_a_crowd_is_detected_once(
-    network_detector: Make, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    """Eighteen walkers in a frame of 894x640, seen in tiles since small people are wanted."""
-    height, width = street.shape[:2]
-    people = [moved(box, x * width, y * height) for x in range(3) for y in range(2)
-              for box in walkers]  # fmt: skip
-    detector, frame = network_detector(min_person_px=40), np.tile(street, (2, 3, 1))
-    assert found_share(detector, frame, people) > 0.9
-    boxes = [one.box for one in detector.detect(frame)]
-    for number, box in enumerate(boxes):
-        assert all(box.iou(other) < 0.4 for other in boxes[number + 1 :])
-
-
-@pytest.mark.parametrize("x", range(380, 560, 20))
-def test_person_across_two_tiles_is_detected_once(
-    network_detector: Make, street: NDArray[np.uint8], walkers: list[Box], x: int
-) -> None:
-    """A walker moved across the seams of a frame of 1000x500 on plain asphalt."""
-    left, top = round(walkers[1].x) - 12, round(walkers[1].y) - 12
-    frame = np.full((500, 1000, 3), street[240:300, 90:130].mean(axis=(0, 1)), np.uint8)
-    frame[200:330, x : x + 64] = street[top : top + 130, left : left + 64]
-    found = network_detector(min_person_px=40).detect(frame)
-    expected = moved(walkers[1], x - left, 200 - top)
-    assert [one.box.iou(expected) > 0.6 for one in found] == [True]
-
-
 def test_threads_agree(make: Make, street: NDArray[np.uint8]) -> None:
     detector = make()
     expected = scores_of(detector, street)
@@ -125,155 +73,3 @@ def test_impossible_limits_are_refused(make: Make) -> None:
         make(min_person_px=0)
     with pytest.raises(ValueError, match="min_score"):
         make(min_score=2)
-
-
-def test_expected_person_is_detected_more_readily(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    before = scores_of(detector, street)
-    for expected in walkers:
-        after = scores_of(detector, street, expected)
-        raised = [box for box, score in after.items() if score > before.get(box, 0)]
-        assert len(raised) == 1 and raised[0].iou(expected) > 0.5
-        assert {box for box in after if box not in raised} == set(before) - set(raised)
-    assert scores_of(detector, street, Box(0, 0, 10, 20)) == before
-
-
-class SeesNobody(BlazePoseDetector):
-    """Detects nobody, so that MoveNet is on its own."""
-
-    def __init__(self) -> None:
-        """Read no file."""
-
-    def detect(self, frame: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
-        return []
-
-
-def test_second_detector_only_adds(
-    movenet: MoveNet,
-    landmark_network: LandmarkNetwork,
-    detector: NetworkDetector,
-    street: NDArray[np.uint8],
-) -> None:
-    with_both = scores_of(detector, street)
-    found = NetworkDetector(movenet, SeesNobody(), landmark_network).detect(street)
-    assert found
-    for one in found:
-        assert with_both[one.box] >= one.score
-        assert one.windows == ()
-
-
-@given(score=st.floats(0, 1), margin=st.floats(-5, 5), body=st.floats(0, 1), more=st.floats(0, 2))
-def test_probability_never_falls_with_a_score(
-    score: float, margin: float, body: float, more: float
-) -> None:
-    scores = [
-        [score, margin, body],
-        [score, margin + more, body],
-        [min(1, score + more), margin, body],
-        [score, margin, min(1, body + more)],
-    ]
-    first, *others = sigmoid(detection_odds(np.array(scores))).tolist()
-    assert 0 <= first <= min(others) <= 1
-
-
-TILING = DEFAULTS.tiling
-OVERVIEW_PX = math.prod(TILING.overview_px)
-
-people = st.integers(16, 400)
-sides = st.integers(1, 6000)
-
-
-def seen_px(tiles: list[Tile]) -> int:
-    """Pixels that MoveNet sees."""
-    return sum(math.prod(tile.size) for tile in tiles)
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_tiles_cover_the_frame_and_stay_within_it(
-    width: int, height: int, min_person_px: int
-) -> None:
-    tiles = tiles_of(width, height, min_person_px)
-    assume(tiles)
-    assert tiles[0].rect == (0, 0, width, height)
-    for tile in tiles:
-        left, top, columns, rows = tile.rect
-        assert left >= 0 and top >= 0 and left + columns <= width and top + rows <= height
-    # Tiles are a grid, so along each side their spans must leave no gap.
-    for first, side in ((0, width), (1, height)):
-        covered = 0
-        for start, length in sorted({tile.rect[first::2] for tile in tiles[1:]}):
-            assert start <= covered
-            covered = max(covered, start + length)
-        assert len(tiles) == 1 or covered == side
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_overview_and_tiles_are_within_their_bounds(
-    width: int, height: int, min_person_px: int
-) -> None:
-    whole, *tiles = tiles_of(width, height, min_person_px) or [Tile((0, 0, 1, 1), 1.0)]
-    long_px, short_px = TILING.overview_px
-    assert max(whole.size) <= long_px and min(whole.size) <= short_px
-    for tile in tiles:
-        columns, rows = tile.size
-        # Tiles end on whole pixels of the frame: up to two more on each side after resizing.
-        more = 2 * max(tile.factor, 1)
-        assert (columns - more) * (rows - more) <= TILING.max_tile_px
-        assert max(columns, rows) <= TILING.max_fine_side_px + more
-
-
-@given(width=sides, height=sides, factor=st.floats(1, 9))
-def test_frame_of_more_pixels_costs_no_more_by_default(
-    width: int, height: int, factor: float
-) -> None:
-    tiles = tiles_of(width, height)
-    larger = tiles_of(round(width * factor), round(height * factor))
-    assert len(tiles) <= 1 and len(larger) <= 1
-    assert seen_px(larger) <= OVERVIEW_PX
-    if tiles and tiles[0].factor < TILING.max_enlargement:
-        # Sides are rounded to whole pixels, in the frame and after resizing.
-        slack = 3 * max(*TILING.overview_px, width, height)
-        assert seen_px(larger) <= seen_px(tiles) + slack
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_smallest_wanted_person_is_seen_large_enough(
-    width: int, height: int, min_person_px: int
-) -> None:
-    whole, tiles = tiles_of(width, height), tiles_of(width, height, min_person_px)
-    assert tiles[:1] == whole
-    assume(tiles)
-    if min_person_px * whole[0].factor >= TILING.min_person_px:
-        assert tiles == whole
-    finest = max(tile.factor for tile in tiles)
-    assert min(width, height) * finest >= TILING.min_side_px * (1 - 1e-9)
-    wanted = min(
-        TILING.min_person_px / min_person_px,
-        TILING.max_fine_side_px / max(width, height),
-        math.sqrt(TILING.max_fine_px / (width * height)),
-    )
-    assert finest * TILING.min_gain >= wanted * (1 - 1e-9)
-    # Nor finer than that, but for the overview.
-    assert finest <= max(wanted, tiles[0].factor) * (1 + 1e-9)
-
-
-@given(width=st.integers(1, 10**7), height=st.integers(1, 10**7), min_person_px=people)
-def test_frames_of_any_size_take_a_bounded_time(
-    width: int, height: int, min_person_px: int
-) -> None:
-    tiles = tiles_of(width, height, min_person_px)
-    assert seen_px(tiles) <= 2 * TILING.max_fine_px + OVERVIEW_PX
-
-
-@pytest.mark.parametrize("frame", [(2000, 2), (2, 2000), (10**6, 12), (1, 1), (7, 7)])
-def test_thin_frames_are_not_searched(frame: tuple[int, int]) -> None:
-    assert tiles_of(*frame, 50) == []
-
-
-@pytest.mark.parametrize("frame", [(298, 320), (640, 480), (1280, 720), (200, 2000)])
-def test_rotated_frame_has_rotated_tiles(frame: tuple[int, int]) -> None:
-    here, there = tiles_of(*frame, 40), tiles_of(*frame[::-1], 40)
-    assert seen_px(here) == pytest.approx(seen_px(there), rel=0.02)
-    transposed = [tuple(tile.rect[i] for i in (1, 0, 3, 2)) for tile in there]
-    assert sorted(transposed) == sorted(tile.rect for tile in here)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from scripts.__main__ import COMMANDS
-from scripts.outputs import check_outputs
+from scripts.helpers import check_outputs
 from tests.conftest import WALKERS
 
 
