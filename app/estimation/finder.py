@@ -177,7 +177,7 @@ def make_observation(
 def _judged(
     person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
 ) -> ObservedPerson:
-    """Add what models trained on rendered people say: depths, posture, presence, reliability."""
+    """Add what models trained on rendered people say: depths, posture, doubt."""
     judged = photograph_models().judge(reading, camera)
     body = judged.body
     return replace(
@@ -186,14 +186,13 @@ def _judged(
             landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
         ),
         frame_posture=judged.posture,
-        presence=judged.doubt.person,
-        reliability=judged.doubt.right,
+        doubt=judged.doubt,
     )
 
 
 def without_landmarks(person: ObservedPerson) -> ObservedPerson:
     """A person as the silhouette alone shows them."""
-    return replace(person, landmarks=None, frame_posture=None, reliability=1.0)
+    return replace(person, landmarks=None, frame_posture=None, doubt=None)
 
 
 def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from app.estimation.facing import Facing
 from app.estimation.posture_probability import EstimatedPosture
+from app.vision.doubt import Doubt
 from app.vision.frame_posture import FramePosture
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
@@ -41,14 +42,13 @@ class ObservedPerson:
     landmarks : Landmarks or None
         Pixels of the frame; None if they were not read.
     presence : float or None
-        Probability that a person is there, from the landmark network's output; None if it did not
-        run.
+        Probability, from the landmark network, that a person is there; None if it did not run.
     next_window : PersonWindow or None
         Where the landmark network would look for the person in the next frame.
     frame_posture : FramePosture or None
         Probabilities of postures, from the landmarks; None if they were not read.
-    reliability : float
-        Probability that most of the landmarks are right; 1 if they were not read.
+    doubt : Doubt or None
+        How far to trust the landmarks; None if they were not read.
     """
 
     box: Box
@@ -59,7 +59,7 @@ class ObservedPerson:
     presence: float | None = None
     next_window: PersonWindow | None = None
     frame_posture: FramePosture | None = None
-    reliability: float = 1.0
+    doubt: Doubt | None = None
 
     @property
     def whole_box(self) -> Box:

@@ -53,7 +53,6 @@ class ColourReader:
 
     def __init__(self) -> None:
         self.network = self
-        self.lost = False
         self.passes = 0
 
     def read(
@@ -76,7 +75,7 @@ class ColourReader:
         colour = COLOURS[int(np.argmax([np.count_nonzero(mask) for mask in near]))]
         mask = (np.abs(picture - colour).sum(axis=2) < 60).astype(np.uint8)
         left, top, width, height = cv2.boundingRect(mask)
-        seen = width > 0 and not self.lost
+        seen = width > 0
         shares = np.random.default_rng(0).uniform(0.1, 0.9, (33, 2))
         to_frame = window.to_frame(LANDMARK_PX)
         places = np.array([left, top]) + shares * [max(width, 1), max(height, 1)]

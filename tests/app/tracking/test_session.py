@@ -41,18 +41,6 @@ def test_unseen_track_disappears_then_leaves(
     assert session.track_ids == ()
 
 
-def test_a_detection_without_presence_is_no_person(
-    session: CameraSession, drawn: Estimator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A chair, say, that the detector takes for a person, until somebody sits on it."""
-    monkeypatch.setattr(drawn.finder.reader, "lost", True)
-    for step in range(10):
-        assert ids(send(session, step / 2, (0, 100))) == []
-    monkeypatch.setattr(drawn.finder.reader, "lost", False)
-    found = [ids(send(session, 5 + step / 2, (0, 100))) for step in range(7)]
-    assert found[-1] == [1]
-
-
 def test_a_person_who_vanished_within_the_frame_keeps_the_identity(session: CameraSession) -> None:
     send(session, 0.0, (0, 100))
     for step in range(1, 15):

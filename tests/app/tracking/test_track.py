@@ -11,6 +11,7 @@ from app.estimation.results import ObservedPerson
 from app.tracking.results import TrackedPerson
 from app.tracking.track import BoxFilter, Sighting, Track
 from app.tracking.zones import Zone
+from app.vision.doubt import Doubt
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
 from tests.app.tracking.people import person_of, seen_from
@@ -18,10 +19,9 @@ from tests.app.tracking.people import person_of, seen_from
 BOX = Box(100, 100, 30, 80)
 
 
-def detected(
-    score: float | None = 0.9, presence: float | None = None, **fields: object
-) -> Sighting:
-    observed = ObservedPerson(BOX, "detector", score, None, presence=presence)
+def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Sighting:
+    doubt = None if person is None else Doubt(person, right=person / 2)
+    observed = ObservedPerson(BOX, "detector", score, None, doubt=doubt)
     return Sighting(replace(observed, **fields))  # type: ignore[arg-type]
 
 
@@ -65,18 +65,26 @@ class TestBoxFilter:
         ([detected(0.5)] * 3, True),
         ([detected(None, source="background")], False),
         # Where landmarks are read, what the windows show counts as well.
-        ([detected(0.5, presence=0.99)], True),
-        ([detected(0.9, presence=0.7)] * 9, False),
-        ([detected(0.5, presence=0.9), detected(0.95, presence=0.99)], True),
+        ([detected(0.5, person=0.99)], True),
+        ([detected(0.9, person=0.7)] * 9, False),
+        ([detected(0.5, person=0.9), detected(0.95, person=0.99)], True),
         # Furniture that looks like a person looks like one in every frame.
-        ([detected(0.5, presence=0.93)] * 99, False),
-        ([detected(None, presence=0.7, source="boxes")], True),
+        ([detected(0.5, person=0.93)] * 99, False),
+        ([detected(None, person=0.7, source="boxes")], True),
     ],
 )
 def test_confirmed_by_the_detector_and_by_what_the_windows_show(
     sightings: list[Sighting], confirmed: bool
 ) -> None:
     assert track_of(*sightings).is_confirmed == confirmed
+
+
+def test_a_chair_counts_as_a_person_once_somebody_has_sat_on_it_for_a_while() -> None:
+    track = track_of(*[detected(0.9, person=0.3)] * 50)
+    assert not track.is_confirmed
+    for step in range(30):
+        track.see(detected(0.9, person=0.999), 5 + step / 10)
+    assert track.is_confirmed
 
 
 def test_the_appearance_follows_those_who_are_whole() -> None:
