@@ -88,7 +88,7 @@ class TrackParameters:
     # one; and the share of people among the windows of its training.
     min_probability: float = 0.9
     people_share: float = 6 / 7
-    presence_mean_s: float = 3.0  # Windows are averaged over this: a person may take a seat.
+    window_mean_s: float = 3.0  # Windows are averaged over this: a person may take a seat.
     # Elsewhere, the detector's score that is enough at once, and the sightings that always are.
     confirming_score: float = 0.6
     confirming_sightings: int = 3

@@ -166,11 +166,12 @@ class Track:
     def _probability(self, shown_odds: float) -> float:
         """Probability that a person is tracked, by Bayes' rule.
 
-        The detector's highest score is the prior. The mean of the windows counts as one
-        observation: the same furniture looks like a person in all frames.
+        The detector's highest score is the prior; the share of people in training, on which the
+        odds of the windows rest, is taken out of these. Their mean counts as one observation: the
+        same furniture looks like a person in all frames.
         """
-        prior = log_odds(self._parameters.people_share)
-        return probability_of(log_odds(self.score) + shown_odds - prior)
+        in_training = log_odds(self._parameters.people_share)
+        return probability_of(log_odds(self.score) + shown_odds - in_training)
 
     def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
         """Add where the person is in this frame, and in which of the camera's zones."""
@@ -185,7 +186,7 @@ class Track:
             self.score = max(self.score, _score(observed))
         if observed.source == "detector" and observed.doubt is not None:
             self._windows += 1
-            gain = 1 - math.exp(-elapsed / self._parameters.presence_mean_s)
+            gain = 1 - math.exp(-elapsed / self._parameters.window_mean_s)
             odds, mean = log_odds(observed.doubt.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window = observed.next_window
