@@ -65,3 +65,28 @@ def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float
     """Confidence of the hypotheses that face the camera, as a share of that of all ``(N,)``."""
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     return float(np.clip(weights @ faces_camera(azimuths_deg) / weights.sum(), 0, 1))
+
+
+def heading_shares(
+    azimuths_deg: NDArray[np.float64],
+    voters_deg: NDArray[np.float64],
+    confidences: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Confidence of the voters less than a right angle from each heading, as a share of all.
+
+    Seen from the side, a body that is turned a little to the camera and one that is turned a little
+    away agree; seen from the front, a body and its reflection in depth do not.
+
+    Parameters
+    ----------
+    azimuths_deg : (N,) float64 array
+    voters_deg, confidences : (M,) float64 array
+        Azimuths and confidences of the hypotheses that decide.
+
+    Returns
+    -------
+    (N,) float64 array
+    """
+    weights = confidences + 1e-9
+    apart = np.deg2rad(azimuths_deg[:, None] - voters_deg)
+    return np.asarray(np.clip((np.cos(apart) > 0) @ weights / weights.sum(), 0, 1))

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.facing import Facing, azimuth_deg, faces_camera, front_share
+from app.estimation.facing import Facing, azimuth_deg, faces_camera, front_share, heading_shares
 from app.estimation.parameters import HYPOTHESES_PER_OPPOSITE_FACING
 from app.vision.models import fitted_constants
 from app.vision.odds import sigmoid
@@ -68,8 +68,12 @@ def order_by_landmarks(
     distances = np.array([one.distance for one in hypotheses])
     adjusted_m = np.array([one.adjusted_m for one in hypotheses])
     confidences = fused_confidences(distances, adjusted_m)
-    chosen = nearest_of_both_facings(azimuths, distances, n)
-    facing = Facing(front_share(azimuths[:voters], confidences[:voters]), "image")
+    front = front_share(azimuths[:voters], confidences[:voters])
+    # A skeleton cannot be likelier right than its heading.
+    shares = heading_shares(azimuths, azimuths[:voters], confidences[:voters])
+    confidences = np.minimum(confidences, shares)
+    chosen = nearest_of_both_facings(azimuths, distances, n, front)
+    facing = Facing(front, "image")
     return facing, _with([hypotheses[i] for i in chosen], distances[chosen], confidences[chosen])
 
 
@@ -94,17 +98,23 @@ def fused_confidences(
 
 
 def nearest_of_both_facings(
-    azimuths_deg: NDArray[np.float64], distances: NDArray[np.float64], n: int
+    azimuths_deg: NDArray[np.float64],
+    distances: NDArray[np.float64],
+    n: int,
+    front_probability: float,
 ) -> list[int]:
-    """Choose ``n`` hypotheses, nearest first, some of them facing the opposite way.
+    """Choose ``n`` hypotheses, nearest first, as many of either facing as it is likely.
 
-    At least one in every :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING` faces the
-    opposite way to the first, however far it is, if there is such a hypothesis. The first k of n
-    are those chosen for k.
+    The nearest is first. Of the first k, the share that face the opposite way is the probability of
+    that facing, and one in :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING` at
+    least, however far they are, if there are such hypotheses. The first k of n are those chosen for
+    k.
 
     Parameters
     ----------
     azimuths_deg, distances : (N,) float64 array
+    front_probability : float
+        That the camera sees the person from the front.
 
     Returns
     -------
@@ -113,10 +123,12 @@ def nearest_of_both_facings(
     """
     order: list[int] = np.argsort(distances, kind="stable").tolist()
     front = faces_camera(azimuths_deg)
+    opposite_probability = 1 - front_probability if front[order[0]] else front_probability
+    share = max(opposite_probability, 1 / HYPOTHESES_PER_OPPOSITE_FACING)
     chosen: list[int] = []
     while order and len(chosen) < n:
         opposite = [i for i in order if front[i] != front[chosen[0]]] if chosen else []
-        wanted = (len(chosen) + 1) // HYPOTHESES_PER_OPPOSITE_FACING
+        wanted = int(share * (len(chosen) + 1) + 1e-9)
         have = sum(bool(front[i] != front[chosen[0]]) for i in chosen)
         following = opposite[0] if opposite and have < wanted else order[0]
         order.remove(following)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from app.estimation.facing import azimuth_deg, front_share
+from app.estimation.facing import azimuth_deg, front_share, heading_shares
 from index.skeleton import POINTS, camera_rotation, rotate_clockwise, side_rows, wrap_degrees
 
 
@@ -31,3 +31,10 @@ def test_rotating_the_picture_does_not_change_the_azimuth(angle: float) -> None:
 def test_front_share_weighs_by_confidence() -> None:
     assert front_share(np.array([0.0, 180.0]), np.array([0.6, 0.2])) == pytest.approx(0.75)
     assert front_share(np.array([0.0, 180.0]), np.zeros(2)) == pytest.approx(0.5)
+
+
+def test_headings_to_the_side_agree_and_reflections_do_not() -> None:
+    sure = np.array([0.5, 0.5])
+    assert heading_shares(np.array([85.0]), np.array([85.0, 95.0]), sure) == pytest.approx(1)
+    assert heading_shares(np.array([10.0]), np.array([10.0, 170.0]), sure) == pytest.approx(0.5)
+    assert heading_shares(np.array([-170.0]), np.array([175.0, 10.0]), sure) == pytest.approx(0.5)

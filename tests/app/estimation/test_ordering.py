@@ -39,14 +39,17 @@ def hypothesis_like(distance: float = 1.0, *, front: bool = True, **others: floa
 
 
 class TestNearestOfBothFacings:
-    @given(distances=ascending_distances, n=st.integers(1, 15), seed=st.integers(0, 999))
-    def test_takes_the_nearest_and_one_in_seven_that_faces_the_other_way(
-        self, distances: list[float], n: int, seed: int
+    @given(
+        distances=ascending_distances, n=st.integers(1, 15), seed=st.integers(0, 999),
+        front_probability=st.floats(0, 1),
+    )  # fmt: skip
+    def test_takes_the_nearest_and_as_many_of_the_other_facing_as_it_is_likely(
+        self, distances: list[float], n: int, seed: int, front_probability: float
     ) -> None:
         rng = np.random.default_rng(seed)
         shuffled: NDArray[np.float64] = rng.permutation(np.array(distances))
         azimuths = rng.uniform(-180, 180, len(shuffled))
-        chosen = nearest_of_both_facings(azimuths, shuffled, n)
+        chosen = nearest_of_both_facings(azimuths, shuffled, n, front_probability)
         assert len(chosen) == len(set(chosen)) == min(n, len(shuffled))
         assert shuffled[chosen[0]] == shuffled.min()
         front = np.cos(np.deg2rad(azimuths)) > 0
@@ -54,14 +57,20 @@ class TestNearestOfBothFacings:
         for facing in (opposite, ~opposite):
             of_it = [i for i in chosen if facing[i]]
             assert shuffled[of_it].tolist() == sorted(shuffled[facing])[: len(of_it)]
-        for sevenths in range(1, n // HYPOTHESES_PER_OPPOSITE_FACING + 1):
-            first = chosen[: sevenths * HYPOTHESES_PER_OPPOSITE_FACING]
-            assert opposite[first].sum() >= min(sevenths, opposite.sum())
+        likely = 1 - front_probability if front[chosen[0]] else front_probability
+        share = max(likely, 1 / HYPOTHESES_PER_OPPOSITE_FACING)
         for rank, i in enumerate(chosen, start=1):
+            due = min(int(share * rank + 1e-9), opposite.sum(), rank - 1)
+            assert opposite[chosen[:rank]].sum() >= due
             nearer = set(range(len(shuffled))) - set(chosen[:rank])
-            assert rank % HYPOTHESES_PER_OPPOSITE_FACING == 0 or all(
-                shuffled[i] <= shuffled[j] for j in nearer
-            )
+            forced = opposite[i] and opposite[chosen[: rank - 1]].sum() < int(share * rank + 1e-9)
+            assert forced or all(shuffled[i] <= shuffled[j] for j in nearer)
+
+    def test_the_other_facing_is_second_where_it_is_likelier(self) -> None:
+        azimuths = np.array([0.0, 5.0, 10.0, 180.0])
+        distances = np.array([1.0, 1.1, 1.2, 1.3])
+        assert nearest_of_both_facings(azimuths, distances, 4, 0.4) == [0, 3, 1, 2]
+        assert nearest_of_both_facings(azimuths, distances, 4, 0.9) == [0, 1, 2, 3]
 
     @given(
         distances=ascending_distances, n=st.integers(1, 15), k=st.integers(1, 15),
@@ -72,8 +81,8 @@ class TestNearestOfBothFacings:
     ) -> None:
         azimuths = np.random.default_rng(seed).uniform(-180, 180, len(distances))
         fewer, more = sorted((k, n))
-        chosen = nearest_of_both_facings(azimuths, np.array(distances), more)
-        assert chosen[:fewer] == nearest_of_both_facings(azimuths, np.array(distances), fewer)
+        chosen = nearest_of_both_facings(azimuths, np.array(distances), more, 0.3)
+        assert chosen[:fewer] == nearest_of_both_facings(azimuths, np.array(distances), fewer, 0.3)
 
 
 @given(distances=st.lists(st.floats(0, 1e4), min_size=2, max_size=20).map(sorted))
@@ -110,6 +119,14 @@ class TestOrderByLandmarks:
         confidences = fused_confidences(np.array([0.3, 2.0]), np.zeros(2))
         assert [one.confidence for one in ordered] == confidences.tolist()
         assert facing.evidence == "image"
+
+    def test_no_hypothesis_is_likelier_right_than_its_heading(self) -> None:
+        """Where both facings fit, neither is sure; two headings to the side agree."""
+        front, back = hypothesis_like(0.3), hypothesis_like(0.3, front=False)
+        alone = order_by_landmarks([front], 1)[1][0].confidence
+        assert alone > 0.6
+        _, both = order_by_landmarks([front, back], 2)
+        assert [one.confidence for one in both] == pytest.approx([0.5, 0.5])
 
     @given(nearer=st.floats(0.1, 10), farther=st.floats(1.1, 100))
     def test_likelier_hypotheses_decide_the_facing(self, nearer: float, farther: float) -> None:
