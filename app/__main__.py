@@ -23,7 +23,7 @@ from app.vision.models import check_networks
 from app.vision.tflite import NetworkError
 from index.milvus_address import MilvusAddress
 
-GRACE_S = 15
+SHUTDOWN_GRACE_S = 15
 # Longer than the interval of a camera that sends a frame a minute.
 KEEP_ALIVE_S = 65
 
@@ -62,7 +62,7 @@ def serve(settings: Settings) -> None:
         workers=settings.workers,
         http="app.http.protocol:HttpProtocol",
         ws="none",
-        timeout_graceful_shutdown=GRACE_S,
+        timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
         timeout_keep_alive=KEEP_ALIVE_S,
         server_header=False,
         log_config=log_config(settings.log_level),

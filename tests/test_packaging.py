@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from app.__main__ import GRACE_S
+from app.__main__ import SHUTDOWN_GRACE_S
 from app.settings import Settings
 from scripts.figures import measured
 from tests.conftest import ROOT
@@ -42,7 +42,7 @@ def test_what_the_dockerfile_copies_is_there_and_not_ignored() -> None:
 def test_nobody_kills_it_while_it_finishes_what_runs(file: str | Path, pattern: str) -> None:
     found = re.search(pattern, (ROOT / file).read_text())
     assert found is not None
-    assert int(found.group(1)) > GRACE_S
+    assert int(found.group(1)) > SHUTDOWN_GRACE_S
 
 
 @pytest.mark.parametrize(

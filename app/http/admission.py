@@ -18,7 +18,7 @@ from app.http.errors import ProblemError, ProblemResponse, busy, overloaded
 from app.http.identity import Caller, Identity, identity_of
 from app.scheduling.job import BusyError
 
-GRACE_S = 5.0
+UPLOAD_GRACE_S = 5.0
 MIN_BYTES_PER_S = 4096
 """An upload slower than this after the grace period is aborted."""
 
@@ -56,7 +56,7 @@ class _Upload:
 
     async def next(self, receive: Receive) -> Message:
         """Return the next message; raise TimeoutError if it does not come in time."""
-        grace_s = GRACE_S + self.received / MIN_BYTES_PER_S
+        grace_s = UPLOAD_GRACE_S + self.received / MIN_BYTES_PER_S
         deadline = self._started + min(self.limits.upload_timeout_s, grace_s)
         try:
             async with asyncio.timeout_at(deadline) as self._timeout:

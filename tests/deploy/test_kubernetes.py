@@ -12,7 +12,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from app.__main__ import GRACE_S
+from app.__main__ import SHUTDOWN_GRACE_S
 from app.main import create_app
 from app.settings import VARIABLES, Settings
 from scripts.figures import measured
@@ -207,7 +207,7 @@ class TestService:
             for command in walk(container(deployment)["lifecycle"], "command")
             if command[0] == "sleep"
         )
-        assert pod(deployment)["terminationGracePeriodSeconds"] > before + GRACE_S
+        assert pod(deployment)["terminationGracePeriodSeconds"] > before + SHUTDOWN_GRACE_S
 
     def test_the_user_matches_the_image(self) -> None:
         user = re.search(r"^USER (\d+):(\d+)$", (ROOT / "Dockerfile").read_text(), re.MULTILINE)

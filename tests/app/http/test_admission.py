@@ -149,7 +149,7 @@ def test_stalled_uploads_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -
 def test_a_stalled_upload_is_aborted_after_the_grace_period(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("app.http.admission.GRACE_S", 0.05)
+    monkeypatch.setattr("app.http.admission.UPLOAD_GRACE_S", 0.05)
     stalled = StalledUploads()
 
     async def ask() -> None:
