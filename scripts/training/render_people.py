@@ -33,6 +33,8 @@ PEOPLE, HELD_OUT_PEOPLE = 60, 16
 """Bodies in the training and in the held-out part."""
 
 EMPTY_SHARE = 1 / 7
+BARE_SHARE = 0.5
+"""Share of the pictures without people whose window lies anywhere, not about the thing in it."""
 
 _SHOULDERS, _HIPS = (11, 12), (23, 24)
 
@@ -41,6 +43,11 @@ def first_window(photograph: Photograph, generator: np.random.Generator) -> Pers
     """A window as the service would look first: roughly about the body, the trunk upright."""
     box = photograph.box
     middle, longest = box[:2] + box[2:] / 2, max(box[2:])
+    if photograph.posture == EMPTY and generator.random() < BARE_SHARE:
+        # Anywhere: bare walls, floors and parts of things.
+        picture = np.array(photograph.image.shape[1::-1])
+        middle = picture * generator.random(2)
+        longest = picture.min() * np.exp(generator.uniform(np.log(0.15), np.log(0.8)))
     if photograph.posture == EMPTY or generator.random() < 0.1:
         quarter = generator.choice([0.0, 0.0, 0.0, 90.0, -90.0, generator.uniform(-180, 180)])
         roll, size = float(quarter), 1.3

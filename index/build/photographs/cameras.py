@@ -45,15 +45,18 @@ class Camera:
 
 
 def sample_camera(
-    target: NDArray[np.float64], floor: float, generator: np.random.Generator
+    target: NDArray[np.float64], floor: float, generator: np.random.Generator, *, close: bool
 ) -> Camera:
     """A camera that sees a target ``(3,)`` somewhere in its frame.
 
     At eye level, below a ceiling, near the floor, or high above a street; off axis as often as not;
-    one in eight holds the target at its border.
+    one in eight holds the target at its border. ``close`` cameras stand within arm's reach to two
+    metres, as on a desk or a shelf.
     """
     chance = generator.random()
-    if chance < 0.42:
+    if close:
+        height, distance = generator.uniform(0.4, 2.0), np.exp(generator.uniform(-0.5, 0.7))
+    elif chance < 0.42:
         height, distance = generator.uniform(0.8, 1.9), np.exp(generator.uniform(0.25, 2.1))
     elif chance < 0.80:
         height, distance = generator.uniform(1.8, 3.2), np.exp(generator.uniform(0.0, 2.0))

@@ -64,6 +64,9 @@ MIN_DEPTH_M, NEAREST_M = 0.12, 0.35
 COMPANIONS, HIDDEN = 0.14, 0.22
 """Shares: of people with a second person near them; of subjects behind a thing."""
 
+CLOSE_UPS = 0.1
+"""Share of people whose picture holds one end of the body, mostly the head's."""
+
 EMPTY = -1
 """Class of pictures that show nobody."""
 
@@ -249,7 +252,10 @@ def _photograph(
     """Furnish the scene, take the picture and say what it shows; None where little is seen."""
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target = np.asarray((low + high) / 2, np.float64)
-    camera = sample_camera(target, floor, generator)
+    close = body is not None and generator.random() < CLOSE_UPS
+    if body is not None and close:
+        target = _end_of(body, generator)
+    camera = sample_camera(target, floor, generator, close=close)
     seen = camera.seen(subject.vertices)
     if seen[:, 2].min() < NEAREST_M:
         return None
@@ -314,6 +320,14 @@ def _photograph(
         camera.rotation @ np.array([0.0, 1.0, 0.0]),
         covered,
     )
+
+
+def _end_of(body: PosedBody, generator: np.random.Generator) -> NDArray[np.float64]:
+    """A place between the hips and one end of a body: the head, seldom the feet."""
+    hips = body.landmarks[[23, 24]].mean(axis=0)
+    rows = [0, 11, 12] if generator.random() < 0.8 else [27, 28]
+    end = body.landmarks[rows].mean(axis=0)
+    return np.asarray(hips + generator.uniform(0.5, 1.0) * (end - hips), np.float64)
 
 
 def _pixel_aspect(generator: np.random.Generator) -> float:

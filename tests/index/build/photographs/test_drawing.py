@@ -122,7 +122,7 @@ def test_cameras_show_their_target_about_where_it_is_wanted(seed: int, x: float,
 @given(SEEDS)
 def test_cameras_are_rotations_that_look_at_a_target(seed: int) -> None:
     target = np.array([0.3, 0.9, -0.2])
-    camera = sample_camera(target, 0.0, np.random.default_rng(seed))
+    camera = sample_camera(target, 0.0, np.random.default_rng(seed), close=seed % 2 == 0)
     assert_allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(camera.rotation) == pytest.approx(1)
     assert camera.place[1] > 0
