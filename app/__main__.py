@@ -24,7 +24,7 @@ from app.vision.tflite import NetworkError
 from index.milvus_address import MilvusAddress
 
 SHUTDOWN_GRACE_S = 15
-# Longer than the interval of a camera that sends a frame a minute.
+# This is longer than the interval of a camera that sends a frame a minute.
 KEEP_ALIVE_S = 65
 
 

@@ -32,10 +32,10 @@ from app.settings import Settings, read_settings
 from app.tracking.session import CameraSession
 from app.tracking.sessions import CameraSessions
 
-# A smaller answer saves less than a packet.
+# Compressing a smaller answer saves less than a packet.
 GZIP_FROM_BYTES = 1400
-# Shrinks an answer with seven hypotheses to a quarter in half a millisecond; higher levels take
-# longer.
+# This level shrinks an answer with seven hypotheses to a quarter in half a millisecond; higher
+# levels take longer.
 GZIP_LEVEL = 1
 
 _SWEEP_EVERY_S = 10.0
@@ -110,7 +110,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # Ours are relative: app/http/errors.py.
+        redirect_slashes=False,  # app/http/errors.py redirects instead, relatively.
     )
     app.state.runtime = runtime
     routers = [module.router for module in (pose, cameras, sequence, index, deepstack, system)]
@@ -154,7 +154,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
         )
     app.add_middleware(HeadMiddleware)
     app.add_middleware(IdentityMiddleware, api_keys=settings.api_keys)
-    # The outermost, so that it also sees refused requests.
+    # This middleware is the outermost, so that it also sees refused requests.
     app.add_middleware(
         AccessLogMiddleware,
         metrics=runtime.metrics,

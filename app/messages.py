@@ -1,4 +1,4 @@
-"""Wording of errors: of validation, what was expected and what was given instead."""
+"""Wording of validation errors: what was expected, and what was given instead."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BeforeValidator
 
-# An UnavailableError's own sentence names a server that does not concern clients.
+# An UnavailableError's own message names a server that does not concern clients.
 SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 
 _MAX_VALUE_CHARACTERS = 60
@@ -85,7 +85,7 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
 
 
 def located(error: Mapping[str, Any]) -> tuple[str, str]:
-    """Word an error of pydantic in JSON: the place, and what is wrong there.
+    """Word an error that pydantic found in JSON: the place, and what is wrong there.
 
     Examples
     --------

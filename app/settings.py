@@ -239,7 +239,7 @@ def read_settings() -> Settings:
         place = str(first["loc"][0]).upper()
         name = place if place in VARIABLES else f"{PREFIX}{place}"
         sentence = f"{_spelling(name, os.environ)}: {expected_and_got(first)}"
-    # Raised outside the handler: its error holds the values, secrets included.
+    # The error is raised outside the handler, whose own error holds the values, secrets included.
     raise SettingsError(sentence)
 
 

@@ -96,9 +96,9 @@ class DiscriminantDescriptor:
     Parameters
     ----------
     projection : (D, F) float32 array
-        ``F = len(p2) * vertical_orders * horizontal_orders`` moments to ``D`` values. Each row
-        uses either even or odd horizontal orders, so that mirroring a silhouette only flips
-        signs.
+        Projection of ``F = len(p2) * vertical_orders * horizontal_orders`` moments to ``D`` values.
+        Each row uses either even or odd horizontal orders, so that mirroring a silhouette only
+        flips signs.
     vertical_orders, horizontal_orders : int
         Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
     p1 : float
@@ -144,7 +144,7 @@ class DiscriminantDescriptor:
         features = moment_block(
             silhouettes, self.vertical_orders, self.horizontal_orders, self.p1, self.p2
         )
-        # Summed in float64, as the moments are.
+        # Features are summed in float64, like the moments.
         return np.asarray(features.astype(np.float64) @ self.projection.T, np.float32)
 
     def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -26,8 +26,8 @@ def weighted_polynomials(orders: int, size: int, p: float) -> NDArray[np.float64
 
     ``K[n, x] = K_n(x; p, N) sqrt(w(x; p, N) / rho(n; p, N))`` with ``N = size - 1`` [1]_,
     by the three-term recurrence [2]_ of the orthonormal functions, which stays accurate
-    in float64 where the recurrence of the unweighted polynomials overflows. It too loses digits
-    towards the last orders, the earlier the nearer ``p`` is to 0 or 1 (with 128 samples: after 117
+    in float64 where the recurrence of the unweighted polynomials overflows. It also loses digits
+    towards the last orders, earlier if ``p`` is nearer to 0 or 1 (with 128 samples: after 117
     orders at p = 0.5, after 43 at p = 0.95); higher orders are refused::
 
         b[n+1] K[n+1] = (a[n] - x) K[n] - b[n] K[n-1]

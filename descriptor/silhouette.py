@@ -19,10 +19,10 @@ _AXIS_PX = 512
 _LARGEST_PX = 1024
 
 INSIDE = 0.4999
-"""A pixel is the person's from this share of the coverage of the most covered pixel.
+"""Coverage from which a pixel is the person's, as a share of that of the most covered pixel.
 
-It is relative, so that a mask too thin to cover half of any pixel is not lost, and a little below a
-half, since many pixels are covered by exactly half and rounding differs between processors.
+It is relative, so that a mask too thin to cover half of any pixel is not lost. It is a little below
+a half, since many pixels are covered by exactly half and rounding differs between processors.
 """
 
 
@@ -107,12 +107,12 @@ def bounding_box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 def averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
     """Means of the blocks of ``block`` x ``block`` pixels, whose grid is centred on the crop.
 
-    Pixels of a block beyond the crop count as background.
+    Pixels of a block beyond the crop are background.
     """
     if block == 1:
         return crop.astype(np.float32)
     means: NDArray[np.generic] = crop
-    # The longer side first: the shorter one may be padded to many times its length.
+    # The longer side comes first, since the shorter one may be padded to many times its length.
     for axis in sorted((0, 1), key=lambda axis: -crop.shape[axis]):
         missing = -means.shape[axis] % block
         margins = [(0, 0), (0, 0)]
@@ -142,13 +142,13 @@ def principal_axis_deg(mask: NDArray[np.generic]) -> float:
 def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.float32]:
     """Tent filter as a matrix ``(size, source_size)``: bilinear up, averaging down.
 
-    Samples outside the crop count as background, so rows at the border of the silhouette may
-    sum to less than 1.
+    Samples outside the crop are background, so rows at the border of the silhouette may sum to
+    less than 1.
     """
     centres = (np.arange(size) - (size - 1) / 2) / scale + (source_size - 1) / 2
     support = max(1.0, 1.0 / scale)
     weights = _tents(centres, np.arange(source_size), support)
-    # Normalised by the sum in an unbounded source, so that the border fades to 0.
+    # Rows are normalised by the sum in an unbounded source, so that the border fades to 0.
     lattice = np.arange(-int(np.ceil(support)) - 1, int(np.ceil(support)) + 2)
     total = _tents(centres - np.floor(centres), lattice, support).sum(axis=1, keepdims=True)
     return np.asarray(weights / total)

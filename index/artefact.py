@@ -25,16 +25,17 @@ FORMAT_VERSION = 4
 MANIFEST = "manifest.json"
 
 _SILHOUETTES = "silhouettes.npy"
-"""Stored as it is, since its content is compressed; every other file is compressed."""
+"""This file is stored as it is, since its content is compressed; all other files are compressed."""
 
 _LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
-"""Literals without context (``lc``, ``pb``): decompresses a third faster, for 1 % more bytes."""
+"""Without context for literals (``lc``, ``pb``), decompression is a third faster, for 1 % more
+bytes."""
 
 
 def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
-    A network that re-ranks is written beside it and does not count for the version.
+    A network that re-ranks is written beside it and does not affect the version.
 
     Raises
     ------
@@ -89,7 +90,8 @@ def check_replaceable(path: Path) -> None:
     Raises
     ------
     ArtefactError
-        Unless ``path`` is missing, an empty folder, or an index of any format and nothing else.
+        Unless ``path`` is missing, is an empty folder, or holds an index of any format and nothing
+        else.
     """
     if path.exists() and not path.is_dir():
         raise ArtefactError(f"expected a folder for the index, got the file {path}")
@@ -125,7 +127,7 @@ def load_index(
     path : Path
         Folder of the artefact.
     searched_by : Neighbours, optional
-        Searches its vectors; by default exactly, in this process.
+        Search over its vectors; by default exact, in this process.
     reranked : bool
         Whether to read the network beside it, if there is one.
 

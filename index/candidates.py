@@ -13,7 +13,7 @@ from index.store import PoseIndex
 
 @dataclass(frozen=True)
 class Candidates:
-    """Entries near a query, nearest first; each as it is or mirrored.
+    """Entries near a query, nearest first; each is used as it is or mirrored.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def nearest_entries(
     mirrored : (K,) bool array
         Whether the mirror image of the entry was found.
     rows : (K,) int64 array
-        The descriptor to which each is near.
+        Row of the descriptor to which each entry is near.
     """
     variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
     _, entry_ids, nearest_variant = index.search(variants, k)
@@ -89,9 +89,9 @@ def compare_entries(
     entry_ids: NDArray[np.int64],
     mirrored: NDArray[np.bool_],
 ) -> Candidates:
-    """Compare entries ``(K,)``, mirrored or not, each with its query ``(K, D)``, as ordered.
+    """Compare entries ``(K,)``, mirrored or not, each with its query ``(K, D)``, in this order.
 
-    Distances are computed again, because searches round differently, also between processors.
+    Distances are computed again, because searches and processors round differently.
     """
     vectors = index.vectors[entry_ids].astype(np.float32)
     points_3d, points_normalised = index.points(entry_ids)

@@ -52,7 +52,7 @@ class Calibration:
     weights : tuple of float
         Weight of each feature.
     features : tuple of str
-        Names of the features, as a guard against a calibration over others.
+        Names of the features, as a guard against a calibration for other features.
     """
 
     weights: tuple[float, ...]

@@ -53,12 +53,12 @@ def match_features(
 def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     """Weighted shares ``(4, M)`` of the candidates that agree with each mode.
 
-    The share of candidates that agree with a hypothesis predicts better whether it is right than
-    the fit of the hypothesis itself does.
+    The share of candidates that agree with a hypothesis is a better predictor of its being right
+    than the fit of the hypothesis itself.
     """
     mode_joints = modes.points_normalised[:, :JOINTS]
     joints = candidates.points_normalised[:, :JOINTS]
-    # With candidates last, because NumPy is several times slower along short axes.
+    # Candidates come last, because NumPy is several times slower along short axes.
     joints = joints.transpose(2, 1, 0).copy()
     squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
     squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2

@@ -1,4 +1,4 @@
-"""Files of an index: read and verified, and written in folders that replace others whole."""
+"""Files of an index: read and verified, and written in folders that replace whole folders."""
 
 from __future__ import annotations
 
@@ -80,12 +80,13 @@ def read_bytes(file: Path, sha256: str) -> bytes:
 def staging(path: Path) -> Iterator[Path]:
     """Make a folder beside ``path`` for the time of a build.
 
-    It is removed at the end. The next build of the same path removes that of a killed build.
+    It is removed at the end. If a build is killed, the next build of the same path removes its
+    folder.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _clear_leftovers(path)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    # Locked before it is marked: another build never sees it marked and free.
+    # The folder is locked before it is marked, so that another build never sees it marked and free.
     held = lock(folder)
     try:
         (folder / STAGING_MARK).write_bytes(os.fsencode(path.name))

@@ -1,4 +1,4 @@
-"""Landmarks of a photograph: how skeletons agree with them, and the fit of skeletons to them.
+"""Landmarks of a photograph: the agreement of skeletons with them, and the fit to them.
 
 The index provides the nearest of its recorded poses. The fit moves joints towards the landmarks and
 restores the bone lengths. In the picture it goes from coarse to fine, so that it also reaches limbs
@@ -42,8 +42,8 @@ class Agreement:
         Log likelihood of the keypoints, given each skeleton or its twin with left and right
         exchanged, whichever is likelier; at most 0.
     side_log_odds : (K,) float64 array
-        Log odds of the skeleton against that twin. They are separate because keypoints are more
-        reliable about where a joint is than about whether it is the left or the right one.
+        Log odds of the skeleton against that twin. They are separate because keypoints show more
+        reliably where a joint is than whether it is the left or the right one.
     residuals : (K, P, 2) float64 array
         Offset from each point of the likelier of the two to its keypoint, in pixels of the
         normalised frame, scaled down by the probability that the keypoint is an outlier.
@@ -161,7 +161,7 @@ class Keypoints:
         return np.asarray(size * self.limbs_3d - limbs)
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Likelihoods ``(..., P)`` of keypoints at offsets ``(..., P, 2)`` that are no outliers."""
+        """Likelihoods ``(..., P)`` of keypoints at offsets ``(..., P, 2)`` if not outliers."""
         mass = self.scores * np.exp(_squares(offsets) / (-2 * self.parameters.sigma_px**2))
         mass[mass < self.parameters.min_mass] = 0
         return np.asarray(mass)
@@ -248,8 +248,8 @@ _BOTH_LIMBS = _with_other_side(LIMB_ROWS)
 def _match_sides(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Rows ``(M, P)`` of each skeleton's points that the keypoints show.
 
-    Left and right are exchanged where that is likelier, but never for the first skeleton if
-    landmarks have a depth, because it follows them.
+    Left and right are exchanged if that is likelier, but never for the first skeleton if landmarks
+    have a depth, because it follows them.
     """
     rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
     if keypoints.limbs_3d is not None:

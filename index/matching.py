@@ -44,7 +44,7 @@ class Hypothesis:
     Parameters
     ----------
     entry_id : int
-        The entry at the centre of those that agree on this pose.
+        The entry at the centre of the entries that agree on this pose.
     mirrored : bool
         Whether the hypothesis is the mirror image of that entry.
     silhouette_distance : float
@@ -102,8 +102,8 @@ class Match:
     Parameters
     ----------
     hypotheses : list of Hypothesis
-        Unless a network has ranked them, usually a few more than requested, so that a caller may
-        choose.
+        Unless a network has ranked them, there are usually a few more than requested, so that a
+        caller may choose.
     features : (N, F) float64 array
         Features from which the confidences were computed: :data:`index.confidence.FEATURES`, or
         :data:`index.reranker.RERANKING_FEATURES`; none with landmarks.
@@ -208,7 +208,7 @@ class _Query:
         tilt_deg = wrap_degrees(rotation_deg + entry_roll_deg)
         distances = modes.distances
         if keypoints is not None:
-            # Compared before the fit: a pose that has to change far to fit is less likely.
+            # Modes are compared before the fit: a pose that must change far to fit is less likely.
             agreement = keypoints.compare(modes.points_normalised, modes.points_3d)
             distances = fused_distances(distances, agreement, tilt_deg)
         elif ranking is not None:
@@ -255,7 +255,7 @@ class _Query:
         return Match(hypotheses, features, len(hypotheses))
 
     def _modes_of_silhouette(self, n: int) -> tuple[list[RotatedQuery], Candidates, Modes]:
-        """Take more and more candidates until they hold ``n`` modes or the index has no more."""
+        """Take more and more candidates until they have ``n`` modes or the index has no more."""
         parameters, ranking = self.parameters, self.ranking
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
@@ -281,7 +281,7 @@ class _Query:
     def _modes_with_keypoints(
         self, n: int, keypoints: Keypoints
     ) -> tuple[list[RotatedQuery], Candidates, Modes]:
-        """The same with the entries near the landmarks and their agreement with the landmarks."""
+        """Modes of candidates near the silhouette and the landmarks, weighted by agreement."""
         parameters = self.parameters
         wanted = parameters.candidates_per_hypothesis * n
         growth = max(1, math.ceil(wanted / parameters.silhouette_candidates))
@@ -325,7 +325,7 @@ class _Query:
     def _likeliest(
         self, candidates: Candidates, keypoints: Keypoints, count: int
     ) -> tuple[Candidates, Agreement]:
-        """Candidates of the largest weights, by distance, with their agreement."""
+        """Candidates with the largest weights, ordered by distance, with their agreement."""
         if not self.whole:
             candidates = _placed_by_keypoints(
                 candidates, keypoints, self.parameters.min_px_per_metre
@@ -353,7 +353,7 @@ class _Query:
 
 
 def likely_rolls(limbs_3d: NDArray[np.float64], max_upright_trunk_deg: float) -> tuple[float, ...]:
-    """Rolls of the camera that limbs ``(12, 3)`` suggest: none, and the tilt of the trunk."""
+    """Rolls of the camera that limbs ``(12, 3)`` suggest: 0, and the tilt of the trunk."""
     hips, shoulders = (limbs_3d[pair].mean(axis=0) for pair in (LIMB_HIPS, LIMB_SHOULDERS))
     right, down, _ = (shoulders - hips).tolist()
     roll_deg = float(np.rad2deg(np.arctan2(right, -down)))

@@ -1,10 +1,10 @@
-"""The vectors of an index in Milvus: searched as exactly as in this process, sharded, replicated.
+"""The vectors of an index in Milvus: sharded, replicated, and searched exactly, as in this process.
 
 A collection holds the vectors of an index and nothing else. Entries, skeletons and silhouettes stay
 in the artefact, because re-ranking reads hundreds of them for each person. A collection never
 changes once an alias names it; its description says which index it holds.
 
-Imported only where an index is in Milvus: pymilvus takes 60 MB and a second.
+This module is imported only if an index is in Milvus: pymilvus takes 60 MB and a second.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class Milvus:
         self.reconnect()
 
     def reconnect(self) -> None:
-        """Use a new connection for the calls to come; those under way keep the old one.
+        """Use a new connection for future calls; calls under way keep the old one.
 
         A server that vanishes leaves a connection behind that fails for minutes.
         """
@@ -364,7 +364,7 @@ class MilvusNeighbours:
     ----------
     milvus : Milvus
     collection : str
-        Its name, not an alias: what an alias names may change between two searches.
+        Its name rather than an alias, which may name different collections in two searches.
     entries : int
     """
 
@@ -389,7 +389,7 @@ def check_vectors(index: PoseIndex, neighbours: Neighbours) -> None:
     Raises
     ------
     ArtefactError
-        If it is among others.
+        If the search is among other vectors.
     """
     numbers = np.linspace(0, len(index) - 1, min(len(index), _CHECKED_VECTORS)).astype(np.int64)
     vectors = index.vectors[numbers].astype(np.float32)
@@ -435,7 +435,7 @@ def publish(
     batch : int
         Rows written in one call.
     progress : callable
-        Wraps the numbers of the first rows of all batches.
+        Wraps the iterable of the batches' first rows, to show progress.
 
     Raises
     ------
@@ -475,9 +475,9 @@ def remove_older(milvus: Milvus, current: Collection, keep: int) -> list[str]:
     ----------
     milvus : Milvus
     current : Collection
-        Published last; stays.
+        The collection published last, which stays.
     keep : int
-        Others that stay, for services that have not switched yet and to go back to.
+        Number of others that stay, for services that have not switched yet and for rollbacks.
     """
     others = [
         collection

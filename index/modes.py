@@ -2,8 +2,8 @@
 
 Candidates are weighted by the distance of their descriptors from the query's. The modes of their
 density in pose space are taken greedily, densest first. Each mode is then interpolated to the query
-by locally weighted linear regression [1]_ of the pose on the descriptor, which gives a pose between
-the entries and the distance that remains between the query and the mode.
+by locally weighted linear regression [1]_ of the pose on the descriptor. This gives a pose between
+the entries, and the distance that remains between the query and the mode.
 
 References
 ----------
@@ -38,7 +38,7 @@ class Modes:
     votes : (M,) float64 array
         Share of the candidates' total weight that belongs to each mode.
     distances : (M,) float64 array
-        From the query's descriptor to the interpolated descriptor of each mode.
+        Distance from the query's descriptor to the interpolated descriptor of each mode.
     points_3d : (M, 24, 3) float64 array
         Interpolated, with the bone lengths of the centre; camera axes, metres.
     points_normalised : (M, 24, 2) float64 array
@@ -89,12 +89,12 @@ def find_modes(
     Parameters
     ----------
     agreement : Agreement, optional
-        How the candidates agree with keypoints: weights the candidates and pulls modes towards the
-        keypoints.
+        How the candidates agree with keypoints; it weights the candidates and pulls modes towards
+        the keypoints.
     support : (K,) array, optional
         Factors of the candidates' weights.
     fit : callable, optional
-        Moves interpolated modes towards other evidence; modes that then coincide count as one.
+        Moves interpolated modes towards other evidence; modes that then coincide are kept once.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def _densest(
     """Centres of modes, densest first, each with its share ``(K,)`` of the candidates' weights."""
     kernel = np.exp(apart**2 / (-2 * parameters.bandwidth_m**2))
     remaining = weights / weights.sum()
-    penalty = np.zeros(len(weights))  # Minus infinity near the centres taken.
+    penalty = np.zeros(len(weights))  # It is minus infinity near the centres taken.
     while True:
         density = (kernel @ remaining).round(parameters.density_digits) + penalty
         centre = int(density.argmax())
@@ -191,7 +191,7 @@ def _interpolate(
     """Interpolate modes, each a centre and weights ``(K,)``, to where offsets ``(K, E)`` vanish."""
     centres = [centre for centre, _ in weighted_centres]
     weights = np.stack([weights for _, weights in weighted_centres])
-    # One by one, so that a mode does not depend on how many others are computed.
+    # Modes are computed one by one, so that none depends on how many others there are.
     combinations = np.stack([_combination(own, offsets, parameters) for own in weights])
     return Modes(
         np.array(centres),

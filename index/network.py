@@ -1,12 +1,12 @@
 """A small convolutional network, in NumPy, that predicts where a silhouette's joints may be.
 
 For each joint it gives three distributions, over columns and rows of the normalised frame and over
-depths [1]_. It does not estimate poses itself, but measures how well a skeleton found otherwise
-agrees with the silhouette, while the descriptor keeps only 48 values of it.
+depths [1]_. It does not estimate poses itself, but measures how well a skeleton from the index
+agrees with the silhouette, of which the descriptor keeps only 48 values.
 
-Weights and activations are quantised to whole numbers of seven bits and a sign, and their sums stay
-below 2 to the 24th. They are therefore exact in 32-bit floats in whatever order a library adds them
-up, and the network gives the same result on every processor.
+Weights and activations are quantised to integers of seven bits plus sign, and sums of their
+products stay below 2 to the 24th. The sums are therefore exact in 32-bit floats, whatever the order
+of summation, and the network gives the same result on every processor.
 
 References
 ----------
@@ -98,13 +98,13 @@ _COORDINATES = np.stack(
 def network_input(silhouettes: NDArray[np.uint8]) -> Array:
     """Input planes ``(B, 64, 24, 3)`` of silhouettes ``(B, 128, 48)``.
 
-    The silhouette at half resolution, as an index stores it, and a column and a row coordinate,
-    because the look of a limb depends on its place.
+    They are the silhouette at half resolution, as an index stores it, and a column and a row
+    coordinate, because the appearance of a limb depends on its place.
     """
     first = silhouettes[:, ::2, ::2]
     total = first + silhouettes[:, 1::2, ::2] + silhouettes[:, ::2, 1::2]
     total += silhouettes[:, 1::2, 1::2]
-    # The majority of four pixels; the first decides a tie.
+    # The majority of four pixels decides; in a tie, the first pixel does.
     return input_planes(2 * total + first > 4)
 
 
@@ -169,7 +169,7 @@ class Distributions:
     def expected_errors(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
         """Expected errors ``(N,)`` in the picture of joints ``(N, 19, 3)``, in pixels.
 
-        The mean over the joints of the root of the expected squared distance.
+        Each is the mean over the joints of the root of the expected squared distance.
         """
         squares = np.zeros(positions.shape[:2])
         for number, (axis, log_probabilities) in enumerate(
@@ -241,7 +241,7 @@ class Layer:
     weights : (F, D) float32 array
         Whole numbers from -127 to 127; rows of a convolution are ordered by row, column, channel.
     factors, offsets : (D,) float32 array
-        Applied to the sums, so that outputs count in the quantisation steps of the next layer.
+        Applied to the sums, so that outputs are in units of the next layer's quantisation steps.
     """
 
     weights: Array
@@ -270,8 +270,8 @@ class Layer:
 def largest_sums(weights: NDArray[np.floating]) -> NDArray[np.float64]:
     """Upper bounds ``(D,)`` of sums of activations, in whatever order they are added.
 
-    Activations are not negative, so no partial sum exceeds the sum of the weights of one sign.
-    Coordinates may be negative, but the first layer has few inputs.
+    Activations are not negative, so no partial sum exceeds the largest activation times the sum of
+    the weights of one sign. Coordinates may be negative, but the first layer has few inputs.
     """
     signs = [np.maximum(sign * weights, 0).sum(axis=0, dtype=np.float64) for sign in (1, -1)]
     return np.asarray(QUANT_MAX * np.maximum(*signs))

@@ -17,15 +17,15 @@ and this many decide posture and facing however many are requested."""
 class MatchParameters:
     """How many candidates and modes are considered; see :mod:`index.matching`."""
 
-    # Nearest entries without keypoints; more add few useful modes
+    # Number of nearest entries without keypoints; more add few useful modes
     candidates: int = 160
-    # The same if a network ranks the modes, which makes use of a few more
+    # The same number if a network ranks the modes, which can use a few more
     ranked_candidates: int = 200
-    # With keypoints: entries nearest to each rotation of the silhouette
+    # With keypoints: number of entries nearest to each rotation of the silhouette
     silhouette_candidates: int = 150
-    # With keypoints: entries nearest to the landmarks
+    # With keypoints: number of entries nearest to the landmarks
     landmark_candidates: int = 50
-    # With keypoints: best candidates of both kinds, from which the modes are made
+    # With keypoints: number of best candidates of both kinds, from which the modes are made
     kept_candidates: int = 200
     # Fewest candidates of one kind for each hypothesis requested
     candidates_per_hypothesis: int = 20
@@ -36,8 +36,8 @@ class MatchParameters:
     # Hypotheses are found in batches of this size, twice it, and so on, so that the first k of n
     # are those found when k are requested
     first_batch: int = DEFAULT_HYPOTHESES
-    # A batch this many times the number requested that adds nothing is the last: a person hardly
-    # seen may have few distinct poses, and looking for 50 took seconds
+    # If a batch of this many times the number requested adds nothing, it is the last: few distinct
+    # poses may fit a person who is hardly seen, and looking for 50 took seconds
     max_batch_growth: int = 4
     # Mean joint distance from all earlier hypotheses that makes one of a later batch new
     min_new_pose_m: float = 0.055
@@ -53,8 +53,8 @@ class MatchParameters:
 class ModeParameters:
     """The density of candidates and its modes; see :mod:`index.modes`."""
 
-    # Smallest root mean square joint distance between the centres of two modes; after
-    # interpolation, half of it
+    # Smallest root mean square joint distance between the centres of two modes; half of it is
+    # enough after interpolation
     distinct_m: float = 0.11
     # Bandwidth of the density's Gaussian kernel, a root mean square joint distance. Smaller for an
     # index that covers few motions densely, as in the paper's experiments.
@@ -75,7 +75,7 @@ class ModeParameters:
     residual_weight: float = 0.5
     # Ridge of the regression, relative to the variance of a mode's descriptors
     ridge: float = 0.45
-    # Candidates below this share of the largest weight in a mode are not members of it
+    # Candidates below this share of the largest weight in a mode do not belong to it
     min_member_weight: float = 1e-3
     # Decimals to which densities are rounded, so that rounding errors do not break ties
     density_digits: int = 12
@@ -94,14 +94,14 @@ class KeypointParameters:
     limb_weight: float = 0.25
     # Weight of outliers among keypoints, so that no single keypoint rules a pose out
     outlier_weight: float = 0.05
-    # Likelihoods below this count as zero: arithmetic on denormal numbers is slow
+    # Likelihoods below this are set to zero, since arithmetic on denormal numbers is slow
     min_mass: float = 1e-6
     # Factors by which a body may differ in size from its landmarks
     size_range: tuple[float, float] = (0.8, 1.25)
     # Stages of the fit: ``sigma_px``, share of the way that a point moves in an iteration, and
     # iterations. Chosen on the street people of even-numbered photographs.
     fit_stages: tuple[tuple[float, float, int], ...] = ((14.0, 0.7, 4), (7.0, 0.7, 10))
-    # Share of the way to the landmarks' depths that the fit goes in all
+    # Total share of the way to the landmarks' depths by which the fit moves joints
     depth_share: float = 0.6
 
 
@@ -123,20 +123,20 @@ class RotationParameters:
 class RankingParameters:
     """The order of hypotheses; see :mod:`index.ranking`."""
 
-    # Weight of the joints' log-likelihood against the logarithm of the distance, in the order of
-    # hypotheses. Like ``support_weight`` chosen on clips and bodies that neither the network nor
-    # the experiment on simulated silhouettes has; stored with a network.
+    # Weight of the joints' log-likelihood relative to the logarithm of the distance, in the order
+    # of hypotheses. Like ``support_weight``, it was chosen on clips and bodies that neither the
+    # network nor the experiment on simulated silhouettes has, and is stored with a network.
     order_weight: float = 3.0
-    # The same in the weights of the candidates from which hypotheses are made
+    # The same weight for the candidates from which hypotheses are made
     support_weight: float = 1.0
     # Standard deviation of a joint from its place in a mode: columns and rows in pixels, depth in
-    # metres. Chosen on every second clip of the experiment on simulated silhouettes; 2 to 4 pixels
-    # do.
+    # metres. It was chosen on every second clip of the experiment on simulated silhouettes; 2 to 4
+    # pixels do equally well.
     spread: tuple[float, float, float] = (3.0, 3.0, 0.04)
     # Hypotheses share the probability by the inverse of their distances to this power
     share_power: float = 4.0
     # Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood
-    # of the landmarks. Like ``side_weight`` chosen on the people of even-numbered photographs.
+    # of the landmarks. Like ``side_weight``, it was chosen on people in even-numbered photographs.
     distance_weight: float = 4.0
     # Weight of the log odds of a hypothesis's sides
     side_weight: float = 0.3
@@ -151,38 +151,39 @@ class PostureRules:
     Heights and lengths are in legs (thigh and shank), heights from the lowest joint.
     """
 
-    # Tilt of the trunk of a person lying or on all fours
+    # Least tilt of the trunk of a person who lies or is on all fours
     min_horizontal_deg: float = 55.0
-    # Height of the pelvis and the chest of a horizontal trunk that is lying
+    # Largest height of the pelvis and the chest of a person who lies
     max_lying_height: float = 0.5
-    # Height of the lower hand or elbow of a person on all fours
+    # Largest height of the lowest hand or elbow of a person on all fours
     max_hand_height: float = 0.3
-    # Height of the pelvis of a person on all fours
+    # Largest height of the pelvis of a person on all fours
     max_crawling_height: float = 0.85
     # Height of the pelvis below which the legs are not standing
     max_lowered_height: float = 0.8
-    # Height of a pelvis that rests on the floor
+    # Largest height of a pelvis that rests on the floor
     max_floor_height: float = 0.3
-    # Height of a knee on the floor
+    # Largest height of a knee on the floor
     max_knee_height: float = 0.2
-    # Height of a knee on the floor above its ankle
+    # Largest height of a knee on the floor above its ankle
     max_shank_rise: float = 0.2
     # Horizontal distance of the centre of mass from the feet beyond which something else carries
     # the body
     min_unsupported: float = 0.15
-    # With ``max_seated_trunk_deg`` and ``min_seat_height``: thighs this level below a trunk this
-    # upright, the pelvis at the height of a seat, sit even where the feet could carry the body
+    # With ``max_seated_trunk_deg`` and ``min_seat_height``: a person whose thighs are this level,
+    # with the trunk this upright and the pelvis at the height of a seat, sits even if the feet
+    # could carry the body
     max_level_thigh_deg: float = 25.0
     max_seated_trunk_deg: float = 20.0
     min_seat_height: float = 0.5
-    # Tilt of a trunk that is bent over standing legs
+    # Least tilt of a trunk that is bent over standing legs
     min_bent_deg: float = 45.0
-    # Tilt of a trunk that is bent over lowered legs
+    # Least tilt of a trunk that is bent over lowered legs
     min_bent_low_deg: float = 60.0
-    # Horizontal speeds in metres per second
+    # Least horizontal speeds, metres per second
     min_walking_speed: float = 0.5
     min_running_speed: float = 2.2
-    # Cameras look down no more steeply
+    # Steepest elevation of a camera
     max_elevation_deg: float = 70.0
 
 

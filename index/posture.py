@@ -2,7 +2,7 @@
 
 Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
 in the order of the table in ``docs/index.md``; the first that holds decides. The posture of a
-*person* is voted on by skeletons: :mod:`app.estimation.posture_probability`.
+*person* follows from the votes of skeletons: :mod:`app.estimation.posture_probability`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
 """Postures in which the trunk rests on the ground or on a bed, or is carried on all fours."""
 
 LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
-"""Postures in which the legs are not standing."""
+"""Postures of a person who does not stand on straight legs."""
 
 # Shares of the body's mass, lumped at joints.
 _MASSES = {
@@ -74,7 +74,7 @@ def classify_postures(
     up : (3,) or (N, 3) float array
         Unit vectors away from the ground, in the same axes.
     speed : float or (N,) array
-        Horizontal, metres per second: separates walking and running from standing.
+        Horizontal speed, metres per second; it separates walking and running from standing.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     pelvis, neck = rows("pelvis", "neck")
     trunk = np.asarray(points_3d[:, neck] - points_3d[:, pelvis], np.float64)
     elevation_deg = np.rad2deg(np.arctan2(-trunk[:, 1], trunk[:, 2]))
-    # Head or hips may be the nearer end: an angle and its opposite mean the same trunk.
+    # Head or hips may be the nearer end, so an angle and its opposite describe the same trunk.
     elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
     elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
     return np.clip(elevation_deg, 0.0, POSTURE_RULES.max_elevation_deg)

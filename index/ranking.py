@@ -1,8 +1,8 @@
 """The order of the hypotheses of a match, beyond the distance of the descriptors.
 
-With landmarks their agreement decides; without, a network that sees joints in the silhouette. The
-network itself is in :mod:`index.network`, its file in :mod:`index.reranker`; the choice of the
-hypotheses that a client gets is in :mod:`app.estimation.ordering`.
+With landmarks, the agreement with them decides; without, a network that predicts joints from the
+silhouette does. The network itself is in :mod:`index.network`, its file in :mod:`index.reranker`.
+The hypotheses that a client gets are chosen in :mod:`app.estimation.ordering`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
 @dataclass(frozen=True)
 class NetworkRanking:
-    """Ranks the poses of one silhouette by where the network sees its joints.
+    """Ranks the poses of one silhouette by the network's predictions of its joints.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class NetworkRanking:
         return self.joints.log_likelihood(joint_positions(found.points_3d, found.points_normalised))
 
     def fit(self, modes: Modes) -> Modes:
-        """Move the joints of modes towards where the network sees them.
+        """Move the joints of modes towards the places that the network predicts.
 
         Each joint moves to its posterior mean; its position in the mode is the prior, so that modes
         remain distinct. Bones keep their lengths, and the face moves with the head.
@@ -75,7 +75,7 @@ class NetworkRanking:
         return np.asarray(np.exp(self.model.support_weight * (likelihood - likelihood.max())))
 
     def distances(self, modes: Modes) -> NDArray[np.float64]:
-        """Descriptor distances ``(M,)``, longer the less likely the joints are.
+        """Descriptor distances ``(M,)``, increased more the less likely the joints are.
 
         The likeliest mode keeps its distance.
         """
@@ -123,14 +123,14 @@ def fused_distances(
     tilt_deg: NDArray[np.float64],
     parameters: RankingParameters = RANKING,
 ) -> NDArray[np.float64]:
-    """Distances ``(N,)`` of hypotheses by silhouette and landmarks together.
+    """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
 
     Parameters
     ----------
     distances : (N,) float64 array
-        Between descriptors.
+        Distances between descriptors.
     agreement : Agreement
-        Of the hypotheses with the landmarks.
+        Agreement of the hypotheses with the landmarks.
     tilt_deg : (N,) float64 array
         In-plane tilt of the person according to each hypothesis.
     """

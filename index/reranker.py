@@ -1,7 +1,7 @@
 """The file of the network that re-ranks hypotheses, with the constants fitted to it.
 
 It ships beside the index: ``reranking.npz`` holds the weights, ``reranking.json`` their SHA-256 and
-the constants. Without them, hypotheses are ordered by distance alone. How the network ranks is in
+the constants. Without them, hypotheses are ordered by distance alone. The ranking itself is in
 :mod:`index.ranking`.
 """
 
@@ -84,7 +84,7 @@ def reranker_files(reranker: RankingModel) -> dict[str, bytes]:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, array in reranker.network.arrays().items():
-            # A ZipInfo of its own has no time of writing.
+            # A separate ZipInfo leaves out the time of writing.
             member = zipfile.ZipInfo(f"{name}.npy")
             archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
     weights = buffer.getvalue()

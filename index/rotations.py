@@ -61,7 +61,7 @@ def find_rotated_candidates(
     k: int,
     nearest: NearestEntries | None = None,
 ) -> Candidates:
-    """Find the ``k`` entries nearest to each rotation of a silhouette, and compare others with it.
+    """Find the ``k`` entries nearest to each rotation of a silhouette, and compare other entries.
 
     Few cameras of an index are rolled; rotating the query has the same effect.
 
@@ -70,14 +70,14 @@ def find_rotated_candidates(
     queries : sequence of RotatedQuery
         Rotations of the same silhouette.
     k : int
-        Candidates per rotation; 0 for only those that are given.
+        Number of candidates per rotation; 0 if only ``nearest`` are wanted.
     nearest : NearestEntries, optional
-        Entries near the landmarks; each is compared with the rotation that is nearest to its own.
+        Entries near the landmarks; each is compared with the rotation nearest to its own.
 
     Returns
     -------
     Candidates
-        Nearest first and each once, with the skeletons rotated to fit the query.
+        Nearest first, each of them once, with the skeletons rotated to fit the query.
     """
     vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
     found = []
@@ -106,7 +106,7 @@ def silhouette_rotations(
     ----------
     silhouette : (128, 48) uint8 array
     roll_deg : float
-        Roll of its camera; not 0 if the silhouette was rotated to stand upright.
+        Roll of its camera; not 0 if the silhouette was rotated upright.
     """
     if roll_deg:
         both_ends: tuple[float, ...] = (0.0, -180.0)

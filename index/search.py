@@ -27,7 +27,7 @@ quarter, and a byte holds each value exactly."""
 _MAX_STEPS = 127
 
 _ZERO = np.float32(128)
-"""Added to whole numbers from -127 to 127: FAISS compares bytes without a sign faster."""
+"""Added to whole numbers from -127 to 127, since FAISS compares unsigned bytes faster."""
 
 _VECTORS_PER_BLOCK = 65_536
 """Vectors converted at a time: converting all of a large index would take gigabytes."""
@@ -89,7 +89,7 @@ class ExactNeighbours:
         dimension = vectors.shape[1]
         self._factor = scale_factor(vectors)
         self._in_bytes = self._factor == STEPS_PER_UNIT
-        # Bytes are as exact as floats, in half the time.
+        # Bytes are as exact as floats and take half the time.
         empty = _byte_index if self._in_bytes else faiss.IndexFlatL2
         self._faiss: Any = empty(dimension)
         for block in _blocks(vectors):
@@ -138,8 +138,8 @@ def _blocks(vectors: NDArray[np.floating]) -> Iterator[NDArray[np.float32]]:
 
 
 STEPS_PER_BODY = 150.0
-"""Coordinates are whole numbers of this part of a body's size, so that a byte holds each: about a
-centimetre, far less than the error of landmarks."""
+"""Steps in a body's size. Coordinates are whole numbers of steps, so that a byte holds each. A step
+is about a centimetre, far less than the error of landmarks."""
 
 LANDMARK_DIMENSION = 48
 """Values of a vector: three for each limb joint, then zeros, because FAISS compares vectors of a
@@ -191,7 +191,7 @@ class LandmarkSearch:
     Parameters
     ----------
     vectors : (E, 48) float32 array
-        From :func:`pose_vectors`, of cameras that are not rolled.
+        Vectors from :func:`pose_vectors`, as seen by cameras that are not rolled.
     """
 
     def __init__(self, vectors: NDArray[np.float32]) -> None:
@@ -213,7 +213,7 @@ class LandmarkSearch:
         Parameters
         ----------
         points_3d : (12, 3) float64 array
-            Camera axes, of any origin and unit; rows are ``LIMBS``.
+            Camera axes, with any origin and unit; rows are ``LIMBS``.
         rolls_deg : tuple of float
             Clockwise rotations in the picture that the person may have.
         """

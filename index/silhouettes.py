@@ -14,14 +14,14 @@ from descriptor.silhouette import HEIGHT, WIDTH, unpack
 PACKED_BYTES = HEIGHT * WIDTH // 8
 
 _WINDOW_BYTES = 32 * 1024
-"""How far back deflate looks; a longer dictionary would be of no use."""
+"""Distance over which deflate looks back; a longer dictionary would be useless."""
 
 _BLOCK = 4096
 """Silhouettes decompressed at a time."""
 
 _LEVEL = 6
 _RAW_DEFLATE = -15
-"""Neither header nor checksum: the artefact has its own."""
+"""Selects neither header nor checksum, since the artefact has its own."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ LIMBS = (
     "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
     "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
 )  # fmt: skip
-"""The 12 limb joints, which annotations of photographs have as well."""
+"""The 12 limb joints, which annotated photographs have as well."""
 
 FACE_NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 
@@ -36,7 +36,7 @@ POINT_NAMES = JOINT_NAMES + FACE_NAMES
 """The points of a skeleton in an index: 19 joints, then 5 points of the face."""
 
 BODY_UP = (0.0, 1.0, 0.0)
-"""Away from the ground, in body axes."""
+"""Direction away from the ground, in body axes."""
 
 JOINTS = len(JOINT_NAMES)
 POINTS = len(POINT_NAMES)
@@ -103,7 +103,7 @@ def _keypoint_set(
     bones: tuple[tuple[str, str], ...],
     points: dict[str, str] | None = None,
 ) -> KeypointSet:
-    """A set whose keypoints are the points of the same name, or of the name in ``points``."""
+    """A set whose keypoints are the points of the same name, or those that ``points`` names."""
     renamed = points or {}
     return KeypointSet(
         name,
@@ -220,7 +220,7 @@ def mean_joint_distance(
 ) -> NDArray[np.float64]:
     """Mean distances ``(...)`` between the joints of skeletons ``(..., P, D)``, broadcast.
 
-    Only the first 19 points, the joints, count.
+    Only the first 19 points, the joints, are compared.
     """
     joints = np.s_[..., :JOINTS, :]
     return np.asarray(np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1))
@@ -310,7 +310,7 @@ def with_bone_lengths(
 ) -> NDArray[np.float64]:
     """Set the bone lengths of skeletons, keeping the directions of their bones.
 
-    It undoes the shortening of bones by averaging.
+    Averaging skeletons shortens their bones; this restores them.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def with_bone_lengths(
 def with_bone_lengths_of(
     skeleton: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of others, ``skeleton``."""
+    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of ``skeleton``."""
     return with_bone_lengths(points, bone_lengths(skeleton))
 
 
@@ -350,7 +350,7 @@ def pixels_per_metre(
     points_2d : (M, 24, 2) float64 array
         Pixels.
     points : int
-        Number of leading points that count; by default the joints.
+        Number of leading points that are used; by default the joints.
     """
     metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
     pixels = points_2d[:, :points]

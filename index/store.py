@@ -66,9 +66,9 @@ class Label:
         Whether left and right are exchanged, in the pose and in the camera: each entry also
         represents its mirror image.
     azimuth_deg, elevation_deg, roll_deg : float
-        Camera, as in :func:`index.skeleton.camera_rotation`.
+        Direction of the camera, as in :func:`index.skeleton.camera_rotation`.
     distance_m : float
-        From the camera to the pelvis.
+        Distance from the camera to the pelvis.
     """
 
     entry_id: int
@@ -114,7 +114,7 @@ class PoseIndex:
     skeletons : (S, 24, 3) float16 array
         Body axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     skeleton_labels : (S,) array of SKELETON_DTYPE
-        Origin of each skeleton; clip, subject and action are positions in the tuples below.
+        Source of each skeleton; clip, subject and action are positions in the tuples below.
     silhouette_store : Silhouettes
         Compressed silhouettes of the entries.
     parameters : dict
@@ -210,7 +210,7 @@ class PoseIndex:
         squared, entry_ids = squared.reshape(queries, -1), entry_ids.reshape(queries, -1)
         variant = np.arange(variants).repeat(entry_ids.shape[1] // variants)
         variant = np.broadcast_to(variant, entry_ids.shape)
-        # Equal distances: the first variant first, then the first entry.
+        # Among equal distances, earlier variants come first, then earlier entries.
         order = np.lexsort((entry_ids, variant, squared))[:, :k]
         distances, entry_ids, variant = (
             np.take_along_axis(array, order, axis=1)
@@ -268,7 +268,7 @@ class PoseIndex:
         return vectors
 
     def entry(self, entry_id: int, *, mirrored: bool = False) -> Entry:
-        """An entry, or its mirror image; raises as :meth:`label` does."""
+        """An entry, or its mirror image; raises like :meth:`label`."""
         label = self.label(entry_id, mirrored=mirrored)
         points_3d, points_normalised = (points[0] for points in self.points(np.array([entry_id])))
         if mirrored:
@@ -286,7 +286,7 @@ class PoseIndex:
         """
         if not 0 <= entry_id < len(self):
             raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {entry_id}")
-        # As a tuple: reading a row field by field takes three times as long.
+        # The row is read as a tuple: reading it field by field takes three times as long.
         row = self.entries[entry_id].item()
         skeleton, azimuth_deg, elevation_deg, roll_deg, distance_m, *_ = row
         clip, frame, subject, action, _ = self.skeleton_labels[skeleton].item()
@@ -298,7 +298,7 @@ class PoseIndex:
             subject=self.subjects[subject],
             frame=frame,
             mirrored=mirrored,
-            # Twice, because a tiny negative angle rounds to 360 the first time.
+            # The remainder is taken twice, because a tiny negative angle first gives 360.
             azimuth_deg=side * azimuth_deg % 360.0 % 360.0,
             elevation_deg=elevation_deg,
             roll_deg=side * roll_deg,

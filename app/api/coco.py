@@ -24,7 +24,7 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
         The first counts pixels outside; it is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
-    # In one dimension, several times as fast: no run crosses the margin of a column.
+    # Working in one dimension is several times as fast; no run crosses the margin of a column.
     columns = np.pad(silhouette.crop.T, ((0, 0), (1, 1)))
     pixels = columns.ravel()
     changes = np.flatnonzero(pixels[1:] != pixels[:-1])

@@ -63,7 +63,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     line, letter = max(1, round(longer / 500)), max(11, longer // 50)
     for number, person in enumerate(estimate.persons, start=1):
         _draw_person(picture, person, PEOPLE[(number - 1) % len(PEOPLE)], keypoints, line)
-    # After all people, so that nobody covers another person's number.
+    # Labels are drawn after all people, so that nobody covers another person's number.
     labels: list[_Label] = []
     for number, person in enumerate(estimate.persons, start=1):
         box = person.observed.box
@@ -103,7 +103,7 @@ def _draw_person(
     line: int,
 ) -> None:
     box, silhouette = person.observed.box, person.observed.silhouette
-    # Lines that suit the frame would hide small people.
+    # Lines of the width that suits the frame would hide small people.
     thin = min(line, max(1, round(box.height / 100)))
     corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
     cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, thin)

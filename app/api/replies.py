@@ -33,10 +33,10 @@ SIGNIFICANT_DIGITS = 4
 """Digits of distances that depend on a network, which has single precision."""
 
 DISTANCE_DIGITS = 4
-"""Decimals of silhouette distances: few enough that every processor gives the same answer."""
+"""Decimals of silhouette distances, few enough that every processor gives the same answer."""
 
 MIN_FOV_DEG = 0.01
-"""A frame of one column has no other field of view."""
+"""Least field of view that is written: that of a frame of one column could be rounded to 0."""
 
 MIN_SCORE = 0.05
 """A keypoint with a lower score is null."""
@@ -44,7 +44,7 @@ MIN_SCORE = 0.05
 
 @dataclass(frozen=True)
 class ReplyForm:
-    """The form of an answer, as the query parameters of the same names choose it."""
+    """The form of an answer, chosen by the query parameters of the same names."""
 
     keypoints: KeypointSet
     silhouettes: schemas.SilhouetteForm = "none"
@@ -65,7 +65,8 @@ def pose_reply(
 ) -> schemas.PoseResponse:
     """Write the answer to a frame.
 
-    ``checkpoint`` is called before each person; it raises where the answer is no longer wanted.
+    ``checkpoint`` is called before each person; it raises an error if the answer is no longer
+    wanted.
     """
 
     def write(person: Person) -> schemas.Person:
@@ -209,8 +210,8 @@ def _observed(
 
 
 def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
-    # Not validated: its hundreds of points would add a third to the time that writing an answer
-    # takes, and the values are our own. The tests validate whole answers.
+    # The model is not validated: its hundreds of points would add a third to the time that writing
+    # an answer takes, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
         entry=hypothesis.entry_id,
@@ -391,7 +392,7 @@ def _tracked_person(
 
 
 def _smoothed_pose(pose: SmoothedPose, form: ReplyForm) -> tracking_schemas.SmoothedPose:
-    # Not validated; see _hypothesis.
+    # The model is not validated; see _hypothesis.
     return tracking_schemas.SmoothedPose.model_construct(
         entry=pose.entry,
         confidence=round(pose.confidence, 4),

@@ -110,8 +110,8 @@ class Problem(Model):
     )
 
 
-# Points are dictionaries, validated with the model that holds them: an answer has hundreds, and
-# creating them as models would take as long as everything else.
+# Points are dictionaries, validated with the model that contains them: an answer has hundreds of
+# points, and creating them as models would take as long as everything else.
 @with_config(ConfigDict(extra="forbid"))
 class Point2D(TypedDict):
     """A point in an image."""
@@ -169,7 +169,7 @@ class Image(ImageSize):
         examples=[False],
     )
     warnings: list[ImageWarning] = Field(
-        description="What may spoil the answer. `dark`: the frame is too dark to show much; "
+        description="What may impair the result. `dark`: the frame is too dark to show much; "
         "`stretched`: 16 bits a channel that used only part of their range, which was stretched; "
         "`truncated`: the end of the JPEG is missing, and grey. More may be added.",
         examples=[[]],
@@ -233,7 +233,7 @@ class RunLengths(Model):
 
 
 class SilhouetteSummary(Model):
-    """The silhouette a pose was estimated from."""
+    """The silhouette from which a pose was estimated."""
 
     area_px: int = Field(ge=0, description="Pixels of the frame.", examples=[3120])
     segmenter: str = Field(
@@ -242,9 +242,9 @@ class SilhouetteSummary(Model):
         examples=["network"],
     )
     truncated: bool = Field(
-        description="Whether part of the person is missing: the edge of the frame cuts the body "
-        "(recognised by the silhouette, and by keypoints of head and feet that are not seen), or "
-        "a nearer person hides it.",
+        description="Whether part of the person is missing: the edge of the frame cuts off the "
+        "body (recognised from the silhouette, and from unseen keypoints of head and feet), or a "
+        "nearer person hides it.",
         examples=[False],
     )
     rle: RunLengths | None = Field(
@@ -284,9 +284,10 @@ class Facing(Model):
         examples=[0.91],
     )
     evidence: FacingSource = Field(
-        description="What it rests on: `image`, the keypoints that the photograph shows; `motion`, "
-        "the way a tracked person moves; `none`, the silhouette alone, which cannot show it. In a "
-        "single frame it is the share of the hypotheses' confidence that faces the camera.",
+        description="The evidence for it: `image`, the keypoints that the photograph shows; "
+        "`motion`, the way a tracked person moves; `none`, the silhouette alone, which cannot show "
+        "it. In a single frame the probability is the share of the hypotheses' confidence that "
+        "faces the camera.",
         examples=["image"],
     )
 
@@ -386,8 +387,8 @@ class Hypothesis(Model):
     joints_3d: list[Point3D | None] | None = Field(
         description="The entry's skeleton fitted to this person, in metres: interpolated between "
         "near entries, moved to the landmarks in three dimensions and placed on the lines of sight "
-        "of its pixels, in the person's size. Camera axes (x right, y down, z forward) by "
-        "`image.fov_deg`, origin at the pelvis. Null "
+        "of its pixels, in the person's size. Camera axes (x right, y down, z forward) that follow "
+        "from `image.fov_deg`, origin at the pelvis. Null "
         "where the entry lacks one, and as a whole with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
@@ -437,7 +438,7 @@ class Person(Model):
     facing: Facing | None = Field(description="Null if there are no hypotheses.")
     posture: Posture | None = Field(description="Null if there are no hypotheses.")
     position: Position | None = Field(
-        description="Where the person is, by the first hypothesis. Null if no field of view was "
+        description="Where the person is, from the first hypothesis. Null if no field of view was "
         "given, and if there are no hypotheses."
     )
     hypotheses: list[Hypothesis] = Field(
@@ -478,7 +479,7 @@ class PoseResponse(Model):
 
 
 class DescriptorSummary(Model):
-    """The descriptor of silhouettes."""
+    """The descriptor by which silhouettes are compared."""
 
     name: str = Field(description="Name of the descriptor.", examples=["krawtchouk-discriminant"])
     dimension: int = Field(description="Values in a vector.", examples=[48])
@@ -575,6 +576,6 @@ class DeepstackResponse(Model):
 
 
 class Health(Model):
-    """The service is well; otherwise the answer is a problem."""
+    """The service works; otherwise the answer is a problem."""
 
     status: Literal["ok"] = Field(default="ok", description="Always `ok`.", examples=["ok"])

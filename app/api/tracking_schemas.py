@@ -87,13 +87,13 @@ class CameraConfiguration(Model):
     zones: list[Zone] = Field(
         default=[],
         max_length=MAX_ZONES,
-        description="All zones of the camera; without any, it has none.",
+        description="All zones of the camera; by default none.",
     )
     fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = Field(
-        None, description="Horizontal field of view, degrees, of frames that do not say their own."
+        None, description="Horizontal field of view, degrees, for frames that are sent without one."
     )
     pixel_aspect: Annotated[PixelAspect, Field(strict=True)] | None = Field(
-        None, description="Width over height of a pixel, of frames that do not say their own."
+        None, description="Width over height of a pixel, for frames that are sent without one."
     )
 
     @field_validator("zones")
@@ -178,8 +178,8 @@ class TrackedPerson(Person):
         examples=[["bed"]],
     )
     caller_track_id: str | None = Field(
-        description="The caller's own identity of the person, last given in `track_ids`. Null if "
-        "none was.",
+        description="The caller's own identity of the person, as last given in `track_ids`. Null "
+        "if none was given.",
         examples=["17"],
     )
 
@@ -196,13 +196,13 @@ class Event(Model):
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
     state: EventState = Field(
         description="Whether `lying` or `arms_raised` began or ended; `instant` for all others; "
-        "`unconfirmed`, in the last line of a video alone, for what had begun to show, but was not "
+        "`unconfirmed`, only in the last line of a video, for what had begun to show but was not "
         "certain.",
         examples=["instant"],
     )
     zones: list[str] = Field(
-        description="Names of the camera's zones in which the person is, or was seen last; the "
-        "zone alone for `zone_entered` and `zone_left`.",
+        description="Names of the camera's zones in which the person is, or was last seen; for "
+        "`zone_entered` and `zone_left`, only that zone.",
         examples=[["kitchen"]],
     )
     caller_track_id: str | None = Field(
@@ -250,10 +250,10 @@ class CameraState(Model):
     camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
     zones: list[Zone] = Field(description="As `PUT` or the service's file set them.")
     fov_deg: FieldOfView | None = Field(
-        description="Horizontal field of view, degrees, as configured. Null if it is not."
+        description="Horizontal field of view, degrees, as configured. Null if not configured."
     )
     pixel_aspect: PixelAspect | None = Field(
-        description="Width over height of a pixel, as configured. Null if it is not."
+        description="Width over height of a pixel, as configured. Null if not configured."
     )
     frames: int = Field(
         ge=0,
@@ -352,7 +352,7 @@ class SequenceEnd(Model):
         examples=["complete"],
     )
     detail: str = Field(
-        description="The same as a sentence.", examples=["the video ended after 795 frames"]
+        description="The reason as a sentence.", examples=["the video ended after 795 frames"]
     )
     frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")

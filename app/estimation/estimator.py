@@ -1,4 +1,4 @@
-"""From a frame to people with hypotheses; knows images, but neither HTTP nor settings."""
+"""From a frame to people with hypotheses; works on images, independent of HTTP and settings."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
 def load_networks(
     detector: DetectorName, concurrency: int, min_person_px: float | None
 ) -> tuple[Detector, PersonReader]:
-    """Load the networks that find people and read them.
+    """Load the networks that detect people and locate their landmarks.
 
     Parameters
     ----------
     detector : str
-        ``network``, or ``hog`` alone.
+        ``network`` (the networks, with HOG beside them) or ``hog`` (HOG only).
     concurrency : int
         Frames processed at once, which share the cores.
     min_person_px : float or None
@@ -68,7 +68,7 @@ def load_networks(
     Raises
     ------
     NetworkError
-        If a network of the package is missing or altered.
+        If a network file shipped with the package is missing or has been modified.
     """
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
@@ -153,8 +153,8 @@ class Estimator:
     max_pixels : int
         Largest image accepted, width times height.
     max_persons : int
-        Further detections are dropped, those of the lowest scores first; an upload that marks more
-        people is refused.
+        Largest number of people. Further detections are dropped, those with the lowest scores
+        first; an upload that marks more people is refused.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ class Estimator:
         return Estimate(decoded.sent, decoded.camera, decoded.warnings, sent, job.timings_ms())
 
     def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
-        """Find the people of a frame with their silhouettes; raises as :meth:`estimate` does."""
+        """Find the people of a frame with their silhouettes; raises like :meth:`estimate`."""
         return self._scene(self.decode(upload, job), upload, job, evidence)
 
     def _scene(self, decoded: DecodedUpload, upload: Upload, job: Job, evidence: Evidence) -> Scene:
@@ -238,6 +238,6 @@ class Estimator:
             return tuple(job.map(lambda pair: fit_poses(self.index, *pair, scene.camera, n), pairs))
 
     def detect(self, frame: bytes, job: Job) -> tuple[ObservedPerson, ...]:
-        """Find the people of a frame without their poses, those of the highest scores first."""
+        """Find the people of a frame without their poses, highest score first."""
         scene = self.find_people(Upload(frame), job, evidence="silhouette")
         return tuple(sorted(scene.people, key=lambda one: -(one.detection_score or 0.0)))

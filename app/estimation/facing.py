@@ -18,7 +18,7 @@ _CORNERS = np.array([side_rows("shoulder"), side_rows("hip")]).T
 
 @dataclass(frozen=True)
 class Facing:
-    """How likely the camera sees a person from the front.
+    """How likely it is that the camera sees a person from the front.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ class Facing:
 def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     """Azimuth of the camera about shoulders and hips: 0 in front, 90 on the person's left.
 
-    It does not depend on the direction of the trunk in the picture: people lying down may face the
-    camera as well.
+    It does not depend on the direction of the trunk in the picture, since people lying down may
+    face the camera as well.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
     trunk = (corners[..., 0, :] - corners[..., 1, :]).sum(axis=-2)
     length = np.maximum(np.hypot(trunk[..., 0], trunk[..., 1]), 1e-9)
-    # To the right of the trunk if it points up.
+    # Component to the right of the trunk, if the trunk points up.
     aside = (trunk[..., 0] * across[..., 1] - trunk[..., 1] * across[..., 0]) / length
     return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], aside)))
 
@@ -62,7 +62,7 @@ def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
-    """Confidence of the hypotheses that face the camera, as a share of that of all ``(N,)``."""
+    """Share of the hypotheses' total confidence that faces the camera; arrays are ``(N,)``."""
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     return float(np.clip(weights @ faces_camera(azimuths_deg) / weights.sum(), 0, 1))
 
@@ -72,10 +72,10 @@ def heading_shares(
     voters_deg: NDArray[np.float64],
     confidences: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Confidence of the voters less than a right angle from each heading, as a share of all.
+    """Share of the voters' confidence that lies within a right angle of each heading.
 
-    Seen from the side, a body that is turned a little to the camera and one that is turned a little
-    away agree; seen from the front, a body and its reflection in depth do not.
+    Seen from the side, a body turned slightly towards the camera and one turned slightly away
+    agree; seen from the front, a body and its reflection in depth do not.
 
     Parameters
     ----------

@@ -28,14 +28,15 @@ from app.vision.truncation import end_beyond_border
 
 @dataclass(frozen=True)
 class PeopleFinder:
-    """Finds people by detection, or where the caller marks them.
+    """Finds people with the detector, or where the caller marks them.
 
     Parameters
     ----------
     min_person_px : float or None
         Height of the smallest person to find with a background, pixels.
     max_persons : int
-        Further detections are dropped, those of the lowest scores first.
+        Largest number of people; further detections are dropped, those with the lowest scores
+        first.
     """
 
     detector: Detector
@@ -101,7 +102,7 @@ class PeopleFinder:
         landmarks: bool,
         job: Job,
     ) -> list[ObservedPerson]:
-        """Read detections, drop those of a body read before, and cut out the silhouettes."""
+        """Read detections, drop repeated ones of the same body, and cut out the silhouettes."""
         frame = upload.frame
         readings: list[PoseReading] = []
         if landmarks or background is None:
@@ -162,7 +163,7 @@ def make_observation(
     silhouette: Silhouette | None,
     reading: PoseReading | None,
 ) -> ObservedPerson:
-    """Combine what is known of a person; landmarks may reveal truncation of the silhouette."""
+    """Combine what is known about a person; landmarks may show that the body is truncated."""
     if reading is None:
         return ObservedPerson(box, source, score, silhouette)
     landmarks = attenuate_visibility_at_border(reading, frame.shape)
@@ -191,7 +192,7 @@ def _judged(
 
 
 def without_landmarks(person: ObservedPerson) -> ObservedPerson:
-    """A person as the silhouette alone shows them."""
+    """A person without landmarks and what is judged from them."""
     return replace(person, landmarks=None, frame_posture=None, doubt=None)
 
 

@@ -16,7 +16,8 @@ from index.keypoints import Keypoints
 from index.rotations import rotate_silhouette
 from index.skeleton import LIMBS, SIDES, rotate_clockwise, rows, side_rows
 
-# Points of the index and their landmarks; eyes and ears of the index are in other places.
+# Points of the index and their landmarks. The eyes and ears of the index are in other places, so
+# they are left out.
 _LANDMARK_OF = {name: name for name in (*LIMBS, "nose")} | {
     f"{side}_toe": f"{side}_foot_index" for side in SIDES
 }
@@ -28,17 +29,18 @@ _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
 @dataclass(frozen=True)
 class NormalisedPerson:
-    """A person's normalised silhouette and keypoints; wide silhouettes are rotated to stand.
+    """A person's normalised silhouette and keypoints; wide silhouettes are rotated upright.
 
     Parameters
     ----------
     silhouette : (128, 48) uint8 array
     roll_deg : float
-        Clockwise rotation of the silhouette, as if the camera had been rolled; 0 unless it is wide.
+        Clockwise rotation of the silhouette, as if the camera had been rolled; 0 unless the
+        silhouette is wide.
     to_frame : (2, 3) float64 array
         Affine transform from pixels of ``silhouette`` to pixels of the frame.
     landmarks : Landmarks or None
-        Pixels of the frame; None if they were not read.
+        Landmarks in pixels of the frame; None if they were not read.
     """
 
     silhouette: NDArray[np.uint8]

@@ -1,7 +1,9 @@
 """Which hypotheses of a match are returned, in which order, and which way the person faces.
 
-The distances are those of :mod:`index.ranking`; here hypotheses of both facings are chosen, since a
-silhouette shows neither front nor back, and their confidences take the landmarks into account.
+The distances are those of :mod:`index.ranking`. Here, hypotheses of both facings are chosen, since
+a silhouette shows neither front nor back. With landmarks, the confidences are computed here, too.
+Afterwards, :mod:`app.estimation.estimator` multiplies the confidences by the probability that there
+is a person.
 """
 
 from __future__ import annotations
@@ -35,10 +37,11 @@ def order_by_silhouette(
     Returns
     -------
     facing : Facing
-        The confidence of those that face the camera, as a share of the confidence of all.
+        Its probability is the confidence of the hypotheses that face the camera, as a share of the
+        confidence of all.
     hypotheses : list of Hypothesis
-        With ascending distances: if one of a later batch is nearer, it gets the distance of the
-        farthest before it.
+        In the order of the match, with ascending distances: a nearer hypothesis of a later batch
+        gets the distance of the farthest one before it.
     """
     kept = hypotheses[:n]
     confidences = np.array([one.confidence for one in kept])
@@ -62,7 +65,7 @@ def order_by_landmarks(
     Returns
     -------
     facing, hypotheses
-        As in :func:`order_by_silhouette`, with confidences by silhouette and landmarks.
+        As in :func:`order_by_silhouette`, with confidences from silhouette and landmarks.
     """
     azimuths = _azimuths(hypotheses)
     distances = np.array([one.distance for one in hypotheses])
@@ -85,7 +88,7 @@ def fused_confidences(
     Parameters
     ----------
     distances : (N,) float64 array
-        By silhouette and landmarks.
+        Distances from silhouette and landmarks.
     adjusted_m : (N,) float64 array
         Mean joint distances by which the fit moved the hypotheses from their entries.
     """
@@ -103,18 +106,18 @@ def nearest_of_both_facings(
     n: int,
     front_probability: float,
 ) -> list[int]:
-    """Choose ``n`` hypotheses, nearest first, as many of either facing as it is likely.
+    """Choose ``n`` hypotheses, nearest first, with each facing as frequent as it is likely.
 
-    The nearest is first. Of the first k, the share that face the opposite way is the probability of
-    that facing, and one in :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING` at
-    least, however far they are, if there are such hypotheses. The first k of n are those chosen for
-    k.
+    The nearest is first. Among the first k, the share that faces the opposite way equals the
+    probability of that facing. It is at least one in
+    :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING`, however far these hypotheses
+    are, as long as there are any. The first k of n are those chosen for k.
 
     Parameters
     ----------
     azimuths_deg, distances : (N,) float64 array
     front_probability : float
-        That the camera sees the person from the front.
+        Probability that the camera sees the person from the front.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from index.parameters import DEFAULT_HYPOTHESES
 class MaskParameters:
     """When a mask with one label shows several people; see :mod:`app.estimation.upload`."""
 
-    # Parts from this share of the largest part's area are compared
+    # Smallest parts that are compared, as a share of the largest part's area
     min_figure_share: float = 0.25
     # Height of the smallest part that may be a person
     min_figure_px: int = 48
@@ -52,14 +52,14 @@ class PostureParameters:
 
 @dataclass(frozen=True)
 class PlacementParameters:
-    """How skeletons are placed before the camera; see :mod:`app.estimation.placement`."""
+    """How skeletons are placed in front of the camera; see :mod:`app.estimation.placement`."""
 
     # Visibility below which a landmark does not move a joint
     min_visibility: float = 0.05
     # Standard deviation of a landmark's depth, metres, at which the first hypothesis moves half way
-    # to it: the hypothesis has been fitted to the landmarks, so it adds little of its own
+    # to it: the hypothesis has been fitted to the landmarks, so it adds little information
     half_way_sd_m: float = 0.3
-    # The person's size relative to a hypothesis is kept between these
+    # Limits of the person's size relative to a hypothesis
     sizes: tuple[float, float] = (0.8, 1.25)
     # Least forward component of a joint's line of sight, and least distance in metres
     min_forward: float = 0.05
@@ -74,18 +74,19 @@ NORMALISATION = NormalisationParameters()
 POSTURE = PostureParameters()
 
 MAX_FRAMES_OF_PEOPLE = 4
-"""A caller's boxes may together cover this many times the area of the largest frame: crowds overlap
-less, and the work on people grows with their pixels."""
+"""A caller's boxes may together cover this many times the area of the largest frame. The boxes of a
+crowd overlap less, and the work on people grows with their pixels."""
 
 MIN_BOX_PX = 0.01
-"""Shortest side of a caller's box: the last digit of an answer."""
+"""Shortest side of a caller's box: a unit of the last digit of a reply."""
 
 DUPLICATE_BODY_DISTANCE = 0.12
 """Mean distance between landmarks, in sizes of the body, below which two readings show the same
 person."""
 
 HYPOTHESES_PER_OPPOSITE_FACING = 7
-"""At least one in this many hypotheses faces the opposite way to the first: keypoints may err."""
+"""At least one in this many hypotheses faces the opposite way to the first, since keypoints may be
+wrong."""
 
 THREADS_PER_PASS = 2
 """Threads that share a pass of a network with little loss; more do not."""

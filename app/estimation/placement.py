@@ -1,9 +1,9 @@
-"""Skeletons placed before the camera, in perspective.
+"""Skeletons placed in front of the camera, in perspective.
 
-An index knows skeletons in the axes of the line of sight, as if each person stood in the middle of
-the frame, and in the size of its own bodies. Here each joint of a hypothesis is put on the line of
-sight of its pixel, at the depth that the hypothesis and the landmarks give it: in the camera's
-axes, and in the person's own size.
+The index stores skeletons in line-of-sight axes, as if each person stood in the middle of the
+frame, at the size of its own avatars. Here each joint of a hypothesis is put on the line of sight
+of its pixel, at the depth that the hypothesis and the landmarks give it. The result is in the
+camera's axes and has the person's size.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from app.vision.people import LANDMARK_NAMES, Landmarks
 from app.vision.sight import PinholeCamera, place_on_sight_lines, to_line_of_sight
 from index.skeleton import OTHER_SIDE, POINT_NAMES, side_rows
 
-# The index has its eyes and ears in other places than the landmark network.
+# The eyes and ears of the index are in other places than those of the landmark network.
 _POINT_OF = {
     name: name
     for name in LANDMARK_NAMES
@@ -33,7 +33,7 @@ _PELVIS = POINT_NAMES.index("pelvis")
 
 @dataclass(frozen=True)
 class PlacedSkeletons:
-    """Skeletons before a camera.
+    """Skeletons in front of a camera.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class PlacedSkeletons:
     points_2d : (M, 24, 2) float64 array
         Their projections, pixels of the frame.
     pelvis : (M, 3) float64 array
-        Metres from the camera, its axes.
+        Metres from the camera, in its axes.
     """
 
     points_3d: NDArray[np.float64]
@@ -57,11 +57,11 @@ def place_skeletons(
     camera: PinholeCamera,
     parameters: PlacementParameters = PLACEMENT,
 ) -> PlacedSkeletons:
-    """Place the hypotheses of a person before a camera.
+    """Place the hypotheses of a person in front of a camera.
 
-    The first follows the landmarks in depth, the less the less certain they are. The others keep
-    their own depths: they are other ways to read the image. Without landmarks, skeletons stay in
-    the axes of the line of sight unless the field of view is known.
+    The first is moved towards the landmarks' depths, less so where these are uncertain. The others
+    keep their own depths: they are other interpretations of the image. Without landmarks, skeletons
+    stay in the axes of the line of sight unless the field of view is known.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def place_skeletons(
 def _as_they_are(
     own_3d: NDArray[np.float64], own_2d: NDArray[np.float64], camera: PinholeCamera
 ) -> PlacedSkeletons:
-    """Skeletons turned to their lines of sight, where they look as large as in the image."""
+    """Skeletons on their lines of sight, at the distance where they appear as in the image."""
     rays = camera.rays(own_2d)
     lines = to_line_of_sight(rays[:, _PELVIS])
     origin = place_on_sight_lines(own_3d, rays, lines, np.ones(rays.shape[1])).origin
@@ -116,7 +116,7 @@ def _as_they_are(
 def _rows_shown(own_2d: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray[np.integer]:
     """Rows ``(M, P)`` of the points of skeletons that the landmarks show.
 
-    Left and right are exchanged where that is nearer, except for the first skeleton.
+    Left and right are exchanged if the points are then nearer, except for the first skeleton.
     """
     other = OTHER_SIDE[_POINTS]
     same, exchanged = (

@@ -1,4 +1,4 @@
-"""How likely a person is in each posture: by landmarks, and by votes of hypotheses.
+"""Probability of each posture of a person, from landmarks and from votes of hypotheses.
 
 Each hypothesis has a posture by the rules of :mod:`index.posture` and votes with its confidence. If
 there are landmarks, a model trained on rendered people gives the probabilities of six postures
@@ -41,15 +41,15 @@ _MEMBERS = [np.isin(POSTURES, members) for members in LANDMARK_GROUPS]
 _HELD = [
     np.isin(POSTURES, members) for members in (*LANDMARK_GROUPS[:-1], ("crawling",), ("lying",))
 ]
-"""Which of ``POSTURES`` each of :data:`app.vision.frame_posture.FRAME_POSTURES` holds."""
+"""For each of :data:`app.vision.frame_posture.FRAME_POSTURES`, the ``POSTURES`` it includes."""
 
-# Share of every posture that no hypothesis votes for.
+# Share given to every posture for which no hypothesis votes.
 _MIN_VOTE = 1e-3
 
 
 @dataclass(frozen=True)
 class EstimatedPosture:
-    """How likely a person is in each posture.
+    """Probability of each posture of a person.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class EstimatedPosture:
 
 
 def vote_posture(postures: Sequence[Posture], weights: Sequence[float]) -> NDArray[np.float64]:
-    """Let at least one hypothesis vote.
+    """Share of each posture in the votes of hypotheses, of which there is at least one.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def estimate_posture(
     presence : float
         Probability that there is a person at all.
     confidence : float
-        Of the best hypothesis.
+        Confidence of the best hypothesis.
     """
     if frame_posture is None:
         return posture_of(votes, presence)
@@ -116,7 +116,7 @@ def estimate_posture(
 
 
 def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares ``(10,)`` of ``POSTURES``: by the landmarks, split by the votes of hypotheses.
+    """Shares ``(10,)`` of ``POSTURES``: from the landmarks, split by the votes of hypotheses.
 
     Landmarks distinguish six postures; standing from walking, running and raised arms, and
     crouching from kneeling, are distinguished by the votes alone.

@@ -29,16 +29,16 @@ Evidence = Literal["photograph", "silhouette"]
 
 @dataclass(frozen=True)
 class ObservedPerson:
-    """A person as the photograph or the caller's mask shows them.
+    """A person as seen in the photograph or in the caller's mask.
 
     Parameters
     ----------
     box : Box
         Pixels of the frame.
     detection_score : float or None
-        None if the caller marked the people.
+        Probability of a person, from the detector; None if the caller marked the people.
     silhouette : Silhouette or None
-        In the frame; None if none was found in a caller's box.
+        Silhouette in the frame; None if none was found in a caller's box.
     landmarks : Landmarks or None
         Pixels of the frame; None if they were not read.
     presence : float or None
@@ -84,7 +84,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectedHypothesis(Hypothesis):
-    """A hypothesis with the label of its entry, placed before the camera.
+    """A hypothesis with the label of its entry, placed in front of the camera.
 
     Its ``points_3d`` are in the camera's axes and in the person's size.
 
@@ -93,7 +93,7 @@ class ProjectedHypothesis(Hypothesis):
     points_2d : (24, 2) float64 array
         Pixels of the frame; rows are ``POINT_NAMES``.
     pelvis : (3,) float64 array
-        Metres from the camera, its axes.
+        Metres from the camera, in its axes.
     """
 
     label: Label

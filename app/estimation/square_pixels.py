@@ -1,7 +1,7 @@
-"""Frames whose pixels are not square: to square pixels and back.
+"""Conversion of frames with non-square pixels to square pixels and back.
 
-People are found and read in a picture with square pixels; results are in pixels of the frame as
-sent.
+People are found, and their landmarks located, in a picture with square pixels; results are in
+pixels of the frame as sent.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class SquarePixels:
     def observed_sent(self, person: ObservedPerson) -> ObservedPerson:
         """An observed person in pixels of the frame as sent, for answers only.
 
-        The window of the next frame stays in square pixels, in which it is read.
+        The window for the next frame stays in square pixels, since it is read in them.
         """
         if not self.changes:
             return person
@@ -114,7 +114,7 @@ class SquarePixels:
         mask = silhouette.mask(self.square).view(np.uint8)
         sent = cv2.resize(mask, self.sent[::-1], interpolation=cv2.INTER_NEAREST) > 0
         if not sent.any():
-            # Narrower than a pixel as sent.
+            # The silhouette is narrower than a pixel of the frame as sent.
             column, row = self.points_sent(silhouette.centroid).round().astype(int).tolist()
             sent[min(max(row, 0), self.sent[0] - 1), min(max(column, 0), self.sent[1] - 1)] = True
         return silhouette_from_mask(

@@ -58,8 +58,8 @@ class Upload:
     frame : bytes or (H, W, 3) uint8 array, optional
         Photograph, encoded or as BGR pixels; may be missing if there is a mask.
     mask : bytes, optional
-        Encoded label image of the same size: 0 background, k = person k. It excludes boxes and a
-        background.
+        Encoded label image of the same size: 0 background, k = person k. It cannot be combined with
+        boxes or a background.
     background : bytes, optional
         Encoded photograph of the empty scene, of the same size.
     boxes : sequence of Box, optional
@@ -67,9 +67,9 @@ class Upload:
     track_ids : sequence of str, optional
         The caller's identity of the person in each box.
     fov_deg : float, optional
-        Horizontal field of view of the camera; assumed where it is not given.
+        Horizontal field of view of the camera; assumed if it is not given.
     pixel_aspect : float, optional
-        Width over height of a pixel; 1 where it is not given.
+        Width over height of a pixel; 1 if it is not given.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -82,7 +82,7 @@ class Upload:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of the images and lists that are given; work on the upload depends on them."""
+        """Names of the given images and lists, which determine how long the work takes."""
         names = ("frame", "mask", "background", "boxes", "track_ids")
         return tuple(name for name in names if getattr(self, name) is not None)
 
@@ -126,7 +126,7 @@ class DecodedUpload:
     boxes : list of Box or None
         Clipped to the frame.
     pixels : SquarePixels
-        From the frame as sent to the one with square pixels.
+        Conversion from the frame as sent to the one with square pixels.
     warnings : tuple of str
         Of the frame; see :class:`app.vision.images.Photograph`.
     """
@@ -150,7 +150,7 @@ class UploadDecoder:
     max_pixels : int
         Largest image accepted, width times height.
     max_persons : int
-        People that boxes or a mask may mark.
+        Most people that boxes or a mask may mark.
     """
 
     max_pixels: int
@@ -254,9 +254,9 @@ def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8])
 
 
 def _check_together(mask: LabelImage) -> None:
-    """Refuse a mask whose only label marks several people apart from one another.
+    """Refuse a mask whose only label marks several people who are apart from one another.
 
-    Taken as one person they would be wide, and appear to be lying.
+    Taken as one person, they would form a wide silhouette and appear to be lying.
     """
     if len(mask.present) != 1:
         return

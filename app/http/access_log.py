@@ -30,7 +30,7 @@ class AccessLogMiddleware:
     app : ASGI application
     metrics : Metrics
     table : RouteTable
-        Names the route that a request was meant for, even if it is refused before.
+        Names the route that a request was meant for, even if the request is refused earlier.
     on_refused : callable
         Called with the scope of a refused request and the reason.
     """
@@ -73,7 +73,7 @@ class AccessLogMiddleware:
         except Exception:
             log.exception("unhandled error")
             if notes.status is not None:
-                raise  # The server has to abort the answer, which has begun.
+                raise  # The answer has begun, so the server has to abort it.
             problem = ProblemError(500, "an error of the service; its log says more")
             await ProblemResponse(problem)(scope, receive, send_with_headers)
         finally:

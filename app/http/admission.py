@@ -1,7 +1,7 @@
 """Admission: limits on the number, size and duration of uploads.
 
 FastAPI reads a whole body before a route's code runs, so the limits are plain ASGI middleware. A
-refused upload costs neither parsing nor memory: under overload, the cores are left to accepted
+refused upload costs neither parsing nor memory, so under overload the cores are left to accepted
 frames.
 """
 
@@ -94,7 +94,7 @@ class AdmissionMiddleware:
     limits_of_paths : mapping
         Limits of other paths.
     max_open : int
-        Largest number of requests with a body that are received or answered at a time.
+        Largest number of requests with a body that are received or answered at the same time.
     """
 
     def __init__(
@@ -149,9 +149,9 @@ class AdmissionMiddleware:
         return None
 
     def _is_crowded(self, caller: Caller) -> bool:
-        """Whether no upload may be opened, and no stalled one makes room.
+        """Whether the caller may not open an upload, and no stalled one makes room for it.
 
-        Either all are open, or the caller has reached its share of them.
+        Either as many are open as allowed, or the caller has reached its share of them.
         """
         own = [upload for upload in self._uploads if upload.caller == caller]
         if len(own) >= math.ceil(CALLER_SHARE * self._max_open):
@@ -183,7 +183,7 @@ class AdmissionMiddleware:
             return message
 
         async def replacing_send(message: Message) -> None:
-            # The framework turns the errors raised above into a 400 of its own.
+            # The framework turns the errors raised above into its own 400, which is replaced here.
             nonlocal started
             if refusal is None:
                 await send(message)

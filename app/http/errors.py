@@ -68,7 +68,7 @@ class ProblemError(Exception):
 
 
 def overloaded(detail: str, reason: str, retry_after_s: int | None = 1) -> ProblemError:
-    """Make a 503, with ``Retry-After`` where a retry makes sense."""
+    """Make a 503, with ``Retry-After`` if a retry makes sense."""
     headers = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     return ProblemError(503, detail, headers=headers, reason=reason)
 
@@ -138,7 +138,7 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
     @app.exception_handler(ClientGoneError)
     async def _(request: Request, error: Exception) -> Response:
         request_state(request.scope).rejected_reason = "client_gone"
-        return Response(status_code=499)  # For the log; nobody receives it.
+        return Response(status_code=499)  # This is for the log; nobody receives it.
 
     @app.exception_handler(HTTPException)
     async def _(request: Request, error: HTTPException) -> Response:
@@ -146,7 +146,7 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
             return ProblemResponse(_not_found(request, table))
         if error.status_code == 405:
             return ProblemResponse(_not_allowed(request, table))
-        if error.status_code == 400:  # A form that cannot be parsed, in the parser's words.
+        if error.status_code == 400:  # The form cannot be parsed; the words are the parser's.
             detail = "expected a well-formed multipart/form-data body of at most 1000 parts"
             return ProblemResponse(ProblemError(400, detail, reason="undecodable"))
         return ProblemResponse(
@@ -161,7 +161,7 @@ def _upload_problem(error: UploadError | VideoError, field: str) -> ProblemError
 
 def _validation_problem(error: RequestValidationError) -> ProblemError:
     first = error.errors()[0]
-    # A location starts with the part of the request: query, path, body.
+    # A location begins with the part of the request: query, path or body.
     field = ".".join(str(part) for part in first["loc"][1:]) or None
     return ProblemError(422, f"{field}: {expected_and_got(first)}", field=field)
 
@@ -169,7 +169,7 @@ def _validation_problem(error: RequestValidationError) -> ProblemError:
 def _not_found(request: Request, table: RouteTable) -> ProblemError:
     path = request.url.path
     if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
-        # Relative, so that it also works behind a proxy that serves us under a path.
+        # The location is relative, so it also works behind a proxy that serves us under a path.
         last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
         location = f"../{last}" + (f"?{query}" if query else "")
         # Not every client follows redirects, so the sentence names the path.

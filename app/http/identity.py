@@ -17,7 +17,7 @@ from app.http.errors import ProblemError
 from app.scheduling.queue import Sender
 
 CAMERA_HEADER = "X-Camera-ID"
-# Not "." and "..", which are no names in a path.
+# A name must not be "." or "..", which have another meaning in a path.
 CAMERA_PATTERN = "^[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}$"
 
 _CAMERA_PATTERN_BYTES = re.compile(CAMERA_PATTERN.encode())
@@ -40,7 +40,7 @@ class Caller(NamedTuple):
 
 
 class CameraStream(NamedTuple):
-    """The frames of one camera: same name, same route, same credentials."""
+    """Identifies the frames of one camera: they share its name, route and credentials."""
 
     camera: str
     path: str
@@ -165,7 +165,7 @@ _bearer_token = HTTPBearer(auto_error=False, description="The same key as a bear
 
 async def _require_key(
     request: Request,
-    # Both are declared for the OpenAPI document; the middleware has read the headers.
+    # Both are declared only for the OpenAPI document; the middleware has read the headers.
     header: Annotated[str | None, Security(_key_header)],
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer_token)],
 ) -> None:

@@ -48,7 +48,7 @@ def log_config(level: str) -> dict[str, Any]:
             "uvicorn": {"level": level.upper()},
             # The logger app.request replaces uvicorn's access log.
             "uvicorn.access": {"level": "WARNING"},
-            # A client's broken form gets a 400 and no log line.
+            # A broken form from a client gets a 400 and needs no log line.
             "python_multipart": {"level": "ERROR"},
         },
     }

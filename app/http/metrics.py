@@ -23,7 +23,7 @@ from app.tracking.results import Event
 from app.tracking.sessions import CameraTraffic
 from index.search import FailureReason
 
-# A frame with a mask takes milliseconds, one to be searched for people a tenth of a second.
+# A frame with a mask takes milliseconds; a search for people takes a tenth of a second.
 _MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 350, 500, 750)
 _SECONDS = (*(milliseconds / 1000 for milliseconds in _MILLISECONDS), 1, 1.5, 2, 3, 5, 7.5, 10)
 _TENTHS = tuple(tenth / 10 for tenth in range(1, 11))
@@ -31,7 +31,7 @@ _VIDEO_SECONDS = (1, 2.5, 5, 10, 30, 60, 120, 300, 600, 1200, 1800, 3600)
 _PERSONS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 50)
 
 PROBES = ("/healthz", "/readyz", "/metrics")
-"""Routes that are polled every few seconds; their durations say nothing."""
+"""Routes that are polled every few seconds; their durations are of no interest."""
 
 _SEQUENCE = "/sequence"
 
@@ -194,7 +194,7 @@ class Metrics:
                 self._confidence.observe(person.hypotheses[0].confidence)
 
     def observe_events(self, events: Iterable[Event]) -> None:
-        """Count the events of one frame; the end of one that lasts is none."""
+        """Count the events of one frame; `end` states are not counted."""
         for event in events:
             if event.state != "end":
                 self.events.labels(event.event).inc()

@@ -54,8 +54,9 @@ class HttpProtocol(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         if self._head_begun:
-            # The parser reports a header only once it is complete. Bytes that arrive together with
-            # the beginning of the head may belong to the previous request.
+            # Bytes are counted here because the parser reports a header only once it is complete.
+            # Bytes that arrive together with the beginning of the head may belong to the previous
+            # request, so they are not counted.
             self._head_bytes += 0 if self._head_is_new else len(data)
             if self._head_bytes > self.max_head_bytes:
                 self._refuse(self._head_too_large())
@@ -63,7 +64,7 @@ class HttpProtocol(HttpToolsProtocol):
             self._wait_for_head()  # uvicorn has stopped its own timer.
 
     def shutdown(self) -> None:
-        """Tell the request at hand that the service is being stopped, and finish it."""
+        """Tell the current request that the service is being stopped, and finish it."""
         if not self._is_idle():
             request_state(cast(Scope, self.scope)).is_ending = True
         super().shutdown()

@@ -1,4 +1,4 @@
-"""Notes on a request that the layers it passes share."""
+"""Notes on a request, shared by the layers that it passes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import cast
 from starlette.types import Scope
 
 request_id: ContextVar[str] = ContextVar("request_id", default="")
-"""Id of the request that the current thread or task works for, for its log lines."""
+"""Id of the request for which the current thread or task works; used in log lines."""
 
 
 @dataclass

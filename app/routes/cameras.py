@@ -47,12 +47,12 @@ CameraId = Annotated[
 
 
 def _owner(identity: Identity) -> int:
-    """Return the owner of a caller's cameras: all callers are the same where there are no keys."""
+    """Return the owner of a caller's cameras; without API keys, all callers are the same owner."""
     return identity.caller.key or 0
 
 
 def count_dropped(sessions: CameraSessions, scope: Scope, reason: str) -> None:
-    """Count a refused request for the camera whose frame it brought, if it did."""
+    """Count a refused request for the camera whose frame it contained, if any."""
     identity = identity_of(scope)
     stream = identity.stream
     # The header X-Camera-ID names a camera on other routes, too.
@@ -69,7 +69,7 @@ Camera = Annotated[CameraKey, Depends(_camera_key)]
 
 
 async def _session_header(request: Request, camera: Camera) -> None:
-    """Give every answer the state of the session; the work corrects it later."""
+    """Add the state of the session to every answer; the work corrects it later."""
     _set_session_header(request, "warm" if camera in runtime_of(request).sessions else "new")
 
 
@@ -95,10 +95,10 @@ async def track_frame(
     """Track the people in the next frame of a fixed camera.
 
     In addition to the answer of `/pose`, each person has an identity, a pose smoothed over time,
-    and an action. Frames of one camera are worked on one after the other, in order of arrival; of
-    those that wait, the newest is answered, and older ones get a 503. The header `X-Session` is
-    `new` if the camera starts afresh: with its first frame, after a pause, or after the service had
-    to forget it or has switched to another index.
+    and an action. Frames of one camera are worked on one after the other, in order of arrival. Only
+    the newest waiting frame is kept; older ones get a 503. The header `X-Session` is `new` if the
+    camera starts afresh: with its first frame, after a pause, or after the service had to forget it
+    or has switched to another index.
     """
     runtime = runtime_of(request)
     if not runtime.settings.max_cameras:
@@ -173,7 +173,7 @@ async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
         return events_reply(camera.camera_id, runtime_of(request).sessions.events(camera))
 
 
-# Parsed here, after the key is checked, so that any error is one sentence.
+# The configuration is parsed here, after the key is checked, so that any error is one sentence.
 async def _read_configuration(request: Request) -> CameraConfiguration:
     try:
         return CameraConfiguration.model_validate_json(await request.body())
@@ -210,7 +210,7 @@ async def configure_camera(
     """Set the zones and the optics of a camera, whether or not it has sent frames.
 
     From the next frame on, persons and events name the zones they are in. A new configuration
-    replaces the previous one as a whole, and that of the service's file for this caller. It
+    replaces the whole previous one and, for this caller, the one in the service's file. It
     outlives the camera's session but not the service: to keep it across restarts, put it in the
     file.
     """
@@ -234,7 +234,7 @@ async def configure_camera(
 async def forget_camera(request: Request, camera: Camera) -> None:
     """Forget a camera's configuration and events and end its session: its next frame starts afresh.
 
-    A configuration in the service's file counts again. To remove the zones alone, set an empty
+    A configuration in the service's file applies again. To remove only the zones, set an empty
     list.
     """
     with _known(camera):
@@ -243,7 +243,7 @@ async def forget_camera(request: Request, camera: Camera) -> None:
 
 @contextmanager
 def _known(camera: CameraKey) -> Iterator[None]:
-    """Answer 404 where the sessions do not know a camera."""
+    """Answer 404 if the sessions do not know a camera."""
     try:
         yield
     except KeyError:

@@ -80,7 +80,8 @@ async def detect_deepstack(
 ) -> DeepstackResponse:
     """Find people for DeepStack's clients.
 
-    Whole people by their boxes, without silhouettes or poses; only the label `person` occurs.
+    The answer has the boxes of whole people, without silhouettes or poses; the only label is
+    `person`.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()

@@ -1,4 +1,4 @@
-"""The index: what it holds, and its single entries."""
+"""The index: its content, and single entries."""
 
 from __future__ import annotations
 

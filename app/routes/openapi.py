@@ -92,7 +92,7 @@ def _mend_schema(name: str, schema: dict[str, Any]) -> None:
         properties = {field: _form_field(value) for field, value in properties.items()}
         schema["properties"] = properties
     for value in properties.values():
-        value.pop("title", None)  # Pydantic's are the name again, in capitals.
+        value.pop("title", None)  # Pydantic's titles only repeat the name, capitalised.
 
 
 def _mend_operation(operation: dict[str, Any]) -> None:
@@ -103,11 +103,11 @@ def _mend_operation(operation: dict[str, Any]) -> None:
         names += ["X-Session"] * (operation["operationId"] == "track_frame")
         for content in response.get("content", {}).values():
             if "anyOf" in content["schema"]:
-                # FastAPI adds that lines of JSON are a string.
+                # FastAPI also describes lines of JSON as a string.
                 content["schema"] = {"anyOf": content["schema"]["anyOf"]}
         response["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in names}
     if "security" in operation:
-        # Keys are required only if the operator has set any.
+        # A key is required only if the operator has set any.
         operation["security"].append({})
 
 

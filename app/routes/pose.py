@@ -79,15 +79,15 @@ async def draw_pose(
 ) -> Response:
     """Draw numbered boxes, silhouette outlines and the best skeletons over a frame.
 
-    Numbers count `persons` as `/pose` lists them, from 1. Limbs on the person's own left are
-    orange, those on the right blue. A strip below the frame explains the colours; the pixels above
-    it keep the frame's coordinates.
+    People are numbered from 1, in the order of `persons` in the answer of `/pose`. Limbs on the
+    person's own left are orange, those on the right blue. A strip below the frame explains the
+    colours; the pixels above it keep the frame's coordinates.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
 
     def work(job: Job) -> bytes:
-        # As many as `/pose` returns by default, so that both show the same posture.
+        # The number of hypotheses is the default of `/pose`, so that both show the same posture.
         estimate = estimator.estimate(query.of(upload), DEFAULT_HYPOTHESES, job, query.evidence)
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[query.keypoints]))
@@ -108,8 +108,8 @@ async def draw_pose(
 async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     """Segment the people of a frame: a label image.
 
-    0 is background, k the k-th entry of `persons` as `/pose` would list them. It can be sent
-    back as `mask`.
+    0 is background, k is the k-th of `persons` in the answer of `/pose`. The image can be sent back
+    as `mask`.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()

@@ -154,7 +154,7 @@ class TrackQuery(PoseQuery):
     timestamp: Annotated[
         Timestamp | None,
         Field(
-            description="As the form field of this name, for a photograph that is the body itself.",
+            description="Like the form field of this name, if the photograph is the body itself.",
             examples=[12.4],
         ),
     ] = None
@@ -167,8 +167,8 @@ class SequenceQuery(_CameraQuery):
         int | None,
         Field(
             ge=1,
-            description="Frames that are worked on at most; by default, and at most, as many as "
-            "the service allows.",
+            description="Most frames that are worked on; by default, and at most, as many as the "
+            "service allows.",
             examples=[500],
         ),
         WHOLE_NUMBER,
@@ -190,7 +190,7 @@ class SequenceQuery(_CameraQuery):
 
 
 async def _given_once(request: Request) -> None:
-    # A model does not see this: FastAPI gives it the last value of each name.
+    # A model cannot check this: FastAPI gives it only the last value of each name.
     check_given_once((name for name, _ in request.query_params.multi_items()), "value")
 
 

@@ -140,8 +140,9 @@ async def analyse_sequence(
     """Track the people of a video of a fixed camera.
 
     The answer comes line by line while the video is worked on: one line of type `frame` for each
-    frame, as `/cameras/{camera_id}/frames` answers it, and a last line of type `end` with tracks,
-    events and the reason why it ends there. Live frames of cameras take their turn in between.
+    frame, like the answer of `/cameras/{camera_id}/frames`, and a last line of type `end` with
+    tracks, events and the reason why it ends there. Live frames of cameras take their turn in
+    between.
     """
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames

@@ -61,7 +61,7 @@ def add_page(app: FastAPI) -> None:
     app.mount("/static", StaticFiles(directory=_FOLDER))
 
 
-# Relative, so that the page also works behind a proxy that serves it under a path.
+# The path is relative, so that the page also works behind a proxy that serves it under a path.
 _ASSETS = "docs/assets"
 
 

@@ -3,6 +3,8 @@
 Forms are parsed here rather than by FastAPI. It would read a whole form before it asks for the API
 key, its validation of four fields takes nearly as long as all its other work on a request, and a
 form model with an optional file is described as URL-encoded in the OpenAPI document.
+
+Limits on size and time are enforced earlier, in :mod:`app.http.admission`.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ def is_video(request: Request) -> bool:
 
 
 def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemError:
-    """Make a 415 for any other body."""
+    """Make a 415 for a body of any other type."""
     got = request.headers.get("content-type", "")[:100] or "none"
     return ProblemError(415, f"expected a body of type {expected}, got {got}")
 
@@ -56,7 +58,7 @@ def check_fields(form: FormData, known: Collection[str]) -> None:
 
 
 async def file_of(form: FormData, field: str) -> bytes | None:
-    """Return the content of a file; None if it is missing, or empty as browsers send it then."""
+    """Return the content of a file; None if it is missing or, as browsers then send it, empty."""
     part = form.get(field)
     if isinstance(part, UploadFile):
         return None if not part.filename and not part.size else await part.read()
@@ -73,7 +75,7 @@ def text_of(form: FormData, field: str) -> str | None:
     return part
 
 
-# Strict: neither true nor "12" is a number.
+# Parsing is strict: neither true nor "12" is a number.
 _BOXES = TypeAdapter(
     list[Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]],
     config=ConfigDict(strict=True),
@@ -104,7 +106,7 @@ def _documented(form: type[FrameUpload]) -> dict[str, Any]:
 
 
 DOCUMENTED_UPLOAD = _documented(FrameUpload)
-"""What FastAPI would write if it parsed the form itself."""
+"""The description that FastAPI would write if it parsed the form itself."""
 
 DOCUMENTED_TRACK_UPLOAD = _documented(TrackUpload)
 
@@ -159,7 +161,8 @@ def _parse_timestamp(text: str) -> float:
 
 
 def _parse_boxes(text: str, settings: Settings) -> list[Box]:
-    # Counted before parsing: hundreds of thousands would keep all other clients waiting.
+    # Boxes are counted before they are parsed: hundreds of thousands would keep all other clients
+    # waiting.
     count, most = text.count("[") - 1, settings.max_persons
     if count > most:
         raise UploadError("boxes", "misfit", f"expected at most {most} persons, got {count}")

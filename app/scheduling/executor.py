@@ -6,11 +6,12 @@ Frames (:meth:`Executor.run`)
     disconnects.
 Parts (:meth:`Executor.map`)
     The people of a frame, or its images. The frame's own thread works through them. While fewer
-    frames are worked on than are allowed, other threads help, one part at a time, taking the frames
-    in turn. A new frame never waits for helpers: it has a thread of its own, and they take no
-    further part while it is worked on.
+    frames are worked on than are allowed, idle threads take parts one at a time, from each frame in
+    turn. A new frame never waits for them: it gets its own thread, and as soon as it needs the
+    cores, the other threads stop taking parts.
 
-A frame must not start frames, nor a part parts: both would wait for threads that may never be free.
+Work on a frame must not start another frame, and work on a part must not start parts: either would
+wait for threads that may never be free.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ class Executor:
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
         self.queue = FairQueue(frames, min(max_wait_s, timeout_s))
         self._timeout_s = timeout_s
-        # Helpers finish their parts while new frames begin.
+        # There are more threads than frames because helpers finish their parts while new frames
+        # begin.
         self._threads = ThreadPoolExecutor(
             2 * frames - 1, thread_name_prefix="work", initializer=lower_thread_priority
         )
@@ -125,10 +127,10 @@ class Executor:
         Parameters
         ----------
         work : callable
-            Calls :meth:`Job.checkpoint` between its steps.
+            The work on the frame; it calls :meth:`Job.checkpoint` between its steps.
         until_gone : async callable
-            Returns when the client has disconnected. A waiting frame is then dropped, and the work
-            on a begun one cancelled.
+            Returns when the client has disconnected. A waiting frame is then dropped, and work that
+            has begun is cancelled.
         sender, kind, camera, unbounded_wait
             See :meth:`app.scheduling.queue.FairQueue.enqueue`.
 

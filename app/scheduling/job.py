@@ -1,6 +1,6 @@
-"""One frame's work: whether it is still wanted, where its time goes, who helps with its parts.
+"""The work on one frame: whether it is still wanted, its time by stage, and help with its parts.
 
-Work in a thread cannot be stopped from outside, so it checks now and then whether to go on.
+Work in a thread cannot be stopped from outside, so it checks now and then whether to continue.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ STAGES = ("decode", "detect", "segment", "keypoints", "describe", "search")
 
 
 class BusyError(Exception):
-    """The service has more to do than it can.
+    """The service has more work than it can do.
 
     Parameters
     ----------
     message : str
         One sentence for the caller.
     retry_after_s : int, optional
-        When it is worth trying again; None where it is not.
+        Time after which a retry makes sense, seconds; None if it makes none.
     """
 
     reason = "busy"
@@ -95,7 +95,7 @@ class Job:
         self._cancelled.set()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-        """Call a function with each part of the frame, after a checkpoint each, in parallel.
+        """Call a function with each part of the frame, in parallel, after a checkpoint for each.
 
         Returns
         -------

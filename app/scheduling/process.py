@@ -1,8 +1,8 @@
 """The operating system's settings of this process: memory, cores, priorities.
 
-Memory: by default glibc keeps a heap per thread, and raises the size above which it returns memory
-with the first large array that is freed. After a few frames the service would hold 1.5 times what
-it uses.
+Memory: by default, glibc keeps a heap per thread. When the first large array is freed, it also
+raises the size above which it returns memory. After a few frames, the service would hold 1.5 times
+what it uses.
 
 Priorities: one thread answers requests, others work on frames. The first has little to do, but
 every client waits for it, so it takes precedence.
@@ -70,8 +70,8 @@ _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
-# Larger than the pixels of a usual frame: pages returned after each frame have to be fetched again
-# for the next one, which costs more than decoding it.
+# This is larger than the pixels of a usual frame: pages that are returned after a frame have to be
+# fetched again for the next one, which costs more than decoding it.
 _TRIM_THRESHOLD_BYTES = 8 * 1024**2
 _ARENAS = 2
 
@@ -84,7 +84,8 @@ _NICENESS = 5
 
 def configure_process() -> None:
     """Set up a server's process. Programs that only import the service stay unchanged."""
-    # Imported here: reading the settings needs `available_cores` but no native library.
+    # OpenCV is imported here because reading the settings needs `available_cores` but no native
+    # library.
     import cv2
 
     _configure_malloc()
@@ -154,7 +155,7 @@ def freeze_loaded_objects() -> None:
 
 
 def lower_thread_priority() -> None:
-    """Make the system prefer the process's other threads to the calling one."""
+    """Make the system prefer the process's other threads to the calling thread."""
     if sys.platform != "linux":  # Elsewhere threads have no priority of their own.
         return
     thread = threading.get_native_id()

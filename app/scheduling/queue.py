@@ -33,14 +33,16 @@ from typing import NamedTuple
 from app.scheduling.job import BusyError
 
 ADMIT_SHARE = 0.75
-"""Share of the longest wait up to which frames are admitted; estimates err by about the rest."""
+"""Share of the longest wait up to which frames are admitted; the rest is about the error of
+estimated waits."""
 
 _UNMEASURED_S = 0.1  # Assumed duration of a kind of work that has not been measured yet.
-_NEWEST_WEIGHT = 0.2  # Of the newest duration in the running mean.
-_RESERVED_FOR_S = 2.0  # After the time at which the sender was asked to return.
-_EARLY_S = 0.05  # Clocks differ.
+_NEWEST_WEIGHT = 0.2  # Weight of the newest duration in the running mean.
+# Time for which a place is kept after the moment at which its sender was asked to return.
+_RESERVED_FOR_S = 2.0
+_EARLY_S = 0.05  # Time by which a sender may return early, since clocks differ.
 _MAX_RESERVATIONS = 64
-_MAX_CALLERS = 1000  # Beyond, callers without a waiting frame are forgotten.
+_MAX_CALLERS = 1000  # Above this, callers without a waiting frame are forgotten.
 _MAX_RETRY_S = 30
 
 
@@ -143,8 +145,8 @@ class FairQueue:
         self._waiting: list[Ticket] = []
         self._working: list[Ticket] = []
         self._reservations: list[_Reservation] = []
-        # Virtual time, in seconds of work that a caller with always a frame waiting has received;
-        # for each caller the virtual finish of its last frame, and the kind of that frame.
+        # Virtual time: the seconds of work that a caller who always has a frame waiting has
+        # received; then, for each caller, the virtual finish of its last frame and its kind.
         self._virtual_s = 0.0
         self._finish_s: dict[Hashable, float] = {}
         self._kinds: dict[Hashable, Hashable] = {}
@@ -164,14 +166,15 @@ class FairQueue:
         return len(self._waiting) + len(self._working)
 
     def load(self) -> float:
-        """Return a new caller's expected wait as a share of the one beyond which it is refused."""
+        """Return a new caller's expected wait as a share of the longest that is admitted."""
         newcomer = _Place(Sender(object()), self._last_kind, next(self._numbers))
         return self._wait_s(newcomer) / (ADMIT_SHARE * self.max_wait_s)
 
     def check(self, sender: Sender, camera: Hashable = None) -> None:
         """Raise :class:`OverloadedError` if :meth:`enqueue` would, before the frame is received."""
         if self._waiting_of(camera) is None:
-            # The content is not known yet: probably what this caller, or any, sent last.
+            # The content is not known yet. It is probably of the kind that this caller, or else any
+            # caller, sent last.
             kind = self._kinds.get(sender.caller, self._last_kind)
             self._admit(self._place_of(sender, kind), sender)
 
@@ -189,7 +192,7 @@ class FairQueue:
         ----------
         sender : Sender
         kind : hashable
-            Frames of one kind take about as long.
+            Kind of work; frames of one kind take about the same time.
         camera : hashable, optional
             A live camera, whose waiting frame is superseded.
         unbounded_wait : bool
@@ -284,7 +287,7 @@ class FairQueue:
         return sorted(ordered, key=lambda pair: (pair[0], pair[1].number))
 
     def _virtual_start_s(self, caller: Hashable) -> float:
-        """Return a caller's next start; time without a waiting frame gives no credit."""
+        """Return the virtual start of a caller's next frame; idle time gives no credit."""
         finish_s = self._finish_s.get(caller, 0.0)
         waits = any(ticket.place.sender.caller == caller for ticket in self._waiting)
         return finish_s if waits else max(finish_s, self._virtual_s)
@@ -297,7 +300,7 @@ class FairQueue:
     def _place_of(self, sender: Sender, kind: Hashable) -> _Place:
         """Return the sender's reserved place, else a due one of its caller, else a new one.
 
-        Not every client keeps its connection.
+        The caller's other places are tried because not every client keeps its connection.
         """
         now = self._clock()
         self._reservations = [r for r in self._reservations if now < r.due + _RESERVED_FOR_S]

@@ -47,7 +47,7 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
     ArtefactError
         If the index cannot be used.
     NetworkError
-        If a network of the package is missing or altered.
+        If a network file shipped with the package is missing or has been modified.
     """
     if index is None:
         assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
@@ -67,14 +67,15 @@ async def keep_index_loaded(runtime: Runtime) -> None:
     if isinstance(address, MilvusAddress):
         await _follow(runtime, address)
     else:
-        # In a thread of the executor: the networks' own threads inherit its low priority.
+        # Loading runs in a thread of the executor, since the networks' own threads inherit its low
+        # priority.
         loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, None))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
         runtime.loading = False
 
 
 def become_ready(runtime: Runtime, estimator: Estimator) -> None:
-    """Serve with an estimator from now on; requests at hand keep theirs."""
+    """Serve with an estimator from now on; current requests keep theirs."""
     runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
     runtime.estimator = estimator
     runtime.sessions.end_others(estimator)
@@ -115,7 +116,8 @@ async def _become_ready_or_say_why(runtime: Runtime, loading: asyncio.Future[Est
 
 async def _follow(runtime: Runtime, address: MilvusAddress) -> None:
     """Get ready as soon as Milvus answers; from then on, serve the index that the alias names."""
-    # A thread of its own: Milvus may take long to answer, and frames need the executor's.
+    # This thread is separate because Milvus may take long to answer, and frames need the executor's
+    # threads.
     thread = ThreadPoolExecutor(1, "index", initializer=lower_thread_priority)
 
     def call(function: Callable[[], T]) -> asyncio.Future[T]:
@@ -163,14 +165,14 @@ class _Follower:
         """Load the index if the alias names another one.
 
         Returns None if nothing has changed, or if the other index cannot be loaded: the service
-        goes on with the one it has, and logs why.
+        then keeps its index and logs why.
         """
         before = self._runtime.estimator
         assert before is not None and self._remote is not None
         try:
             index = self._remote.load()
         except UnavailableError:
-            return None  # Failed searches are reported already.
+            return None  # Failed searches have been reported already.
         except ArtefactError as error:
             if self._last_problem != str(error):
                 log.error("still serving the index before: %s", error)

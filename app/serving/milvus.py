@@ -24,8 +24,8 @@ SearchObserver = Callable[[FailureReason | None], object]
 class ObservedNeighbours:
     """A search whose outcomes are reported; see :class:`index.search.Neighbours`.
 
-    Every search asks Milvus again: its timeout bounds how long one takes, and the queue how many
-    frames wait meanwhile.
+    Every search asks Milvus again. Its timeout bounds how long a search takes, and the queue bounds
+    how many frames wait meanwhile.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ def check_milvus_package() -> None:
 class RemoteIndex:
     """Loads the index that an alias names, and notices when it names another one.
 
-    :meth:`load` waits for Milvus, so it is called in a thread of its own.
+    :meth:`load` waits for Milvus, so it is called in a separate thread.
 
     Parameters
     ----------
     address : MilvusAddress
     artefacts : Path
-        The artefact, or a folder of several; the one of the collection's version is loaded.
+        The artefact, or a folder of several; the one with the collection's version is loaded.
     timeout_s : float
         Longest time for a call.
     observe : callable

@@ -28,7 +28,7 @@ _SEQUENCE_RETRY_S = 10
 def _version() -> str:
     try:
         return version("silhouette-pose")
-    except PackageNotFoundError:  # A checkout that was never installed.
+    except PackageNotFoundError:  # The checkout was never installed.
         return "0.0.0"
 
 
@@ -54,7 +54,7 @@ class Runtime:
     not_ready_because : str
         A sentence for the operator, used while there is no estimator.
     loading : bool
-        Whether the index is being loaded, or loading will be retried.
+        Whether the index is being loaded or loading will be tried again.
     """
 
     settings: Settings
@@ -114,11 +114,11 @@ async def run_frame(request: Request, work: Callable[[Job], T], *, kind: Hashabl
     Parameters
     ----------
     request : Request
-        Its body has been read.
+        The request, whose body has been read.
     work : callable
         Returns the result.
     kind : hashable
-        What was sent; together with the route it determines how long the work takes.
+        The kind of content that was sent; with the route, it determines how long the work takes.
     """
 
     async def until_gone() -> None:

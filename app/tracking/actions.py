@@ -1,8 +1,8 @@
 """What a tracked person does: a linear model on features of the motion of the last seconds.
 
-Features tell how a skeleton moves. Lengths are in legs, and joints are described from the person's
-point of view: outward (towards their own side), up and forward of the pelvis. Of the two limbs of
-a pair, the larger and the smaller value count, not the left and the right one.
+Features describe how a skeleton moves. Lengths are in legs, and joints are described from the
+person's point of view: outward (towards their own side), up and forward of the pelvis. Of the two
+limbs of a pair, the larger and the smaller value are used, rather than the left and the right one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 MODEL = Path(__file__).parent / "models" / "actions.json"
 
 EVERYDAY = ("lie", "sit", "stand", "walk", "run")
-"""Actions that are likelier than exercises where the motion of limbs is not seen."""
+"""Actions that are likelier than exercises if the motion of limbs is not seen."""
 
 SHOWN_BY: dict[str, tuple[Posture, ...]] = {
     "lie": ON_THE_GROUND,
@@ -41,12 +41,12 @@ SHOWN_BY: dict[str, tuple[Posture, ...]] = {
     "walk": ("walking",),
     "run": ("running",),
 }
-"""Postures in which an action is seen; all others are done on the spot, upright."""
+"""Postures in which an action is seen; all other actions have those of ``ON_THE_SPOT``."""
 
 ON_THE_SPOT: tuple[Posture, ...] = ("standing", "arms_raised", "bending")
 
 RATE_HZ = 10.0
-"""Poses a second that features are computed from."""
+"""Poses a second from which features are computed."""
 
 SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
 """Metres a second: on the spot, shifting, walking, and faster than a walk. With these bands a
@@ -69,11 +69,11 @@ class PoseSample:
     points_3d : (24, 3) float64 array
         Camera axes, metres, origin at the pelvis.
     pelvis_px : (2,) float64 array
-        In the frame.
+        Pelvis in the frame.
     pixels_per_metre : float
-        At the person's distance.
+        Scale at the person's distance.
     elevation_deg : float
-        Of the camera above the person.
+        Elevation of the camera above the person.
     """
 
     timestamp: float
@@ -86,8 +86,9 @@ class PoseSample:
     def of(cls, timestamp: float, smoothed: Smoothed) -> PoseSample:
         """Sample a smoothed pose."""
         pose = smoothed.pose
-        # A ratio of sizes rather than the least squares of index.skeleton.pixels_per_metre: a
-        # smoothed skeleton may be turned away from the points in the picture.
+        # The scale is a ratio of sizes rather than the least squares of
+        # index.skeleton.pixels_per_metre, since a smoothed skeleton may be turned away from the
+        # points in the picture.
         spread_px, spread_m = (
             float(np.linalg.norm(points - points[_PELVIS], axis=1).sum())
             for points in (pose.points_2d, pose.points_3d[:, :2])
@@ -132,7 +133,7 @@ class ActionModel:
 
     @classmethod
     def load(cls, file: Path = MODEL) -> ActionModel:
-        """Read what ``python -m scripts train-actions`` wrote."""
+        """Read the model that ``python -m scripts train-actions`` wrote."""
         values = json.loads(file.read_text())
         return cls(
             tuple(values["actions"]),
@@ -157,8 +158,8 @@ class ActionModel:
         votes : (..., A) float64 array
             From :meth:`votes`.
         clarity : float
-            How clearly the motion of limbs is seen, 0 to 1; the less, the more everyday actions
-            count.
+            How clearly the motion of limbs is seen, 0 to 1; if it is less clear, everyday actions
+            get more weight.
 
         Returns
         -------
@@ -184,12 +185,12 @@ class ActionModel:
 
 @lru_cache(maxsize=1)
 def shipped_model() -> ActionModel:
-    """The model in the package."""
+    """The model that ships with the package."""
     return ActionModel.load()
 
 
 class ActionRecogniser:
-    """Recognises what the person of a track does, from its last seconds.
+    """Recognises what the person of a track does, from the last seconds.
 
     Parameters
     ----------
@@ -218,18 +219,18 @@ class ActionRecogniser:
         Parameters
         ----------
         timestamp : float
-            Seconds, after those of the frames before.
+            Seconds, later than that of the previous frame.
         person : Person
             With at least one hypothesis.
         smoothed : Smoothed
             The track's pose at this frame.
         posture : EstimatedPosture, optional
-            The track's, where it is more reliable than the motion: with landmarks.
+            Posture of the track, given if it is more reliable than the motion, as with landmarks.
 
         Returns
         -------
         RecognisedAction or None
-            None until the person was seen for a second, and where no action is likely.
+            None until the person has been seen for a second, and if no action is likely.
         """
         self._add_sample(timestamp, person, smoothed)
         if timestamp - self._window[0][0].timestamp < self._parameters.min_window_s:
@@ -276,7 +277,7 @@ def posture_factors(
     posture: EstimatedPosture,
     parameters: ActionParameters = DEFAULTS.actions,
 ) -> NDArray[np.float64]:
-    """How well each action goes with a posture, ``(A,)``."""
+    """Factors ``(A,)`` that say how well each action agrees with a posture."""
     shown = [posture.share(SHOWN_BY.get(action, ON_THE_SPOT)) for action in actions]
     return parameters.min_posture + np.array(shown)
 
@@ -319,9 +320,9 @@ def action_features(
     points_3d : (T, P, 3) float64 array
         Camera axes, metres, ``RATE_HZ`` poses a second; the first 19 points are the joints.
     up : (3,) float64 array
-        Away from the ground, in the same axes.
+        Direction away from the ground, in the same axes.
     path : (T, 2) float64 array
-        Of the pelvis, metres, from :func:`app.tracking.ground_motion.ground_path`.
+        Path of the pelvis, metres, from :func:`app.tracking.ground_motion.ground_path`.
 
     Returns
     -------
@@ -388,7 +389,7 @@ def _coordination(
 
 
 def _turning(at: dict[str, NDArray[np.float64]], left: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How shoulders turn against hips, and the whole body; radians and radians a second."""
+    """Turn of the shoulders against the hips, and of the body; radians and radians a second."""
     yaw = {}
     for name in ("shoulder", "hip"):
         across = at[f"left_{name}"] - at[f"right_{name}"]

@@ -1,4 +1,4 @@
-"""Sightings of a frame are matched to tracks, by box, distance and appearance."""
+"""Match the sightings of a frame to tracks, by box, distance and appearance."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> ND
     Returns
     -------
     (2 * 40,) float32 array
-        Hue by saturation, and brightness, of each half; sums to 1.
+        Histograms of hue by saturation, and of brightness, for each half; they sum to 1.
     """
     rows, columns = silhouette.crop.shape
     left, top = silhouette.left, silhouette.top
@@ -64,12 +64,12 @@ def associate(
     ----------
     tracks, sightings : sequences of Track and Sighting
     timestamp : float
-        Seconds, of the sightings.
+        Time of the sightings, seconds.
 
     Returns
     -------
     list of int or None
-        For each sighting the position of its track, None for a new person.
+        For each sighting, the position of its track; None for a new person.
     """
     if not tracks or not sightings:
         return [None] * len(sightings)
@@ -84,7 +84,7 @@ def _costs(
     timestamp: float,
     parameters: MatchingParameters,
 ) -> NDArray[np.float64]:
-    """Costs ``(T, S)`` of all pairs, above the maximum where both cannot be the same person."""
+    """Costs ``(T, S)`` of all pairs, above the maximum if both cannot be the same person."""
     costs = np.full((len(tracks), len(sightings)), 10 * parameters.max_cost)
     for row, track in enumerate(tracks):
         predicted, last = track.box_filter.predict(timestamp), track.box_filter.seen
@@ -94,7 +94,8 @@ def _costs(
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
             away = _distance(predicted, box) / max(_size(predicted), _size(box))
-            # The box of a person who bends fast is smaller than predicted, but not than the last.
+            # When a person bends quickly, the box shrinks faster than the predicted size, which is
+            # averaged over frames; the last observed box is then closer in size.
             growth = min(_growth(predicted, box), _growth(last, box)) / max_growth
             in_window = sighting.track is track
             if not in_window and (away > reach or growth > 1):
@@ -113,12 +114,12 @@ def _costs(
 
 
 def _growth(before: Box, after: Box) -> float:
-    """Log ratio of the sizes of two boxes, without its sign."""
+    """Absolute log ratio of the sizes of two boxes."""
     return abs(math.log(_size(after) / _size(before)))
 
 
 def _size(box: Box) -> float:
-    """Length of a body: unlike the height, it stays the same in a fall."""
+    """Length of a body. Unlike the height, it stays the same in a fall."""
     return max(box.width, box.height)
 
 

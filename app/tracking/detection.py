@@ -1,8 +1,9 @@
-"""Finds the people of a camera's frame: each track by its own window, new people by a search.
+"""Finds the people of a camera's frame: tracked people in their windows, new people by a search.
 
-Tracked people are read on every frame, in the windows that their last landmarks point to. Now and
-then, and where a track's window shows nobody any more, the whole frame is searched, for new people
-and to check the tracks: MoveNet, which needs no window, finds tracks that have drifted off.
+Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
+to. Now and then, and if a track's window no longer shows anybody, the whole frame is searched, to
+find new people and to check the tracks: MoveNet, which needs no window, finds people whose windows
+have drifted off.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from app.vision.truncation import ends_at_border
 class _Target:
     """A person to read: a detection, or a track whose person no detection shows."""
 
-    detection: Detection  # Of a track, its predicted box.
+    detection: Detection  # For a track, it has the predicted box.
     track: Track | None  # None for a detection.
-    window: PersonWindow | None  # Of the track, also of one that a detection shows.
-    tracked: PoseReading | None = None  # In that window, where it has been read already.
+    window: PersonWindow | None  # Window of the track, even if a detection shows its person.
+    tracked: PoseReading | None = None  # Reading in that window, if it has been read already.
 
 
 class TrackedPeopleDetector:
@@ -67,14 +68,14 @@ class TrackedPeopleDetector:
         timestamp : float
             Seconds.
         tracks : sequence of Track
-            All of the session.
+            All tracks of the session.
         job : Job
             Charged with the time of each stage.
 
         Returns
         -------
         list of Sighting
-            Each with the track in whose window the person was read, None after a search.
+            Each has the track in whose window the person was read, or None after a search.
         """
         frame = upload.frame
         read = self._read_people(frame, timestamp, tracks, job)
@@ -94,7 +95,7 @@ class TrackedPeopleDetector:
             if silhouette is None:
                 continue
             score = target.track.score if target.track else target.detection.score
-            # A detector's box may hold more than the body that is read in it.
+            # A detector's box may include more than the person's body.
             place = silhouette.box if reading.presence >= self._parameters.min_presence else box
             person = make_observation(
                 frame, upload.camera, place, "detector", score, silhouette, reading
@@ -107,9 +108,9 @@ class TrackedPeopleDetector:
     ) -> list[tuple[_Target, PoseReading | None]]:
         """Read the tracks in their windows or, if that is not enough, all people found by a search.
 
-        The search lowers its threshold near people who were lost in this frame or the one before. A
-        track that is not confirmed yet, or whose person has left the frame, causes no search before
-        the next one is due.
+        The search uses a lower threshold near people who have been lost, until their tracks end. A
+        lost track that was not confirmed, or whose person has left the frame, does not cause a
+        search before the next one is due.
         """
         recent = [
             track
@@ -198,7 +199,7 @@ class TrackedPeopleDetector:
         return fuse(reading, keypoints)
 
     def _body_box(self, reading: PoseReading) -> Box:
-        """The box about a body, whose landmarks end short of the crown, hands and feet."""
+        """The box about a body; its landmarks do not reach to the crown, fingers and toes."""
         box = reading.landmarks.box()
         margin = self._parameters.body_margin * max(box.width, box.height)
         return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
@@ -207,7 +208,7 @@ class TrackedPeopleDetector:
 def _distinct(found: Sequence[tuple[_Target, PoseReading]]) -> list[tuple[_Target, PoseReading]]:
     """One reading of each body, in their order: a detection's rather than a track's.
 
-    Of two tracks, the one predicted nearer to the body counts.
+    Of two tracks, the one whose predicted box is nearer to the body is kept.
     """
 
     def rank(row: int) -> tuple[float, float]:

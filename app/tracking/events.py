@@ -15,7 +15,7 @@ from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 
 class _Hysteresis:
-    """A low-pass filtered probability, and whether something holds by it, with hysteresis."""
+    """A low-pass filtered probability, and a state that follows it with hysteresis."""
 
     def __init__(self, parameters: EventParameters) -> None:
         self._parameters = parameters
@@ -24,7 +24,7 @@ class _Hysteresis:
         self.since = 0.0
 
     def update(self, timestamp: float, probability: float, seconds: float) -> EventState | None:
-        """Add a frame that stands for some seconds; return what changed."""
+        """Add a frame that counts for ``seconds``; return the change of state, if any."""
         kept = math.exp(-seconds / self._parameters.settling_s)
         self.level = kept * self.level + (1 - kept) * probability
         if not self.holds and self.level >= self._parameters.begins_from:
@@ -38,7 +38,7 @@ class _Hysteresis:
 
 @dataclass(frozen=True)
 class Reliability:
-    """How much a frame of a track counts, 0 to 1.
+    """Weight of a frame of a track, 0 to 1.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class HipHeight:
         elevation_deg: float,
         parameters: EventParameters = DEFAULTS.events,
     ) -> HipHeight:
-        """The height as a camera sees it at an elevation, which foreshortens vertical metres."""
+        """The height seen by a camera at an elevation, which foreshortens vertical metres."""
         angle = math.radians(min(abs(elevation_deg), parameters.max_elevation_deg))
         return cls(y_px, px_per_m * math.cos(angle))
 
@@ -91,10 +91,10 @@ class DropDetector:
         self._drops = False
         self._drop_m = 0.0
         self.dropped_at: float | None = None
-        """When the hips began to be far below where they were, seconds; None if they are not."""
+        """Time at which the hips had sunk far enough, seconds; None unless they are still low."""
 
     def update(self, timestamp: float, hips: HipHeight) -> None:
-        """Add the place of the hips in a frame."""
+        """Add the position of the hips in a frame."""
         limits = self._parameters
         self._recent.append((timestamp, hips))
         while self._recent[0][0] < timestamp - limits.drop_within_s:
@@ -114,7 +114,7 @@ class DropDetector:
         self._drops = drops
 
     def min_on_ground(self) -> float:
-        """Probability of being on the ground that makes the last drop a fall."""
+        """Probability of being on the ground from which the last drop is a fall."""
         limits = self._parameters
         deeper_m = max(0.0, self._drop_m - limits.min_drop_m)
         needed = limits.min_on_ground - limits.on_ground_per_m * deeper_m
@@ -149,16 +149,16 @@ class EventDetector:
         Parameters
         ----------
         track_id : int
-            Of the events.
+            Identity of the person in the events.
         timestamp : float
-            Seconds, after those of the frames before.
+            Seconds, later than that of the previous frame.
         shares : (10,) float64 array
             Probability of each of ``POSTURES`` at this frame.
         reliability : Reliability
             Weights of the frame: ``body`` for postures and gestures, ``person`` for being on the
             ground.
         hips : HipHeight, optional
-            None where they are not seen.
+            Height of the hips; None if they are not seen.
         rests : bool
             Whether the person is in a zone for resting, where lying is no event.
         """
@@ -204,7 +204,7 @@ class EventDetector:
         return self._down_s > 0 or self._last_at - dropped_at <= self._parameters.down_within_s
 
     def _fell(self, timestamp: float, elapsed: float) -> bool:
-        """Whether a fall is certain as of now; true once until the person is up again."""
+        """Whether a fall has become certain; true only once until the person is up again."""
         drop, limits, level = self._drop, self._parameters, self._down.level
         if level < limits.ends_below:
             self._fallen = False

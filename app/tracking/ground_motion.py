@@ -1,10 +1,10 @@
 """Motion over the ground, from where a person is in the picture.
 
 A person who moves away by ``d`` metres rises in the picture by ``d * sin(elevation)`` metres at
-their scale. From a low camera that sine is small and noise would dominate, so it has a floor, a
-different one for each of two uses. A velocity (:class:`GroundMotion`) gives headings, whose
-direction has to be right: its floor is low, and steps away count less in ``reliable_speed``. A path
-(:func:`ground_path`) gives features of actions, whose speeds have to be right: its floor is high,
+their scale. For a low camera that sine is small and noise would dominate, so it has a minimum,
+which differs between two uses. A velocity (:class:`GroundMotion`) gives headings, whose direction
+has to be right: its minimum is low, and steps away have less weight in ``reliable_speed``. A path
+(:func:`ground_path`) gives features of actions, whose speeds have to be right: its minimum is high,
 and the weights of actions were trained with it.
 """
 
@@ -27,11 +27,11 @@ class GroundVelocity:
     Parameters
     ----------
     right : float
-        Towards the right of the picture.
+        Velocity towards the right of the picture.
     away : float
-        Away from the camera.
+        Velocity away from the camera.
     reliable_speed : float
-        The speed with little noise in it: seen by a low camera, steps away count less.
+        A speed with little noise: for a low camera, steps away from it have less weight.
     """
 
     right: float
@@ -48,9 +48,9 @@ STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 
 class GroundMotion:
-    """Measures a person's velocity by the centre of their box.
+    """Measures a person's velocity from the centre of their box.
 
-    The camera's elevation, an estimate of each frame's hypotheses, is averaged over all frames.
+    The camera's elevation, which each frame's hypotheses estimate, is averaged over all frames.
     """
 
     def __init__(self, parameters: GroundParameters = DEFAULTS.ground) -> None:
@@ -74,11 +74,11 @@ class GroundMotion:
         timestamp : float
             Seconds.
         box : Box
-            Of the whole person, pixels.
+            Box of the whole person, pixels.
         px_per_m : float
             Scale of the person in the picture.
         elevation_deg : float
-            Of the camera, by this frame's hypotheses.
+            Elevation of the camera, from this frame's hypotheses.
         """
         parameters = self._parameters
         self._elevation_sum_deg += elevation_deg
@@ -111,11 +111,11 @@ def ground_path(
     Parameters
     ----------
     pelvis_px : (T, 2) float64 array
-        In the frame.
+        Pelvis in the frame.
     pixels_per_metre : float
         Scale of the person in the picture.
     elevation_deg : float
-        Of the camera above the person.
+        Elevation of the camera above the person.
 
     Returns
     -------

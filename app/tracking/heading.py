@@ -1,7 +1,7 @@
 """Headings over time: a Bayes filter on the circle of azimuths.
 
-Single frames confuse front and back, or left and right, above all of people who are small or seen
-from the side. People turn steadily, and mostly walk in the direction they face.
+Single frames confuse front and back, or left and right, above all for people who are small or seen
+from the side. People turn gradually, and mostly walk in the direction they face.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from app.tracking.parameters import DEFAULTS, HeadingParameters
 from index.skeleton import wrap_degrees
 
 BINS = 36
-"""Azimuths of the distribution, all round."""
+"""Number of azimuths in the distribution, over the whole circle."""
 
 _CENTRES_DEG = (np.arange(BINS) + 0.5) * 360 / BINS - 180
 _FRONT = np.abs(_CENTRES_DEG) < 90
@@ -76,11 +76,11 @@ class HeadingFilter:
         timestamp : float
             Seconds, later than the last one.
         azimuths_deg, weights : (N,) float64 arrays
-            Of the frame's hypotheses; weights sum to 1.
+            Azimuths and weights of the frame's hypotheses; weights sum to 1.
         clarity : float
             How clearly the picture shows the azimuth, 0 to 1.
         velocity : GroundVelocity
-            Of the person.
+            Velocity of the person.
         """
         parameters = self._parameters
         shares, independence = np.full(BINS, 1 / BINS), 1.0
@@ -100,21 +100,21 @@ class HeadingFilter:
         return heading
 
     def walking_weight(self, velocity: GroundVelocity) -> float:
-        """How much a person's direction of motion counts, 0 to 1."""
+        """Weight of a person's direction of motion, 0 to 1."""
         low, high = self._parameters.min_walking_m_s, self._parameters.full_walking_m_s
         return float(np.clip((velocity.speed - low) / (high - low), 0, 1))
 
     def _predict(
         self, timestamp: float, before: float, last: Heading
     ) -> tuple[NDArray[np.float64], float]:
-        """The distribution by prediction, and how independent a frame is of the last."""
+        """The predicted distribution, and how independent a frame is of the previous one."""
         parameters, elapsed = self._parameters, timestamp - before
         shares = last.shares @ _normal_about(_CENTRES_DEG, parameters.turn_deg * np.sqrt(elapsed))
         jumps = 1 - float(np.exp(-parameters.jumps_per_s * elapsed))
         return _with_outliers(shares, jumps), min(1.0, parameters.independent_hz * elapsed)
 
     def _sees_front(self, probability: float) -> bool:
-        """Whether the camera sees the front, by the last side and its probability now."""
+        """Whether the camera sees the front, from the last side and its current probability."""
         if self._last is None:
             return probability >= 0.5
         front = self._last[1].front

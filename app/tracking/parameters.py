@@ -19,11 +19,11 @@ class SessionParameters:
 
     min_step_s: float = 1e-3  # Frames closer together have no order that a camera could have seen.
     max_gap_s: float = 10.0  # After a longer gap the scene may be another one.
-    # A frame that is late by more than this was not overtaken: the clock was set, or an earlier
-    # timestamp was wrong.
+    # A frame that is late by more than this was not overtaken by another one: the clock was set, or
+    # an earlier timestamp was wrong.
     max_late_s: float = 5.0
-    # Seconds without a sighting after which a track is dropped, and the same for a person who is
-    # hidden behind another one, or who vanished away from the border of the frame.
+    # Seconds without a sighting after which a track is dropped: usually, and for a person who is
+    # hidden behind another one or vanished away from the frame's border.
     dropped_after_s: float = 0.5
     predicted_for_s: float = 2.0
     hidden_share: float = 0.5  # Share of a person's box that another must cover to hide them.
@@ -33,50 +33,51 @@ class SessionParameters:
 class DetectionParameters:
     """How the people of a frame are found."""
 
-    search_every_s: float = 0.4  # Between two searches of the whole frame.
-    window_lasts_s: float = 0.5  # A window shows where its person is for this long.
-    # A window has lost its person below this presence by the landmark network, and where the next
-    # one would be farther away than this, in windows.
+    search_every_s: float = 0.4  # Time between two searches of the whole frame.
+    window_lasts_s: float = 0.5  # A track's window is read for this long after a sighting.
+    # A window has lost its person if the landmark network's presence is below the first number, or
+    # if the next window would be farther away than the second, as a share of the window's side.
     min_presence: float = 0.5
     max_drift: float = 0.35
-    # Size of a body from which MoveNet places joints in a track's window too. That takes as long
+    # Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long
     # as the reading itself; poses of smaller people are averaged over more frames instead.
     movenet_from_px: float = 200.0
-    body_margin: float = 0.1  # Around the landmarks, to cut out a body; as a share of their box.
+    body_margin: float = 0.1  # Margin around a body's landmarks, as a share of their box.
     min_track_iou: float = 0.3  # Overlap of a detection with the predicted box of its track.
 
 
 @dataclass(frozen=True)
 class BoxParameters:
-    """The filter of a person's box."""
+    """The filter that predicts a person's box."""
 
-    # Shares of the difference between prediction and observation that correct each.
+    # Share of the difference between prediction and observation by which each is corrected.
     place_gain: float = 0.7
     velocity_gain: float = 0.3
     size_gain: float = 0.3
-    drift_s: float = 1.0  # Time for an unseen person's velocity to fall to 1/e.
-    min_step_s: float = 1e-3  # A frame that is sent again has the same time.
+    drift_s: float = 1.0  # Time in which an unseen person's velocity falls to 1/e.
+    min_step_s: float = 1e-3  # Least elapsed time: a frame that is sent again has the same time.
 
 
 @dataclass(frozen=True)
 class MatchingParameters:
     """How sightings are matched to tracks; distances are in sizes of the person."""
 
-    # Distance from the predicted place at which a person may be seen: at once, for each second
-    # since the last sighting, and at most.
+    # Largest distance of a person from the predicted place: at once, its growth for each second
+    # since the last sighting, and its limit.
     near: float = 0.3
     near_per_s: float = 1.0
     far: float = 2.0
-    # Largest ratio of two sizes of one person at once, and once more for each second since the
-    # last sighting: a person who falls towards the camera shrinks within half a second.
+    # Largest ratio of two sizes of one person at once; it applies once more for each second since
+    # the last sighting. A person who falls towards the camera shrinks within half a second.
     max_growth: float = 1.6
     # Weights of the costs of a pair, each 0 to 1 within the limits above.
     place_weight: float = 0.4
     overlap_weight: float = 0.3
     size_weight: float = 0.2
     appearance_weight: float = 0.6
-    unknown_appearance: float = 0.3  # Cost of the appearance where either is unknown.
-    window_factor: float = 0.5  # On the cost for the track in whose window the person was read.
+    unknown_appearance: float = 0.3  # Cost of the appearance if either one is unknown.
+    # Factor of the cost for the track in whose window the person was read.
+    window_factor: float = 0.5
     max_cost: float = 1.1  # At a higher cost a sighting begins a new track.
 
 
@@ -84,15 +85,17 @@ class MatchingParameters:
 class TrackParameters:
     """When a track counts as a person."""
 
-    # Where landmarks are read, the probability that a track is a person, from which it counts as
-    # one; and the share of people among the windows of its training.
+    # With landmarks: the probability of a person from which a track counts as one, and the share of
+    # people among the windows that the model of this probability was trained on.
     min_probability: float = 0.9
     people_share: float = 6 / 7
-    window_mean_s: float = 3.0  # Windows are averaged over this: a person may take a seat.
-    # Elsewhere, the detector's score that is enough at once, and the sightings that always are.
+    # Time over which windows are averaged: a person may take a seat that was followed while empty.
+    window_mean_s: float = 3.0
+    # Without landmarks: the detector's score that is enough at once, and the number of sightings
+    # that is always enough.
     confirming_score: float = 0.6
     confirming_sightings: int = 3
-    # Exponent of the probability that landmarks are right, for how much a frame's posture counts.
+    # Exponent of the probability that landmarks are right, in the weight of a frame's posture.
     # On held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability
     # is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
     reliability_exponent: float = 0.25
@@ -103,14 +106,14 @@ class TrackParameters:
 class GroundParameters:
     """How motion over the ground is measured; see :mod:`app.tracking.ground_motion`."""
 
-    window_s: float = 1.0  # A velocity is measured over this.
-    min_frames: int = 3  # Needed for a velocity.
-    # Floors of the elevation for a velocity, whose direction counts, and of its sine for the path
-    # from which actions are recognised, in which noise must not look like steps.
+    window_s: float = 1.0  # Time over which a velocity is measured.
+    min_frames: int = 3  # Fewest frames for a velocity.
+    # Least elevation for a velocity, whose direction matters, and its least sine for the path from
+    # which actions are recognised, in which noise must not look like steps.
     min_elevation_deg: float = 6.0
     min_path_sine: float = 0.35
-    # Elevation from which steps away count in full for the speed: seen from lower, they hardly
-    # change the height in the picture.
+    # Elevation from which steps away from the camera count in full for the speed: seen by a lower
+    # camera, they hardly change the height in the picture.
     reliable_elevation_deg: float = 20.0
 
 
@@ -123,20 +126,23 @@ class HeadingParameters:
     deviation.
     """
 
-    turn_deg: float = 80.0  # Of a turn within a second.
-    jumps_per_s: float = 0.05  # To any other heading: detection and identity may be wrong.
-    seen_deg: float = 20.0  # Of the azimuth of a right hypothesis, for small people.
-    clearly_seen_deg: float = 15.0  # The same for large people.
-    outlier_share: float = 0.2  # Of frames in which no hypothesis faces the right way.
-    walking_deg: float = 40.0  # Of the direction in which people walk from the one they face.
-    backward_share: float = 0.1  # Of people who walk in any other direction.
-    direction_weight: float = 0.3  # Of the walking direction, which is measured over a second.
-    min_walking_m_s: float = 0.5  # Speed from which the walking direction counts.
-    full_walking_m_s: float = 1.0  # Speed from which it counts in full.
-    # Probability that exchanges front and back: people seen from the side keep one of them.
+    turn_deg: float = 80.0  # Turn of a person within a second.
+    # Rate of jumps to any other heading: detection and identity may be wrong.
+    jumps_per_s: float = 0.05
+    seen_deg: float = 20.0  # Error of a right hypothesis's azimuth, for small people.
+    clearly_seen_deg: float = 15.0  # The same error for large people.
+    outlier_share: float = 0.2  # Share of frames in which no hypothesis faces the right way.
+    walking_deg: float = 40.0  # Angle between the directions in which people walk and face.
+    backward_share: float = 0.1  # Share of people who walk in any other direction.
+    # Weight of the walking direction, which is measured over a second.
+    direction_weight: float = 0.3
+    min_walking_m_s: float = 0.5  # Speed from which the walking direction is used.
+    full_walking_m_s: float = 1.0  # Speed from which it has its full weight.
+    # Probability of the other side from which front and back are exchanged: people seen from the
+    # side keep one of them.
     switch_from: float = 0.8
-    min_turned_deg: float = 2.0  # Shoulders are turned at least so far from the exact side view.
-    independent_hz: float = 6.0  # At higher rates each frame counts less.
+    min_turned_deg: float = 2.0  # Least turn of the shoulders from the exact side view.
+    independent_hz: float = 6.0  # Frame rate above which each frame counts less.
 
 
 @dataclass(frozen=True)
@@ -144,28 +150,30 @@ class SmoothingParameters:
     """The hidden Markov model of poses."""
 
     max_states: int = 12  # Hypotheses of a frame that become states; 30 are no better.
-    reference_hz: float = 10.0  # The rate that the weights and costs below are given for.
-    confidence_weight: float = 1.5  # Of the log of a hypothesis's confidence.
-    # Of the log of the distance by silhouette and landmarks, where landmarks were read: the
+    reference_hz: float = 10.0  # Frame rate for which the weights and costs below are given.
+    confidence_weight: float = 1.5  # Weight of the log of a hypothesis's confidence.
+    # Weight of the log of the distance by silhouette and landmarks, if landmarks were read: the
     # confidences of all hypotheses that agree with them are near 1.
     landmark_weight: float = 40.0
-    # Height from which landmarks weigh in full, the side of the network's window. Those of smaller
-    # people jitter, and motion counts more.
+    # Height from which landmarks have their full weight: the side of the network's window. Those of
+    # smaller people jitter, so motion counts more.
     full_weight_px: float = LANDMARK_PX
-    # Nats for each metre that joints move on average from frame to frame; up to twice as many at
-    # higher rates, fewer at lower ones.
+    # Cost in nats of each metre that joints move on average from frame to frame; up to twice as
+    # much at higher rates, less at lower ones.
     cost_per_m: float = 60.0
-    max_cost: float = 48.0  # No move is impossible: detection and identity may be wrong.
-    heading_weight: float = 1.0  # Of the log of the heading's probability.
+    # Largest cost of a move: none is impossible, since detection and identity may be wrong.
+    max_cost: float = 48.0
+    heading_weight: float = 1.0  # Weight of the log of the heading's probability.
     nearby_m: float = 0.25  # Poses at this distance from the most probable one weigh 60 % of it.
-    sharpness: float = 0.5  # Exponent of probabilities: frames are no independent evidence.
-    # Time over which a line is fitted to the averages, for silhouettes alone and where landmarks,
-    # which follow quick limbs, weigh in full; and the most frames in it.
+    sharpness: float = 0.5  # Exponent of probabilities: frames are not independent.
+    # Time over which a line is fitted to the averages: for silhouettes alone, and for landmarks of
+    # full weight, which follow quick limbs; and the largest number of frames in it.
     line_s: float = 0.35
     landmark_line_s: float = 0.12
     max_line_frames: int = 24
     extrapolated_s: float = 1.0  # A pose is kept this long without a silhouette.
-    # Log odds that a kept pose loses; measured on the clips that the confidence was fitted on.
+    # Log odds that a kept pose loses in a second; measured on the clips that the confidence was
+    # fitted on.
     lost_per_s: float = 5.0
     # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it
     # and of the share of probability near it; `python -m scripts evaluate tracking --fit-tracks`.
@@ -179,7 +187,8 @@ class PostureParameters:
     """The average of postures over time."""
 
     settling_s: float = 0.4  # Time constant with which the posture follows the frames.
-    max_step_s: float = 1.0  # After a longer gap the newest frame counts no more than after this.
+    # Longest gap that counts: after a longer one, the newest frame has no more weight.
+    max_step_s: float = 1.0
     wide_from: float = 1.2  # Width over height of a box from which its person is likely lying.
     wide_slope: float = 3.0  # Exponent of that ratio in the odds.
 
@@ -191,20 +200,22 @@ class EventParameters:
     settling_s: float = 0.5  # Time constant of the low-pass filter over the frames.
     begins_from: float = 0.5  # Filtered probability at which something begins.
     ends_below: float = 0.2  # Filtered probability below which it ends.
-    max_step_s: float = 0.34  # For a single frame: just short of where something begins.
+    max_step_s: float = 0.34  # Most time for a single frame: just too short to begin an event.
     # A fall from standing, from a chair or out of bed takes the hips down by this many metres
     # within so many seconds. Bending hardly moves them; people who go to bed lower them by 0.2 m.
     min_drop_m: float = 0.4
     drop_within_s: float = 1.5
-    kept_drop: float = 0.6  # Share of the drop that the hips stay down: a jump comes up again.
+    # Share of the drop by which the hips stay down: after a jump, they come up again.
+    kept_drop: float = 0.6
     # Filtered probability of being on the ground that a fall needs after such a drop, its reduction
-    # for every further metre, and its minimum: below a seat there is only the ground.
+    # for every further metre, and its minimum: hips lower than a seat can only be on the ground.
     min_on_ground: float = 0.5
     on_ground_per_m: float = 1.0
     min_on_ground_after_deep_drop: float = 0.3
-    down_within_s: float = 2.5  # From the drop to that probability.
-    stays_down_s: float = 0.5  # On the ground after the drop, until a fall is reported.
-    max_elevation_deg: float = 60.0  # Of a camera, for how a drop looks shorter from above.
+    down_within_s: float = 2.5  # Longest time from the drop to that probability.
+    stays_down_s: float = 0.5  # Time on the ground after the drop before a fall is reported.
+    # Elevation of a camera up to which a drop is corrected for looking shorter from above.
+    max_elevation_deg: float = 60.0
 
 
 @dataclass(frozen=True)
@@ -214,35 +225,35 @@ class ZoneParameters:
     # Distance outside, in sizes of the person, up to which a person who has entered stays in the
     # zone: feet at a border move by some hundredths of a body from frame to frame.
     margin: float = 0.1
-    settling_s: float = 0.5  # A person is inside or outside this long before it is an event.
+    settling_s: float = 0.5  # Time inside or outside before an event is reported.
 
 
 @dataclass(frozen=True)
 class ActionParameters:
-    """The sliding window of actions, and what counts beside the linear model."""
+    """The sliding window of actions, and what is used beside the linear model."""
 
     window_s: float = 3.0  # Motion from which an action is recognised.
     min_window_s: float = 1.0  # The shortest motion that suffices.
-    every_s: float = 0.5  # Between two results: what people do changes slowly.
+    every_s: float = 0.5  # Time between two results: what people do changes slowly.
     min_step_s: float = 1 / 40  # Poses closer together only add memory: motion is sampled at 10 Hz.
     max_gap_s: float = 1.0  # After a longer gap without a pose the window starts afresh.
-    min_vote: float = 0.02  # Share of the votes of an action that no hypothesis shows.
+    min_vote: float = 0.02  # Share of the votes for an action that no hypothesis shows.
     min_posture: float = 0.1  # Factor of an action that the posture of the moment contradicts.
-    # Of everyday actions against exercises, where the motion of limbs is not seen.
+    # Log odds of everyday actions against exercises if the motion of limbs is not seen.
     everyday_log_odds: float = math.log(10)
-    full_weight_px: float = LANDMARK_PX  # Height from which the motion of limbs counts in full.
+    full_weight_px: float = LANDMARK_PX  # Height from which limbs' motion counts in full.
 
 
 @dataclass(frozen=True)
 class SummaryParameters:
     """The summary of a video."""
 
-    max_gap_s: float = 2.0  # A person unseen for longer is not taken to keep a posture.
+    max_gap_s: float = 2.0  # A person unseen for longer is not assumed to keep a posture.
 
 
 @dataclass(frozen=True)
 class TrackingParameters:
-    """All of them."""
+    """All parameters of tracking."""
 
     session: SessionParameters = SessionParameters()
     detection: DetectionParameters = DetectionParameters()

@@ -1,4 +1,4 @@
-"""A track's posture: the shares of its frames, averaged over time."""
+"""A track's posture: the average, over time, of the shares in its frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LYING = np.array([posture == "lying" for posture in POSTURES], np.float64)
 
 
 class PostureFilter:
-    """Averages the postures of a track's frames, the newest counting most."""
+    """Averages the postures of a track's frames; the newest has the most weight."""
 
     def __init__(self, parameters: PostureParameters = DEFAULTS.posture) -> None:
         self._parameters = parameters
@@ -44,28 +44,28 @@ class PostureFilter:
         Parameters
         ----------
         timestamp : float
-            Seconds, after those of the frames before.
+            Seconds, later than that of the previous frame.
         votes : (10,) float64 array
             Share of each of ``POSTURES`` in the hypotheses of this frame.
         frame_posture : FramePosture or None
-            From the landmarks; None where none were read.
+            Posture from the landmarks; None if none were read.
         presence : float
             Probability that the landmarks are a person's.
         box : Box
-            Of the person.
+            Box of the person.
         weight : float
-            How much the frame counts, 0 to 1.
+            Weight of the frame, 0 to 1.
 
         Returns
         -------
         posture : EstimatedPosture
-            Of the track.
+            Posture of the track.
         shares : (10,) float64 array
-            Of this frame alone.
+            Shares of this frame alone.
         """
         shares = votes
         if frame_posture is not None:
-            # Where the network sees no person, only the shape of the box says how they lie.
+            # If the network does not recognise the person, only the shape of the box shows lying.
             lying = self._wide(box) * _LYING
             shares = presence * shares_of(frame_posture, votes) + (1 - presence) * lying
             shares = shares + (1 - shares.sum()) * votes
@@ -82,6 +82,6 @@ class PostureFilter:
         return likeliest_posture(self._shares, self._presence), shares
 
     def _wide(self, box: Box) -> float:
-        """Probability that the person in a box lies, by its shape alone."""
+        """Probability that the person in a box lies, from its shape alone."""
         narrowness = self._parameters.wide_from * box.height / box.width
         return float(1 / (1 + narrowness**self._parameters.wide_slope))

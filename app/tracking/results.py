@@ -1,4 +1,4 @@
-"""What tracking returns for a frame: people with identities, smoothed poses, actions, events."""
+"""Results of tracking for a frame: people with identities, smoothed poses, actions, events."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Event:
         ``entered``, ``left``, ``zone_entered``, ``zone_left``, ``lying``, ``fell`` or
         ``arms_raised``.
     track_id : int
-        Of the person.
+        Identity of the person.
     state : str
         ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
         ``unconfirmed`` if it had only begun to show at the last frame.
@@ -71,7 +71,7 @@ class Event:
     caller_track_id : str or None
         As in :class:`TrackedPerson`.
     dwell_s : float or None
-        Seconds that the person was in the zone, for ``zone_left`` alone.
+        Seconds that the person was in the zone; only for ``zone_left``.
     """
 
     event: EventName
@@ -97,9 +97,9 @@ class TrackedPerson:
     age_frames : int
         Frames since the track began, this one included.
     pose : SmoothedPose or None
-        None where the track has no pose of the last second: no silhouette was found.
+        None if the track has had no silhouette, and so no pose, for a second.
     action : RecognisedAction or None
-        None until enough frames were seen, and where no action is likely.
+        None until enough frames have been seen, and if no action is likely.
     zones : tuple of str
         Names of the zones in which the person is.
     caller_track_id : str or None
@@ -124,11 +124,11 @@ class TrackedFrame:
     frame : (H, W, 3) uint8 array
         As sent, BGR.
     camera : PinholeCamera
-        Of the frame with square pixels.
+        Camera of the frame with square pixels.
     warnings : tuple of str
-        Of the frame; see :class:`app.vision.images.Photograph`.
+        Warnings about the frame; see :class:`app.vision.images.Photograph`.
     frame_index : int
-        Of the session, from 0.
+        Number of the frame in the session, from 0.
     timestamp : float
         Seconds.
     session : str
@@ -140,7 +140,7 @@ class TrackedFrame:
     events : tuple of Event
         What began, ended or happened at this frame.
     timings_ms : dict
-        By stage, and ``total``.
+        Milliseconds by stage, and ``total``.
     """
 
     frame: NDArray[np.uint8]

@@ -27,7 +27,7 @@ from app.vision.truncation import ends_at_border
 from index.parameters import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 110_000
-"""What a track of some seconds holds; a test measures it."""
+"""Memory of a track that is a few seconds long; a test measures it."""
 
 
 class LateFrameError(ValueError):
@@ -63,7 +63,7 @@ class CameraSession:
         self._size: tuple[int, ...] | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
-        # Not reported yet: a frame may fail half-way.
+        # These have not been reported yet, since a frame may fail half-way.
         self._reset: str | None = None
         self._events: list[Event] = []
 
@@ -79,7 +79,7 @@ class CameraSession:
 
     @property
     def memory_bytes(self) -> int:
-        """About what the session holds."""
+        """Approximate memory used by the session."""
         return TRACK_BYTES * len(self._tracks)
 
     def process(
@@ -102,12 +102,12 @@ class CameraSession:
         n : int
             Hypotheses of each person in the result.
         job : Job
-            Checked between steps. Where it raises, the next frame reports what began or ended at
-            this one.
+            Checked between steps. If it raises, the next frame reports what began or ended at this
+            one.
         evidence : str
             As in :meth:`app.estimation.estimator.Estimator.estimate`.
         zones : sequence of Zone
-            Those of the camera; they may change between frames.
+            Zones of the camera; they may change between frames.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class CameraSession:
         seen = self._identify(sightings, timestamp, zones)
         self._drop_unseen(timestamp)
         tracked = self._with_poses(seen, decoded, timestamp, n, zones, job)
-        # Only now, so that a frame that failed half-way may be sent again.
+        # The time is stored only now, so that a frame that failed half-way may be sent again.
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reset, self._reset = self._reset, None
@@ -166,7 +166,7 @@ class CameraSession:
         return timestamp
 
     def _start_afresh_if_needed(self, shape: tuple[int, ...], timestamp: float) -> None:
-        """Drop all tracks where the frame cannot continue those before."""
+        """Drop all tracks if the frame cannot continue the previous ones."""
         before, self._size = self._size, shape[:2]
         gap, max_gap_s = timestamp - self._timestamp, self._parameters.session.max_gap_s
         if before is None:
@@ -194,7 +194,7 @@ class CameraSession:
         timestamp: float,
         job: Job,
     ) -> list[Sighting]:
-        """Find people by the tracks' windows, or where the caller says they are."""
+        """Find people using the tracks' windows, or where the caller says they are."""
         reads = evidence == "photograph" and upload.frame is not None
         if reads and upload.mask is None and upload.boxes is None and upload.background is None:
             return self._detector.find(decoded, timestamp, self._tracks, job)
@@ -206,7 +206,7 @@ class CameraSession:
     def _named_by_caller(
         self, people: Sequence[ObservedPerson], caller_ids: Sequence[str], timestamp: float
     ) -> list[Sighting]:
-        """People with the tracks that the caller's identities name."""
+        """Give each person the track that has the caller's identity for them."""
         known = {track.caller_id: track for track in self._tracks}
         sightings = []
         for person, caller_id in zip(people, caller_ids, strict=True):
@@ -221,7 +221,7 @@ class CameraSession:
     ) -> list[tuple[ObservedPerson, Track]]:
         """Give each sighting a track, and return the people of confirmed ones, left to right.
 
-        People hidden behind another one are included, where they are expected.
+        People hidden behind another person are included at their expected places.
         """
         seen = []
         for sighting, known in zip(sightings, self._assign(sightings, timestamp), strict=True):
@@ -235,7 +235,7 @@ class CameraSession:
         return sorted(confirmed, key=lambda pair: pair[0].box.x)
 
     def _assign(self, sightings: Sequence[Sighting], timestamp: float) -> list[Track | None]:
-        """The track of each sighting, None for a new person; the caller's identities win."""
+        """The track of each sighting, None for a new person; the caller's identities decide."""
         tracks = [
             sighting.track if sighting.track and sighting.track.caller_id else None
             for sighting in sightings
@@ -287,7 +287,7 @@ class CameraSession:
         self._tracks = kept
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
-        """Predicted box of a person who is hidden behind another one; None if nobody hides them."""
+        """Predicted box of a person hidden behind another person; None if nobody hides them."""
         parameters = self._parameters.session
         if self._size is None or timestamp - track.seen_at > parameters.predicted_for_s:
             return None
@@ -320,7 +320,7 @@ class CameraSession:
         zones: Sequence[Zone],
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
-        """Estimate the poses of those who have a silhouette, and update the tracks by them."""
+        """Estimate the poses of people with a silhouette, and update their tracks."""
         rows = [row for row, (person, _) in enumerate(seen) if person.silhouette is not None]
         scene = Scene(upload.frame, tuple(seen[row][0] for row in rows), upload.camera)
         persons = self._estimator.with_hypotheses(scene, max(n, DEFAULT_HYPOTHESES), job)

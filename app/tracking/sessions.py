@@ -18,7 +18,7 @@ from app.tracking.session import CameraSession
 from app.tracking.zones import Zone
 
 KEPT_EVENTS = 100
-"""Of each camera."""
+"""Events kept for each camera."""
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
 """Why a session ended: on demand, by one of the limits, or because the index was replaced."""
@@ -40,7 +40,7 @@ class CameraTraffic:
     idle_s : float
         Seconds since the last frame that was answered.
     dropped : mapping of str to int
-        Frames refused since the session began, by reason.
+        Number of frames refused since the session began, by reason.
     """
 
     key: CameraKey
@@ -49,7 +49,7 @@ class CameraTraffic:
 
 
 class TooManyCamerasError(ValueError):
-    """A caller has configured as many cameras as they may."""
+    """A caller has configured as many cameras as allowed."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class SessionSummary:
     age_s, idle_s : float
         Seconds since the first and since the last frame came.
     memory_bytes : int
-        About what the session holds.
+        Approximate memory used by the session.
     """
 
     frames: int
@@ -89,7 +89,7 @@ class CameraSettings:
     Parameters
     ----------
     fov_deg, pixel_aspect : float or None
-        As in :class:`app.estimation.upload.Upload`; a frame's own values win.
+        As in :class:`app.estimation.upload.Upload`; values sent with a frame override these.
     """
 
     zones: tuple[Zone, ...] = ()
@@ -118,7 +118,7 @@ class CameraSummary:
 
 
 class _OpenSession:
-    """A session, and a summary of it for other threads than the one that uses it."""
+    """A session, and a summary that threads other than the session's own may read."""
 
     def __init__(self, session: CameraSession, estimator: Estimator, now: float) -> None:
         self.session = session
@@ -159,14 +159,14 @@ class CameraSessions:
     create : callable
         Makes a session for a camera's first frame, from an estimator.
     max_sessions : int
-        Of all callers; each may also configure as many cameras.
+        Limit for all callers together; each caller may also configure this many cameras.
     idle_s : float
         Seconds without a frame after which a session ends.
     max_memory_bytes : int
-        Of all sessions together, as they report it. The last used one stays even if it alone
-        exceeds this.
+        Limit for all sessions together, as they report their memory. The last used session stays
+        even if it alone exceeds the limit.
     configured : mapping of str to CameraSettings, optional
-        Of cameras by name, for all callers, until they set their own.
+        Settings of cameras by name; they apply to all callers until a caller sets its own.
     on_begin : callable
         Called when a session has begun.
     on_end : callable
@@ -294,7 +294,7 @@ class CameraSessions:
             return self._summary(key)
 
     def events(self, key: CameraKey) -> tuple[Event, ...]:
-        """Return the latest events of a camera, oldest first; raises KeyError as `summary`."""
+        """Return the latest events of a camera, oldest first; raises KeyError like `summary`."""
         with self._lock:
             self._end_idle()
             self._check_known(key)
@@ -317,9 +317,10 @@ class CameraSessions:
             ]
 
     def forget(self, key: CameraKey) -> None:
-        """Forget a camera's session, events and what the caller has set; KeyError as `summary`.
+        """Forget a camera's session, its events and the caller's settings.
 
-        What was configured at the start counts again. A frame that is being processed is finished.
+        Raises KeyError like `summary`. Settings given at startup apply again. A frame already being
+        processed is completed.
         """
         with self._lock:
             self._end_idle()
@@ -330,7 +331,7 @@ class CameraSessions:
                 self._end(key, "forgotten")
 
     def end_others(self, estimator: Estimator) -> None:
-        """End the sessions of all other estimators, each of which would stay in memory."""
+        """End the sessions of all other estimators, which would otherwise stay in memory."""
         with self._lock:
             for key, opened in list(self._open.items()):
                 if opened.estimator is not estimator and not opened.busy:

@@ -1,10 +1,10 @@
 """Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
 
-The cost of a move between poses grows with the distance that joints move, that of a pose with its
-distance from the person's heading over time. The forward-backward algorithm weighs the states of
-the last frames by all frames so far. Poses near the most probable state are averaged by these
-weights, and a line is fitted to the averages of the last frames. Small people seen from the side
-keep the side that they show.
+The cost of a move between poses grows with the distance that joints move. The cost of a pose grows
+with its distance from the person's heading over time. The forward-backward algorithm weights the
+states of the last frames using all frames so far. Poses near the most probable state are averaged
+with these weights, and a line is fitted to the averages of the last frames. Small people seen from
+the side keep the side that they show.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ class Smoothed:
     pose : SmoothedPose
     facing : Facing
     votes : (10,) float64 array
-        Share of each of ``POSTURES``: of the states, by their probabilities.
+        Share of each of ``POSTURES`` among the states, weighted by their probabilities.
     velocity : GroundVelocity
     elevation_deg : float
-        Of the camera above the person, averaged over the track.
+        Elevation of the camera above the person, averaged over the track.
     px_per_m : float
         Scale of the person in this frame.
     confidence_features : (float, float)
-        Log odds, whose weighted sum gives the pose's confidence: of the hypotheses near the pose,
-        and of the share of probability near it.
+        Log odds of the hypotheses near the pose, and of the share of probability near it. Their
+        weighted sum gives the pose's confidence.
     """
 
     pose: SmoothedPose
@@ -78,9 +78,9 @@ class _Frame:
     points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
     points_2d: NDArray[np.float64]  # (N, 24, 2): pixels of the frame.
     confidences: NDArray[np.float64]  # (N,)
-    # (N,), by silhouette and landmarks; None where no landmarks were read.
+    # (N,), from silhouette and landmarks; None if no landmarks were read.
     distances: NDArray[np.float64] | None
-    clarity: float  # How much landmarks count, 0 to 1; 0 where none were read.
+    clarity: float  # Weight of landmarks, 0 to 1; 0 if none were read.
 
     def weights(self) -> NDArray[np.float64]:
         """Weights ``(N,)`` of the hypotheses by their confidences; they sum to 1."""
@@ -109,7 +109,7 @@ class _Frame:
         )
 
     def log_likelihoods(self, parameters: SmoothingParameters) -> NDArray[np.float64]:
-        """Log likelihoods ``(N,)`` of the states, less a constant, at up to the reference rate."""
+        """Log likelihoods ``(N,)`` of the states, up to a constant, for the reference rate."""
         result = parameters.confidence_weight * np.log(self.confidences + 1e-3)
         if self.distances is not None:
             result = result - self.clarity * parameters.landmark_weight * np.log(
@@ -120,14 +120,14 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _States:
-    """The N states of a frame, and their log probabilities, each less a constant."""
+    """The N states of a frame, and their log probabilities, each up to a constant."""
 
     timestamp: float
     points_3d: NDArray[np.float64]  # (N, 24, 3), as those of the frame.
     confidences: NDArray[np.float64]  # (N,), of the hypotheses.
     log_emission: NDArray[np.float64]  # (N,), given the frame.
     log_forward: NDArray[np.float64]  # (N,), given all frames up to this one.
-    # (M, N), of moving from the states of the frame before; None for the first.
+    # (M, N), of moving from the states of the previous frame; None for the first frame.
     log_moves: NDArray[np.float64] | None
 
 
@@ -135,7 +135,7 @@ class _States:
 class _Place:
     """Where a person is in a frame: the foot of the box, and the silhouette's centroid.
 
-    Limbs that swing move a box more than the body.
+    Swinging limbs move a box more than the body.
     """
 
     foot: NDArray[np.float64]
@@ -171,7 +171,7 @@ class PoseSmoother:
         Parameters
         ----------
         person : Person
-            As estimated from the frame alone.
+            The person as estimated from the frame alone.
         timestamp : float
             Seconds, later than the last one.
 
@@ -236,7 +236,7 @@ class PoseSmoother:
     def _velocity(
         self, frame: _Frame, observed: ObservedPerson, timestamp: float
     ) -> GroundVelocity:
-        """Measure the velocity by the scales and elevations of the hypotheses."""
+        """Measure the velocity using the scales and elevations of the hypotheses."""
         weights = frame.weights()
         elevations_deg = np.array([placed.label.elevation_deg for placed in frame.hypotheses])
         return self._ground.update(
@@ -247,7 +247,7 @@ class PoseSmoother:
         )
 
     def _add_states(self, frame: _Frame, velocity: GroundVelocity, timestamp: float) -> Heading:
-        """Add a frame's states, by its hypotheses and the heading: the forward step."""
+        """Add a frame's states from its hypotheses and the heading: the forward step."""
         parameters = self._parameters
         log_emission = frame.log_likelihoods(parameters)
         if self._states:
@@ -272,7 +272,7 @@ class PoseSmoother:
             _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
         line_s = clarity * parameters.landmark_line_s + (1 - clarity) * parameters.line_s
-        # The frame before stays, however long ago it was.
+        # The previous frame is kept, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
             self._states.popleft()
         return heading
@@ -280,7 +280,7 @@ class PoseSmoother:
     def _log_moves(
         self, before: _States, points_3d: NDArray[np.float64], timestamp: float
     ) -> NDArray[np.float64]:
-        """Log probabilities ``(M, N)``, less a constant, of moving from each pose to each."""
+        """Log probabilities ``(M, N)``, up to a constant, of moving between all pairs of poses."""
         parameters = self._parameters
         intervals = parameters.reference_hz * (timestamp - before.timestamp)
         cost_per_m = 2 * parameters.cost_per_m / (1 + intervals)
@@ -318,7 +318,7 @@ class PoseSmoother:
         return pose, (hypotheses_odds, agreement_odds)
 
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
-        """The skeleton ``(24, 3)`` at the newest frame by the last frames: the backward step.
+        """The skeleton ``(24, 3)`` at the newest frame, from the last frames: the backward step.
 
         Also returns the log odds of the hypotheses near it, averaged over these frames.
         """
@@ -368,7 +368,7 @@ class PoseSmoother:
 
 
 def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
-    """The posture of a state, by the measured speed rather than that of its clip."""
+    """The posture of a state, using the measured speed rather than that of its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture
     if velocity.reliable_speed >= POSTURE_RULES.min_running_speed:
@@ -377,7 +377,7 @@ def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
 
 
 def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
-    """A skeleton ``(24, 3)`` turned about its trunk in the picture, the azimuth growing."""
+    """A skeleton ``(24, 3)`` turned about its trunk in the picture; the azimuth increases."""
     axis = points_3d[_SHOULDERS].sum(axis=0) - points_3d[_HIPS].sum(axis=0)
     axis[2] = 0
     axis /= max(float(np.linalg.norm(axis)), 1e-9)

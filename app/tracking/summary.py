@@ -1,4 +1,4 @@
-"""What a whole video shows of each person: how long, in which postures, doing what."""
+"""Summary of each person in a video: how long they were seen, their postures and action."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ _HIPS = side_rows("hip")
 
 @dataclass(frozen=True)
 class Sighting:
-    """A person seen in a frame, before they are matched to a track.
+    """A person seen in a frame, not yet matched to a track.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Sighting:
 
 
 class BoxFilter:
-    """Predicts a person's box, at constant velocity.
+    """Predicts a person's box, assuming a constant velocity.
 
     The place is the middle of the lower edge, where the person stands.
 
@@ -77,7 +77,7 @@ class BoxFilter:
         return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
 
     def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
-        """Correct the prediction by an observed box.
+        """Correct the prediction using an observed box.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class Track:
     """One person of a camera session.
 
     In each frame that shows the person, :meth:`see` adds the place, then :meth:`update` the poses.
-    Where there are none, :meth:`extrapolate` keeps the last one.
+    If there are no poses, :meth:`extrapolate` keeps the last one.
 
     Parameters
     ----------
@@ -138,11 +138,11 @@ class Track:
         self.sightings = self._windows = 0
         self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
         self.score = 0.0
-        """Highest probability by the detector that this is a person; 1 if the caller said so."""
+        """Highest probability of a person given by the detector; 1 if the caller said so."""
         self.seen_at = timestamp
         """Time of the last sighting, seconds."""
         self.next_window: PersonWindow | None = observed.next_window
-        """Where the person is looked for next."""
+        """Window in which the person is looked for next."""
         self.appearance = sighting.appearance
         self._smoother = PoseSmoother(parameters)
         self._recogniser = ActionRecogniser(parameters=parameters)
@@ -166,9 +166,9 @@ class Track:
     def _probability(self, shown_odds: float) -> float:
         """Probability that a person is tracked, by Bayes' rule.
 
-        The detector's highest score is the prior; the share of people in training, on which the
-        odds of the windows rest, is taken out of these. Their mean counts as one observation: the
-        same furniture looks like a person in all frames.
+        The detector's highest score is the prior. The windows' odds include the share of people in
+        the training data, so its log odds are subtracted. Their mean counts as a single
+        observation, because furniture that looks like a person does so in every frame.
         """
         in_training = log_odds(self._parameters.people_share)
         return probability_of(log_odds(self.score) + shown_odds - in_training)
@@ -234,7 +234,7 @@ class Track:
         return self._tracked(person, smoothed.pose), tuple(map(self.annotated, events))
 
     def _weight(self, observed: ObservedPerson) -> float:
-        """How much a frame's posture counts: how likely it is right given its landmarks."""
+        """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
         right = 1.0 if observed.doubt is None else observed.doubt.right
         right = math.pow(right, self._parameters.reliability_exponent)
@@ -263,7 +263,7 @@ class Track:
         return self._crossings(crossings)
 
     def leave_zones(self, timestamp: float) -> list[Event]:
-        """Leave all zones, where the track ends."""
+        """Leave all zones because the track ends."""
         if self.track_id is None:
             return []
         return self._crossings(self._zone_watch.end(self.track_id, timestamp, self.seen_at))
@@ -304,7 +304,7 @@ class Track:
 
 
 def _reliability(observed: ObservedPerson, pose: SmoothedPose, weight: float) -> Reliability:
-    """How much a frame counts: by the landmark network, without landmarks by the pose."""
+    """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
     if observed.presence is None:
         return Reliability(pose.confidence, pose.confidence)
     presence = max(observed.presence, _score(observed))
@@ -312,11 +312,11 @@ def _reliability(observed: ObservedPerson, pose: SmoothedPose, weight: float) ->
 
 
 def _score(observed: ObservedPerson) -> float:
-    """Probability by the detector, 1 if the caller said where people are."""
+    """The detector's probability of a person; 1 if the caller said where people are."""
     return 1.0 if observed.detection_score is None else observed.detection_score
 
 
 def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
-    """Height of a person's hips, by the best hypothesis."""
+    """Height of a person's hips, from the best hypothesis."""
     y_px = float(person.hypotheses[0].points_2d[_HIPS, 1].mean())
     return HipHeight.seen(y_px, smoothed.px_per_m, smoothed.elevation_deg)

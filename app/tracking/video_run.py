@@ -1,4 +1,4 @@
-"""A video through a camera session: its frames one after the other, until one of its ends."""
+"""A video in a camera session: its frames are processed in order until the video ends."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ log = logging.getLogger("app")
 
 @dataclass(frozen=True)
 class VideoEnd:
-    """Why no further frame is processed; ``detail`` says the same as a sentence."""
+    """Why no further frame is processed; ``detail`` is the reason as a sentence."""
 
     reason: VideoEndReason
     detail: str
@@ -52,11 +52,12 @@ class VideoRun:
     n, evidence
         As in :meth:`app.tracking.session.CameraSession.process`.
     fov_deg, pixel_aspect : float or None
-        As in :class:`app.estimation.upload.Upload`; by default, a video's own pixel aspect counts.
+        As in :class:`app.estimation.upload.Upload`; by default, the video's own pixel aspect is
+        used.
     max_frames : int
-        Frames that are processed at most.
+        Most frames that are processed.
     timeout_s : float
-        Seconds, from now on, for all of them.
+        Longest time for all of them, from now on, seconds.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class VideoRun:
         self._timeout_s = timeout_s
         self._deadline = asyncio.get_running_loop().time() + timeout_s
         self.summary = VideoSummary()
-        """Of the frames processed so far."""
+        """Summary of the frames processed so far."""
         self.end: VideoEnd | None = None
         """None until there are no more frames."""
 
@@ -97,9 +98,9 @@ class VideoRun:
         Parameters
         ----------
         first : VideoFrame
-            The first frame, read already.
+            The first frame, which has been read already.
         reader : VideoReader
-            Of the others.
+            Reader of the other frames.
         write : callable
             Writes the line of a frame and its number in the video, on the executor's thread.
         is_ending : callable
@@ -131,7 +132,8 @@ class VideoRun:
         except UnavailableError:
             end = VideoEnd("unavailable", SEARCH_FAILED)
         except (ShutdownError, ClientGoneError):
-            # The client is here, or this would have been cancelled: the executor shuts down.
+            # The client is still connected, or this would have been cancelled, so the executor is
+            # shutting down.
             end = _SHUTDOWN
         except Exception:
             log.exception("a video failed")

@@ -1,4 +1,4 @@
-"""Zones of a camera's picture: which of them a person is in, enters and leaves."""
+"""Zones of a camera's picture: those that a person is in, enters and leaves."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from index.posture import ON_THE_GROUND, Posture
 MIN_SPREAD_PX = 0.5
 
 ZoneKind = Literal["rest", "watch"]
-"""``rest``: a bed or a sofa, where lying is no event; ``watch``: any other place of interest."""
+"""``rest``: a bed or sofa, where lying is not an event; ``watch``: any other place of interest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class ZoneWatch:
     ) -> list[Event]:
         """Add where the person is; return the zones that they have entered and left.
 
-        A zone that the camera no longer has counts as left.
+        A zone that has been removed from the camera is left as well.
         """
         events = []
         removed = self._stays.keys() - {zone.name for zone in zones}

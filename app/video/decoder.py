@@ -28,20 +28,20 @@ FRAME, END, TOO_LARGE = b"F", b"E", b"L"
 """Kinds of headers: a frame, followed by its BGR pixels; the end, with the number of frames read
 and, as width, the number in the file if some are missing; a frame of more pixels than allowed."""
 
-# Without playlists and image sequences, which make FFmpeg open other files.
+# Playlists and image sequences are left out: they make FFmpeg open other files.
 _FORMATS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,h264,hevc,m4v,ivf,mjpeg,jpeg_pipe"
 _OPTIONS = f"protocol_whitelist;file|format_whitelist;{_FORMATS}"
 
 _MEMORY_BYTES = 640 * 1024**2
 _NICENESS = 5
-# A frame rate above the maximum is not believed, and the default used.
+# A frame rate above the maximum is treated as wrong and replaced by the default.
 _DEFAULT_FPS = 25.0
 _MAX_FPS = 1000.0
 _MAX_TIMESTAMP_S = 1e9
 _MIN_PIXEL_ASPECT = 0.25
 MIN_STEP_S = 1e-3
 """Least time between two frames; a camera session takes none that are closer."""
-# A file may count a few frames that no decoder finds.
+# A file may state a few frames more than any decoder finds.
 _MAX_MISSING_SHARE = 0.05
 _HEAD_BYTES = 2**16
 
@@ -95,9 +95,9 @@ def write_frames(file: Path, stride: int, max_pixels: int, out: BinaryIO) -> Non
 
 
 def _counted_frames(file: Path, capture: cv2.VideoCapture) -> int:
-    """Frames that the file counts; 0 where they are only estimated from its duration.
+    """Number of frames that the file states; 0 if it is only estimated from the duration.
 
-    MP4 and AVI count them, but not the fragments of MP4.
+    MP4 and AVI state it, but fragmented MP4 does not.
     """
     with file.open("rb") as stream:
         head = stream.read(_HEAD_BYTES)
@@ -115,14 +115,14 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
 
 
 def _pixel_aspect(capture: cv2.VideoCapture) -> float:
-    """Width over height of a pixel, 1 if the file announces none that is possible."""
+    """Width over height of a pixel; 1 unless the file announces a plausible one."""
     across, down = (capture.get(key) for key in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
     aspect = across / down if across > 0 and down > 0 else 1.0
     return aspect if _MIN_PIXEL_ASPECT <= aspect <= 1 / _MIN_PIXEL_ASPECT else 1.0
 
 
 class Clock:
-    """Ascending timestamps: the file's own, or by its frame rate where they do not ascend."""
+    """Ascending timestamps: the file's own or, if they do not ascend, from its frame rate."""
 
     def __init__(self, fps: float) -> None:
         self._interval_s = 1 / (fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS)
@@ -139,7 +139,7 @@ class Clock:
         return self._last_s
 
     def intervals(self) -> int:
-        """How many frames there would be by now at the frame rate."""
+        """Number of frames that there would be by now at the frame rate."""
         return 0 if self._last_s < 0 else round(self._last_s / self._interval_s) + 1
 
 

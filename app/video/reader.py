@@ -47,7 +47,7 @@ class VideoFrame:
     Parameters
     ----------
     number : int
-        From 0; skipped frames count.
+        Number in the video, from 0; skipped frames are included.
     timestamp : float
         Seconds since the video began; ascends.
     pixels : (H, W, 3) uint8 array
@@ -65,7 +65,7 @@ class VideoFrame:
 def new_file() -> IO[bytes]:
     """Make a file without a name for an upload, which cannot be left behind.
 
-    It is in memory, since a video should not touch a disk; on disk where the platform has no such
+    It is in memory, since a video should not touch a disk, or on disk if the platform has no such
     files.
     """
     if sys.platform == "linux":
@@ -79,12 +79,12 @@ async def open_video(
 ) -> AsyncIterator[VideoReader]:
     """Decode every ``stride``-th frame of a video in a process that ends with the context.
 
-    A frame may have ``max_pixels``; decoding may take ``max_seconds`` of processor time in all.
+    A frame may have up to ``max_pixels``; decoding may take ``max_seconds`` of processor time.
     """
     file.flush()
     file.seek(0)
     process = await asyncio.create_subprocess_exec(
-        # By its path, which is valid in any working directory.
+        # The program is named by its path, which is valid in any working directory.
         *(sys.executable, "-P", decoder.__file__, f"/dev/fd/{file.fileno()}"),
         *("--stride", str(stride), "--max-pixels", str(max_pixels)),
         *("--max-seconds", str(int(max_seconds) + 1)),
@@ -196,7 +196,7 @@ class VideoReader:
         return self._last_line.result() if self._last_line.done() else ""
 
     def _broken(self, found: str, said: str) -> VideoError:
-        """The error for a video that ends early; the decoder's words are for the log."""
+        """The error for a video that ends early; what the decoder said goes to the log."""
         if said:
             log.info("a video cannot be read: %s", said)
         expected = "the whole video" if self._read else f"a video ({_FORMATS})"

@@ -1,4 +1,4 @@
-"""People as what differs from a picture of the empty scene."""
+"""Silhouettes of people, as the differences from a picture of the empty scene."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from app.vision.truncation import with_truncation
 
 
 class BackgroundSegmenter:
-    """Cut people out by their difference from the empty scene.
+    """Cuts people out by their difference from the empty scene.
 
     The difference is kept for further calls with the same frame.
 
     Parameters
     ----------
     background : (H, W, 3) uint8 array
-        BGR picture of the empty scene by the same fixed camera.
+        BGR picture of the empty scene, taken by the same fixed camera.
     min_person_px : float
         Height of the smallest person wanted, in pixels.
     """
@@ -45,8 +45,8 @@ class BackgroundSegmenter:
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """Find people as upright regions of change.
 
-        The score, at most 0.9, is how much a region's size, proportions and solidity resemble a
-        person; the best comes first. People who touch in the frame come as one.
+        The score, at most 0.9, says how much a region's size, proportions and solidity resemble a
+        person; the best comes first. People who touch in the frame are found as one.
 
         Raises
         ------
@@ -60,7 +60,7 @@ class BackgroundSegmenter:
         if is_too_thin and frame.shape == self._background.shape:
             return []
         changed = self._changed(frame)
-        # Closing joins the parts of a body whose belt has the pavement's colour.
+        # Closing joins the parts of a body, for example if its belt has the pavement's colour.
         reach = max(1, round(self._min_person_px / parameters.height_per_gap))
         kernel: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
         joined = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
@@ -84,7 +84,8 @@ class BackgroundSegmenter:
         """Cut out the person in each box of a frame ``(H, W, 3)``; None where nothing changed.
 
         Where boxes overlap, a pixel goes to the box whose middle is nearer, in widths of the boxes.
-        ``checkpoint`` is called before each person; it raises where the work is no longer wanted.
+        ``checkpoint`` is called before each person; it raises an error if the work is no longer
+        wanted.
         """
         height, width = frame.shape[:2]
         changed = self._changed(frame)
@@ -166,7 +167,7 @@ def foreground(
 def _with_exposure_of(
     now: NDArray[np.float32], scene: NDArray[np.float32], parameters: BackgroundParameters
 ) -> NDArray[np.float32]:
-    """The scene ``(H, W, 3)``, in place, as the exposure of this frame would show it."""
+    """The scene ``(H, W, 3)``, adapted in place to the exposure of this frame."""
     for channel in range(3):
         x, y = scene[::4, ::4, channel].ravel(), now[::4, ::4, channel].ravel()
         gain, offset = _fit_exposure(x, y, parameters)
@@ -204,7 +205,7 @@ def _distances(
     """Distances ``(H, W)`` in standard deviations of the noise, and the largest difference."""
     squares = np.zeros(now.shape[:2], np.float32)
     difference = np.zeros(now.shape[:2], np.float32)
-    # Channel by channel, which takes a third of the memory.
+    # Working channel by channel takes a third of the memory.
     for channel in range(3):
         residual = np.abs(now[..., channel] - expected[..., channel])
         # A normal distribution's standard deviation is 1.4826 times its median deviation.
@@ -221,7 +222,7 @@ def _shadow(
     now: NDArray[np.float32], expected: NDArray[np.float32], parameters: BackgroundParameters
 ) -> NDArray[np.bool_]:
     """Pixels ``(H, W)`` where the scene has less light: equally in all channels, and evenly."""
-    # Channel by channel, which takes a quarter of the time of sums along the last axis.
+    # Adding channel by channel takes a quarter of the time of sums along the last axis.
     total_now = now[..., 0] + now[..., 1] + now[..., 2]
     total_expected = expected[..., 0] + expected[..., 1] + expected[..., 2]
     light = total_now / total_expected
@@ -243,7 +244,7 @@ def _shadow(
 
 
 def _hysteresis(possible: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The connected parts of ``possible`` that hold a pixel of ``certain``."""
+    """The connected parts of ``possible`` that include a pixel of ``certain``."""
     count, labels = cv2.connectedComponents(possible.astype(np.uint8))
     chosen = np.bincount(labels[certain & possible], minlength=count) > 0
     chosen[0] = False
@@ -253,7 +254,7 @@ def _hysteresis(possible: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDAr
 def _without_halo(
     mask: NDArray[np.bool_], difference: NDArray[np.float32], min_cover: float
 ) -> NDArray[np.bool_]:
-    """Drop border pixels that a person covers by less than half: lenses blur edges.
+    """Drop border pixels of which a person covers less than half, since lenses blur edges.
 
     Such pixels differ from the background less than half as much as pixels further inside.
     """

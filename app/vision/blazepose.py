@@ -1,4 +1,4 @@
-"""BlazePose [1]_: its person detector, and its landmark network.
+"""BlazePose [1]_: the person detector and the landmark network.
 
 The detector finds large people in any orientation, each with a circle about the body. The network
 has anchors at the centres of the cells of three grids. It gives each anchor a score and the offsets
@@ -49,7 +49,7 @@ _NMS_IOU = 0.3
 
 @dataclass(frozen=True)
 class PoseReading:
-    """What the landmark network reads in a window.
+    """What the landmark network finds in a window.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class PoseReading:
     keypoints : ObservedKeypoints, optional
         MoveNet's keypoints of the same person, in pixels of the frame.
     network_pass : NetworkPass, optional
-        The raw output of the network; None where the reading was made by hand.
+        The raw output of the network; None if the reading was made by hand.
     """
 
     window: PersonWindow
@@ -83,7 +83,7 @@ class PoseReading:
 
     @property
     def drift(self) -> float:
-        """Distance from the window to the next, as a share of its side; large for a wrong one."""
+        """Distance from the window to the next, as a share of its side; large if it is wrong."""
         return self.window.drift(self.next_window)
 
 
@@ -165,7 +165,7 @@ class BlazePoseDetector:
     def detect(self, frame: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
         """Find bodies in a frame ``(H, W, 3)``, BGR; best first.
 
-        The network sees the whole frame, so that it finds large people only.
+        The network sees the whole frame, so it finds only large people.
         """
         height, width = frame.shape[:2]
         factor = DETECTOR_PX / max(height, width)
@@ -179,7 +179,7 @@ class BlazePoseDetector:
         used = np.flatnonzero(scores >= min_score)
         boxes, points = decode_anchors(values, used)
         kept = non_max_suppression(boxes, scores[used], _NMS_IOU)
-        # Pixel centres of the network's input to those of the frame.
+        # The scale leads from pixel centres of the network's input to those of the frame.
         scale = np.array([width / columns, height / rows])
         points = (points - [left, top]) * scale - 0.5
         return [

@@ -21,7 +21,7 @@ from app.vision.sight import (
 )
 
 MIN_WEIGHT = 0.05
-"""Weight of landmarks that are not seen, when a body is placed."""
+"""Weight of unseen landmarks when a body is placed."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,14 @@ def body_of(
     ----------
     given : NetworkPass
     window : PersonWindow
-        That was read.
+        The window that was read.
     camera : PinholeCamera
-        Of the frame.
+        Camera that took the frame.
     depths : Depths
     places : (33, 2) float64 array
         The landmarks in the frame, pixels.
     visibility : (33,) float64 array
-        Probability that each is seen; weighs it when the body is placed.
+        Probability that each landmark is seen; its weight when the body is placed.
     """
     axes = window_axes(camera, window)
     metres = given.world[:LANDMARKS].astype(np.float64)

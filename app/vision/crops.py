@@ -18,7 +18,7 @@ Scalar = TypeVar("Scalar", np.uint8, np.float32)
 
 
 def crop(image: NDArray[Scalar], rect: PixelRect) -> NDArray[Scalar]:
-    """Crop an image ``(H, W)`` or ``(H, W, C)``; what lies beyond it is zero.
+    """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero.
 
     Returns
     -------
@@ -44,9 +44,9 @@ def crop_and_resize(
 ) -> NDArray[Scalar]:
     """Crop an image as :func:`crop` does and resize the crop to ``width`` x ``height``.
 
-    A rectangle of a person's proportions about a wide, flat box may be many times as large as the
-    image. If it has more than ``max_crop_px`` pixels, only the part inside the image is resized:
-    accurate to a pixel of the result, with no more memory than the image takes.
+    A rectangle with a person's proportions about a wide, flat box may be many times as large as the
+    image. If it has more than ``max_crop_px`` pixels, only the part inside the image is resized.
+    The result is then accurate to a pixel, and needs no more memory than the image.
     """
     left, top, columns, rows = rect
     if columns * rows <= max_crop_px:
@@ -84,7 +84,7 @@ def sample_window(
     pixels : int
         Side of the result.
     max_step : float
-        The frame is averaged first until a pixel of the result covers about this many.
+        The frame is averaged first until a pixel of the result covers about this many pixels.
 
     Returns
     -------
@@ -101,14 +101,15 @@ def sample_window(
     part = frame[low[1] : high[1], low[0] : high[0]]
     matrix = window.to_frame(pixels)
     matrix[:, 2] -= low
-    # Averaging whole numbers of pixels is ten times as fast.
+    # Averaging over whole numbers of pixels is ten times as fast.
     factor = round(window.side / (max_step * pixels))
     if factor > 1:
         factors = np.minimum(factor, high - low)
         reduced = (high - low) // factors
         width, height = (factors * reduced).tolist()
         part = resize(part[:height, :width], *reduced.tolist())
-        # To pixels of the averaged part, whose origin is the centre of its first pixel.
+        # The matrix now leads to pixels of the averaged part, with the origin at the centre of the
+        # first one.
         matrix /= factors[:, None]
         matrix[:, 2] += 0.5 / factors - 0.5
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class DenseNetwork:
-    """Standardised inputs, layers with SiLU between them.
+    """A network with standardised inputs and with SiLU between its layers.
 
     Parameters
     ----------
     means, scales : (F,) float32 array
-        Of the inputs.
+        Means and scales of the inputs.
     weights : tuple of (I, O) float32 arrays
     biases : tuple of (O,) float32 arrays
     """
@@ -45,7 +45,7 @@ class DenseNetwork:
         return values
 
     def arrays(self, name: str) -> dict[str, NDArray[np.float16 | np.float32]]:
-        """What :meth:`of` reads: half precision but for the standardisation."""
+        """Arrays that :meth:`of` reads: in half precision, except those of the standardisation."""
         stored: dict[str, NDArray[np.float16 | np.float32]] = {
             f"{name}.means": self.means,
             f"{name}.scales": self.scales,
@@ -57,7 +57,7 @@ class DenseNetwork:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[np.generic]], name: str) -> DenseNetwork:
-        """The network of a name among stored arrays."""
+        """The network with a given name among stored arrays."""
         layers = sum(key.startswith(f"{name}.weights.") for key in arrays)
 
         def array(part: str) -> NDArray[np.float32]:

@@ -31,7 +31,7 @@ RESIDUAL_M = 0.1
 """Unit of the network's outputs."""
 
 SIGMA_M = (0.005, 1.0)
-"""Sigmas are kept between these."""
+"""Limits of sigmas."""
 
 _WINDOW_PX = 256
 
@@ -45,7 +45,7 @@ class Depths:
     metres : (33,) float64 array
         Along the window's line of sight, about the middle of the hips.
     sigmas : (33,) float64 array
-        Mean absolute error that is expected of each, metres.
+        Expected absolute error of each depth, metres.
     """
 
     metres: NDArray[np.float64]
@@ -61,14 +61,14 @@ def network_depths(world: NDArray[np.floating]) -> NDArray[np.float64]:
 def sight_features(
     windows: NDArray[np.float64], focal: NDArray[np.float64], centre: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Where windows are seen: ``(N, 5)``.
+    """Directions and sizes in which windows are seen: ``(N, 5)``.
 
     Parameters
     ----------
     windows : (N, 4) float64 array
         x, y, side, roll in degrees.
     focal, centre : (N, 2) float64 array
-        Of the cameras, pixels.
+        Focal lengths and principal points of the cameras, pixels.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def depth_features(
     sampled: NDArray[np.floating],
     sight: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """What the network sees: ``(N, F)``.
+    """Inputs of the network: ``(N, F)``.
 
     Parameters
     ----------

@@ -1,4 +1,8 @@
-"""What finds people in a frame: one interface, and what its implementations share."""
+"""The interface of detectors, which find people in a frame, and what they share.
+
+There are two: :mod:`app.vision.network_detector` and :mod:`app.vision.hog_detector`. Both drop
+overlapping detections with :func:`app.vision.geometry.non_max_suppression`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from app.vision.people import Detection
 
 
 class Detector(Protocol):
-    """A frame to people; implementations are thread-safe."""
+    """Finds the people in a frame; implementations are thread-safe."""
 
     name: DetectorName
 
@@ -23,7 +27,7 @@ class Detector(Protocol):
     ) -> list[Detection]:
         """Find the people of a frame ``(H, W, 3)``, BGR; best first.
 
-        ``expected_boxes`` are of people who were there a moment ago and were not seen to leave.
+        ``expected_boxes`` surround people who were there a moment ago and were not seen to leave.
         """
         ...
 

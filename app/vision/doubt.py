@@ -1,6 +1,7 @@
 """Whether a window shows a person at all, and whether its landmarks are right.
 
-Trained on rendered people, hidden, cut or whole, and on rendered rooms, bags and animals.
+The model was trained on rendered people (hidden, cut off or whole) and on rendered rooms, bags and
+animals.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ class Doubt:
     person : float
         Probability that the window shows a person, 0 to 1.
     right : float
-        Probability that it does and that at least three of four limb joints that are seen lie
-        within a fifth of the trunk, 0 to 1.
+        Probability that it does and that at least three in four of the visible limb joints are
+        within a fifth of the trunk of their true places, 0 to 1.
     """
 
     person: float
@@ -47,7 +48,7 @@ def doubt_features(
     last: NDArray[np.floating],
     sigmas: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """What the model sees: ``(N, F)``.
+    """Inputs of the model: ``(N, F)``.
 
     Parameters
     ----------
@@ -55,20 +56,20 @@ def doubt_features(
     world : (N, 39, 3) array
     presence : (N,) array
     last : (N, 2, 2, 288) array
-        As :class:`app.vision.network_pass.NetworkPass` has them.
+        The fields of :class:`app.vision.network_pass.NetworkPass`.
     sigmas : (N, 33) float64 array
-        Of the corrected depths.
+        Sigmas of the corrected depths.
     """
     points, metres = points.astype(np.float64), world[:, :LANDMARKS].astype(np.float64)
     places = points[:, :LANDMARKS, :2] / _WINDOW_PX - 0.5
     visibility = sigmoid(points[:, :LANDMARKS, 3])
     odds = np.clip(points[:, :LANDMARKS, 3], -8, 8)
     sure = np.clip(presence.astype(np.float64), 1e-5, 1 - 1e-5)
-    # The window that the network would look at next, against this one.
+    # The window that the network would look at next, relative to this one.
     centre, towards = points[:, 33, :2] / _WINDOW_PX - 0.5, points[:, 34, :2] / _WINDOW_PX - 0.5
     arm = towards - centre
     radius = np.linalg.norm(arm, axis=1)
-    # Lengths in the picture against lengths in metres: of one body, they have one scale.
+    # Lengths in the picture relative to lengths in metres: for one body, the scale is the same.
     flat = np.linalg.norm(metres[..., :2] - metres[:, HIPS, :2].mean(1, keepdims=True), axis=-1)
     seen = np.linalg.norm(places - places[:, HIPS].mean(axis=1, keepdims=True), axis=-1)
     scale = seen.sum(axis=1) / np.maximum(flat.sum(axis=1), 1e-3)
@@ -114,6 +115,6 @@ class DoubtModel:
         return np.column_stack([given[:, 0], given[:, 0] * given[:, 1]])
 
     def estimate(self, features: NDArray[np.float64]) -> Doubt:
-        """Doubt of one reading, of features ``(F,)``."""
+        """Doubt about one reading with features ``(F,)``."""
         person, right = self.probabilities(features[None])[0].tolist()
         return Doubt(person, right)

@@ -15,7 +15,7 @@ from app.vision.people import landmark_rows
 FramePostureName = Literal["standing", "bending", "crouching", "sitting", "all_fours", "lying"]
 
 FRAME_POSTURES: tuple[FramePostureName, ...] = get_args(FramePostureName)
-"""Standing holds walking, running and raised arms; crouching holds kneeling."""
+"""Standing includes walking, running and raised arms; crouching includes kneeling."""
 
 
 MIN_RIGHT = 0.01
@@ -24,7 +24,7 @@ MIN_RIGHT = 0.01
 
 @dataclass(frozen=True)
 class FramePosture:
-    """How likely each posture is.
+    """Probability of each posture.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def posture_features(
     presence: NDArray[np.float64],
     box_aspect: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Features from which the postures of bodies are estimated; left and right count alike.
+    """Features from which postures are estimated; they do not distinguish left from right.
 
     Parameters
     ----------
@@ -136,22 +136,22 @@ def posture_features(
 
 @dataclass(frozen=True)
 class PostureModel:
-    """Estimates postures by the mean of two networks.
+    """Estimates postures from the mean scores of two networks.
 
-    One sees no feature map, so that surroundings unlike any rendered ones cannot decide alone.
+    One gets no feature maps, so surroundings unlike any rendered ones cannot determine the result
+    alone.
 
     Parameters
     ----------
     by_body : DenseNetwork
-        Scores of :data:`FRAME_POSTURES`, by :func:`posture_features` and
+        Scores of :data:`FRAME_POSTURES`, from :func:`posture_features` and
         :func:`app.vision.doubt.doubt_features`.
     by_surroundings : DenseNetwork
-        The same, by :func:`app.vision.landmark_features.region_features` too.
+        The same scores, from :func:`app.vision.landmark_features.region_features` as well.
     trust : (2,) float64 array
-        Logarithm of the factor on the scores where landmarks are as likely right as wrong, and how
-        it grows with the log odds of right landmarks: the less of a person is seen, the less
-        certain the posture.
-        Calibrated on held-out renders.
+        The scores are multiplied by a factor: the less of a person is seen, the less certain is the
+        posture. These are the factor's logarithm if landmarks are as likely right as wrong, and its
+        growth with the log odds of right landmarks. Both are calibrated on held-out renders.
     """
 
     by_body: DenseNetwork
@@ -168,7 +168,7 @@ class PostureModel:
     def estimate(
         self, body: NDArray[np.float64], surroundings: NDArray[np.float32], right: float
     ) -> FramePosture:
-        """The posture of one body, of features ``(F,)``, ``(M,)`` and how likely they are right."""
+        """Posture of a body from features ``(F,)``, ``(M,)`` and the chance of right landmarks."""
         scores = self.scores(body[None], surroundings[None])
         return FramePosture(trusted(scores, np.array([right]), self.trust)[0])
 

@@ -1,4 +1,4 @@
-"""Boxes, and the rotated square windows in which people are read, in pixels of a frame."""
+"""Boxes, and the rotated square windows in which landmarks are read, in pixels of a frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Boxes = NDArray[np.float64]
-"""Many boxes ``(N, 4)``: x, y, width, height."""
+"""Array of boxes ``(N, 4)``: x, y, width, height."""
 
 WINDOW_SCALE = 1.25
 """Side of a person's window relative to the circle about the body or the longer side of its box, as
@@ -133,9 +133,9 @@ def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
 
 
 def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: float) -> list[int]:
-    """Keep the best of boxes that overlap.
+    """Keep the best of overlapping boxes.
 
-    Unlike OpenCV's, it keeps the first of boxes with equal scores.
+    Unlike OpenCV's function, it keeps the first of boxes with equal scores.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def transform_points(
 
 @dataclass(frozen=True)
 class PersonWindow:
-    """A square of a frame about a person, rotated so that the trunk is upright in it.
+    """A square part of a frame about a person, rotated so that the trunk is upright in it.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _PERSON_PX = 96
 _PERSON_X = (0.18, 0.82)
 _PERSON_Y = (0.09, 0.93)
 _STRIDE = (8, 8)
-# A box is scored as the best of the windows up to a stride around it.
+# The score of a box is that of the best window within a stride around it.
 _SCORED_PX = (_WINDOW_PX[0] + 2 * _STRIDE[0], _WINDOW_PX[1] + 2 * _STRIDE[1])
 
 
@@ -40,7 +40,7 @@ _HOG = _people_classifier()
 
 
 def hog_margin(frame: NDArray[np.uint8], box: Box, parameters: HogParameters) -> float:
-    """Signed distance of a box from the decision boundary: how much it looks like a person."""
+    """Signed distance from the decision boundary: how much a box looks like a person."""
     scale = parameters.box_scale * box.height / _PERSON_PX
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
     left = round(box.x + 0.5 + (box.width - width) / 2)
@@ -115,7 +115,8 @@ def _search(
 def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters) -> list[int]:
     """Drop boxes of a head and trunk within a better box of the whole body, and the reverse.
 
-    ``kept`` are rows of ``boxes``, best first. Two people side by side have different axes.
+    ``kept`` are rows of ``boxes``, best first. Two people side by side are both kept, since their
+    axes differ.
     """
     shared = intersections(boxes, boxes)
     area = boxes[:, 2] * boxes[:, 3]
@@ -146,7 +147,7 @@ def mean_boxes(
 
 
 def _crop_replicated(frame: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
-    """Crop a frame, replicating its border, which adds no edge."""
+    """Crop a frame, replicating its border, so that no edge is added."""
     left, top, width, height = rect
     rows, columns = frame.shape[:2]
     # A rectangle wholly beyond the frame shows its nearest border.

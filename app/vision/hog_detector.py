@@ -1,4 +1,4 @@
-"""Upright people by HOG alone."""
+"""Detection of upright people with HOG alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from app.vision.tiles import smallest_person_px
 
 
 class HogDetector:
-    """Find upright people by HOG alone, without a network.
+    """Find upright people with HOG alone, without a network.
 
     Limits are those of :class:`app.vision.network_detector.NetworkDetector`.
     """

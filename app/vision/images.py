@@ -1,4 +1,4 @@
-"""Encoded photographs to pixels, and what their files say before they are decoded.
+"""Decoding of photographs, and reading of their headers beforehand.
 
 A PNG of 389 KB can hold 20,000 x 20,000 pixels, which take seconds and gigabytes to decode, so
 format and size are read from the header first.
@@ -35,7 +35,7 @@ ImageWarning = Literal["dark", "stretched", "truncated"]
 its range, which was stretched; ``truncated``: the end of the image is missing."""
 
 _END_OF_JPEG = b"\xff\xd9"
-# libjpeg's decoder paints what is missing of a JPEG in this grey, exactly.
+# libjpeg's decoder fills the missing part of a JPEG with exactly this grey.
 _MISSING = 128
 _BLOCK_PX = 8
 
@@ -51,14 +51,14 @@ _BRANDS = {
     **dict.fromkeys((b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1"), "HEIC"),
 }
 
-# The limit is the caller's, which may be higher.
+# The caller's limit applies instead; it may be higher.
 Image.MAX_IMAGE_PIXELS = None
-# Pillow warns of each odd tag.
+# Pillow warns about each unusual tag.
 warnings.filterwarnings("ignore", module="PIL")
 
 
 class ImageError(ValueError):
-    """The bytes are not an image that can be used; the message is one clear sentence."""
+    """The bytes are not a usable image; the message is one sentence."""
 
 
 class ImageTooLargeError(ImageError):
@@ -74,7 +74,7 @@ class Photograph:
     pixels : (H, W, 3) uint8 array
         BGR.
     warnings : tuple of str
-        What may spoil the answer, ordered by name.
+        What may impair the result, ordered by name.
     """
 
     pixels: NDArray[np.uint8]
@@ -87,7 +87,7 @@ class Photograph:
         *found: ImageWarning,
         parameters: ImageParameters = DEFAULTS.images,
     ) -> Photograph:
-        """Add to other warnings whether the picture ``(H, W, 3)`` is dark."""
+        """Make a photograph; if the picture ``(H, W, 3)`` is dark, add that to the warnings."""
         bright = np.percentile(_sample(pixels, parameters), parameters.bright_percentile)
         dark: tuple[ImageWarning, ...] = ("dark",) if bright < parameters.dark_below else ()
         return cls(pixels, (*dark, *sorted(found)))
@@ -129,7 +129,7 @@ def decode_image(
 def _used_range(pixels: NDArray[np.uint16], parameters: ImageParameters) -> tuple[int, int]:
     """The used range of 16 bits, its end excluded; all if it reaches the upper half or is tiny.
 
-    Outliers do not count.
+    Outliers are ignored.
     """
     outliers = parameters.outlier_percentile
     sample = _sample(pixels, parameters)
@@ -142,7 +142,7 @@ def _used_range(pixels: NDArray[np.uint16], parameters: ImageParameters) -> tupl
 def _missing_share(pixels: NDArray[np.uint8]) -> float:
     """Share of a JPEG's pixels ``(H, W, 3)`` that its decoder did not find; 0 if the end is there.
 
-    Where the end lies depends on the EXIF orientation, so all corners are looked at.
+    The corner in which a JPEG ends depends on the EXIF orientation, so all corners are checked.
     """
     ends = (slice(_BLOCK_PX), slice(-_BLOCK_PX, None))
     corners = (pixels[rows, columns] for rows in ends for columns in ends)
@@ -220,9 +220,10 @@ def checked_header(data: bytes, max_pixels: int) -> Image.Image:
 
 
 def decode(data: bytes, header: Image.Image, flags: int) -> NDArray[Any]:
-    """Decode with OpenCV, which fails in two ways, to 8 or 16 bits a channel."""
+    """Decode to 8 or 16 bits a channel with OpenCV, which raises or returns None if it fails."""
     if header.format in JPEG:
-        # Some cameras leave out the end marker. After it, bytes are ignored.
+        # Some cameras leave out the end marker. A second one does no harm, since bytes after the
+        # first are ignored.
         data += _END_OF_JPEG
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

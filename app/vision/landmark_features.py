@@ -25,7 +25,7 @@ def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArr
     Returns
     -------
     (N, 33, C) float32 array
-        Beyond the map's outermost cells, what these hold.
+        Beyond the map's outermost cells, their values are repeated.
     """
     count, size = maps.shape[:2]
     places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / _WINDOW_PX) - 0.5
@@ -43,7 +43,7 @@ def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArr
 def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
     """Means over the trunk and over the legs ``(N, 2 C)`` of a map at the landmarks ``(N, 33, C)``.
 
-    They show what surrounds a body: a seat, a blanket, a table in front of the legs.
+    They show what surrounds a body, such as a seat, a blanket, or a table in front of the legs.
     """
     parts = [sampled[:, rows].astype(np.float32).mean(axis=1) for rows in (_TRUNK, _LEGS)]
     return np.hstack(parts)

@@ -31,7 +31,7 @@ class LabelImage:
     left, top : int
         First column and row of the part.
     part : (h, w) array
-        The smallest part that holds all labels: most of a mask is background.
+        The smallest part that holds all labels, since most of a mask is background.
     """
 
     labels: Labels
@@ -67,8 +67,8 @@ class LabelImage:
 
 
 def _labels_in(part: Labels) -> list[int]:
-    """The labels in a part ``(h, w)`` in one piece, ascending, without 0."""
-    # Several times as fast as np.unique or np.bincount.
+    """The labels in a contiguous part ``(h, w)``, ascending, without 0."""
+    # calcHist is several times as fast as np.unique or np.bincount.
     if part.size == 0:
         return []
     bins = int(part.max()) + 1
@@ -77,7 +77,7 @@ def _labels_in(part: Labels) -> list[int]:
 
 
 def _checked(image: LabelImage, parameters: ImageParameters) -> LabelImage:
-    """A label image that may mark people; two values are one person."""
+    """Check that the labels of an image may mark people; a single label becomes label 1."""
     count, part = len(image.present), image.part
     if count > parameters.max_labels:
         raise ImageError(
@@ -103,19 +103,19 @@ def decode_mask(
 ) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
-    Grey and palette images keep their stored values, whatever their bit depth; of a palette image
-    the indices count, not the colours. An image of two values, 0 and any other, is one person,
-    label 1. So is an image of lossy compression (JPEG, WebP), which cannot keep labels: values from
-    128 up are the person. Three channels are accepted where they are equal. The EXIF orientation is
-    applied. An alpha channel counts only where all else is black: values from 128 up are one
-    person.
+    Grey images and PNG images with a palette keep their stored values, whatever their bit depth: of
+    a palette, the indices are used, not the colours. An image with only two values, 0 and one
+    other, marks one person (label 1). So does a lossy image (JPEG, WebP), since compression
+    destroys labels; there, values of 128 and above mark the person. Three channels are accepted if
+    they are equal. The EXIF orientation is applied. The alpha channel is used only if all other
+    channels are black; alpha values of 128 and above mark one person.
 
     Raises
     ------
     ImageTooLargeError, ImageError
-        As :func:`app.vision.images.decode_image`; if the image is coloured; if one of lossy
-        compression has other values than two; and if there are more than 100 labels, or they are
-        too scattered to mark people.
+        As for :func:`app.vision.images.decode_image`, or if the image is coloured, a lossy image is
+        not essentially black and white, or there are more than 100 labels or labels too scattered
+        to mark people.
     """
     header = checked_header(data, max_pixels)
     if header.format == "PNG" and header.mode == "P":
@@ -146,7 +146,7 @@ def is_lossy(image: Image.Image, data: bytes) -> bool:
 
 
 def _thresholded(values: Labels, parameters: ImageParameters) -> NDArray[np.uint8]:
-    """The person ``(H, W)`` of a lossy mask; raise an error where its values look like labels."""
+    """The person ``(H, W)`` in a lossy mask; raise an error if its values look like labels."""
     marked = np.asarray(values >= parameters.lossy_threshold).view(np.uint8)
     certain = parameters.lossy_certainty
     between = np.count_nonzero((values > certain) & (values < 255 - certain))

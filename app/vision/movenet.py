@@ -32,7 +32,7 @@ CELL_PX = 4
 KEYPOINTS = len(COCO_NAMES)
 
 MIN_KEYPOINT_SCORE = 0.127
-"""Score below which keypoints do not count towards a person's score, as in Google's graph."""
+"""Score below which keypoints are left out of a person's score, as in Google's graph."""
 
 # The sides of the input are multiples of this.
 _INPUT_MULTIPLE_PX = 32
@@ -52,10 +52,10 @@ class MoveNetDetection:
     box, keypoints : Box, ObservedKeypoints
         In pixels of the image.
     score : float
-        0 to 1: of the centre, times the mean of the visible keypoints. It is no probability and is
-        low for small and covered people.
+        Score of the centre times the mean score of the visible keypoints, 0 to 1. It is not a
+        probability, and is low for small and covered people.
     centre_score : float
-        Of the centre alone.
+        Score of the centre alone.
     """
 
     box: Box
@@ -67,7 +67,7 @@ class MoveNetDetection:
 class MoveNet:
     """MoveNet; thread-safe.
 
-    Paths, threads, copies and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Path, threads, copies and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class MoveNet:
     def detect(self, image: NDArray[np.uint8]) -> list[MoveNetDetection]:
         """Find the people of an image ``(H, W, 3)``, BGR, highest centre score first.
 
-        The network sees the image at its full size, which memory and time must allow.
+        The network sees the image at its full size, which determines memory and time.
         """
         height, width = image.shape[:2]
         rows, columns = (
@@ -191,8 +191,8 @@ class KeypointReader:
         return person.keypoints.scaled(scale).moved(rect[0], rect[1])
 
     def _best_match(self, people: list[MoveNetDetection], box: Box) -> MoveNetDetection | None:
-        """The person in a box, whose window may show neighbours as well."""
-        # A blank wall can have a centre but no keypoints: its score is 0.
+        """The person in a box; the window around it may show neighbours as well."""
+        # A blank wall can have a centre but no keypoints; its score is then 0.
         min_iou = self._parameters.min_iou
         near = [one for one in people if one.score > 0 and box.iou(one.box) >= min_iou]
         return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)

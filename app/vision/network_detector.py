@@ -1,4 +1,4 @@
-"""People by both networks, with HOG beside them.
+"""Detection of people with both networks and, beside them, HOG.
 
 MoveNet sees the whole frame once. If the smallest wanted person would be too small in it, MoveNet
 sees the frame again at a higher resolution, in tiles.
@@ -27,10 +27,10 @@ from app.vision.tiles import tiles_of
 
 
 class NetworkDetector:
-    """Find people by MoveNet and BlazePose's detector.
+    """Find people with MoveNet and BlazePose's detector.
 
-    MoveNet finds people of any size, BlazePose's detector large ones in any pose and orientation.
-    HOG may raise a score, never lower it: it only knows people who stand.
+    MoveNet finds people of any size, BlazePose's detector large people in any pose and orientation.
+    HOG may raise a score but never lowers it, since it recognises only standing people.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class NetworkDetector:
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
     min_score : float, optional
-        Least probability that is reported.
+        Probability from which a person is reported.
     """
 
     name: DetectorName = "network"
@@ -125,7 +125,7 @@ class NetworkDetector:
                 found.append(Detection(box, score, keypoints))
                 overview_px = max(box.width, box.height) * tiles[0].factor
                 is_large = overview_px >= self._parameters.large_person_px
-                # A box at the better resolution comes before all others.
+                # A box from the more suitable resolution comes before all others.
                 ranks.append(score + (len(tiles) == 1 or is_large == (number == 0)))
         boxes = box_array(one.box for one in found)
         kept = non_max_suppression(boxes, np.array(ranks), self._parameters.nms_iou)

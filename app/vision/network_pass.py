@@ -1,6 +1,6 @@
-"""What one pass of the landmark network gives, in the window's own terms.
+"""The output of one pass of the landmark network, in coordinates of the window.
 
-The models trained on rendered people (depth, posture, presence) read it.
+It is the input of the models trained on rendered people (depth, posture, doubt).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
 
 @dataclass(frozen=True)
 class NetworkPass:
-    """One pass.
+    """The output of one pass.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class NetworkPass:
         Metres about the middle of the hips: x and y along the window's sides, z along its line
         of sight.
     presence : float
-        Probability that a person is in the window, as the network gives it.
+        The network's probability that a person is in the window.
     middle : (8, 8, 144) float32 array
         Feature map.
     last : (2, 2, 288) float32 array

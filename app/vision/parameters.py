@@ -12,21 +12,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ImageParameters:
-    """Decoding of images and masks."""
+    """How images and masks are decoded."""
 
     # A picture is dark if this percentile of its values is lower.
     bright_percentile: float = 99.0
     dark_below: float = 20.0
-    # Of 16 bits, the range that is stretched lies between outliers of this share, and is not
-    # narrower: the rest would be noise.
+    # The range of 16-bit values that is stretched excludes outliers of this percentage, and is at
+    # least this wide: a narrower one would be noise.
     outlier_percentile: float = 0.1
     min_used_range: int = 64
-    sampled_px: int = 20_000  # Enough for percentiles, which take half a millisecond.
-    max_missing_share: float = 0.5  # A JPEG with more missing is refused.
+    sampled_px: int = 20_000  # Sample for percentiles, which take half a millisecond.
+    max_missing_share: float = 0.5  # A JPEG of which more is missing is refused.
     max_labels: int = 100  # With more values, an image is a mask with soft edges, not a crowd.
-    # Pairs of neighbouring pixels with different labels: of all pixels, where there are many such
-    # pairs, and at most. Fifty people who fill a frame of 12 megapixels have 400,000, a thirtieth
-    # of the pixels; noise has two for each pixel.
+    # Most pairs of neighbouring pixels with different labels: this number and, above the third
+    # number, also this share of the pixels. Fifty people who fill a frame of 12 megapixels have
+    # 400,000, a thirtieth of the pixels; noise has two for each pixel.
     max_label_changes: int = 1_000_000
     max_label_change_share: float = 0.5
     few_label_changes: int = 10_000
@@ -46,18 +46,21 @@ class ImageParameters:
 class TilingParameters:
     """The sizes at which MoveNet sees a frame."""
 
-    # Bounds on both sides of the overview: a camera of more pixels does not cost more.
+    # Largest sides of the overview: a camera with more pixels does not cost more.
     overview_px: tuple[int, int] = (640, 352)
-    max_enlargement: float = 1.5  # Of small frames.
-    min_side_px: int = 12  # Of the overview; thinner frames hold nobody.
-    min_person_share: float = 1 / 12  # Smallest person wanted by default, of the frame's height.
-    min_gain: float = 1.1  # In resolution over the overview; up to that, tiles add nothing.
-    # Longer side and area of the frame at the resolution of the tiles, which bound the time.
+    max_enlargement: float = 1.5  # Largest factor by which small frames are enlarged.
+    min_side_px: int = 12  # Shortest side of the overview; thinner frames hold nobody.
+    # Height of the smallest person wanted by default, as a share of the frame's height.
+    min_person_share: float = 1 / 12
+    # Gain in resolution over the overview up to which tiles add nothing.
+    min_gain: float = 1.1
+    # Largest side and area of the frame at the resolution of the tiles; they bound the time.
     max_fine_side_px: int = 1280
     max_fine_px: int = 1280 * 720
     max_tile_px: int = 160_000  # Area of a tile as MoveNet sees it, which bounds the memory.
     max_tiles_per_side: int = 8
-    overlap_px: int = 96  # So that a person at a seam is whole in the next tile or the overview.
+    # Overlap of tiles, so that a person at a seam is whole in the next tile or the overview.
+    overlap_px: int = 96
 
     @property
     def min_person_px(self) -> float:
@@ -70,22 +73,25 @@ class DetectorParameters:
     """Detection by both networks, with HOG beside them."""
 
     min_score: float = 0.3  # Probability from which a detection is reported.
-    nms_iou: float = 0.4  # Two boxes are one person; two people side by side reach 0.3.
-    min_movenet_score: float = 0.02  # Lower scores are ignored.
-    min_probability: float = 1e-4  # Scores are this far from 0 and 1 before log odds are taken.
+    # Overlap from which two boxes show one person; two people side by side reach 0.3.
+    nms_iou: float = 0.4
+    min_movenet_score: float = 0.02  # MoveNet's lower scores are ignored.
+    # Least distance of scores from 0 and 1 when their log odds are taken.
+    min_probability: float = 1e-4
     # Log odds added to a detection where a person was seen a moment ago. People do not vanish, but
     # a falling person is blurred, and then lies in a pose that detectors rarely recognise.
     expected_log_odds: float = 1.0
-    min_expected_share: float = 0.5  # Of a box that must be within reach of that person.
-    # Height in the overview from which people are taken from it; smaller ones are taken from the
-    # tiles, which separate two people side by side.
+    # Share of a box that must be within reach of that person.
+    min_expected_share: float = 0.5
+    # Longer side of a box, in the overview, from which people are taken from the overview; smaller
+    # ones are taken from the tiles, which separate two people side by side.
     large_person_px: float = 96.0
     seam_px: float = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut.
-    min_body_score: float = 0.3  # Of BlazePose's detector.
+    min_body_score: float = 0.3  # Least score of BlazePose's detector.
     # Presence from which a detection of BlazePose alone is a person: walls and trees stay below
     # 0.1, most people are above 0.9.
     min_presence: float = 0.5
-    # BlazePose's window relative to one about MoveNet's box, if both are about the same person.
+    # Size of BlazePose's window relative to the one about MoveNet's box if both show one person.
     same_size: tuple[float, float] = (0.4, 2.5)
 
 
@@ -95,28 +101,30 @@ class HogParameters:
 
     min_score: float = 0.2  # Probability from which HOG alone reports a detection.
     pyramid_step: float = 1.15  # Coarser than the usual 1.05, at half the time.
-    max_person_share: float = 1.15  # Largest person searched for, of the frame's height.
+    # Height of the largest person searched for, as a share of the frame's height.
+    max_person_share: float = 1.15
     border_px: int = 16  # Padding in the trained window, so that people at the border fill one.
-    box_scale: float = 1.06  # A single box is scored in windows a little larger.
-    min_margin: float = -5.0  # Lower ones are raised to this.
+    box_scale: float = 1.06  # Windows in which a box is scored, relative to the box.
+    min_margin: float = -5.0  # Lower margins are raised to this.
     search_person_px: float = 50.0  # Frames are reduced until the smallest person has this height.
     # Smaller people are not searched for: in a frame of a few rows, a share of the height is next
     # to nothing.
     min_person_px: float = 16.0
-    nms_iou: float = 0.4  # Two boxes are one person.
-    # Two boxes are of one body, a part and the whole, if they share this much of the smaller one
-    # and their axes are no farther apart than this share of the wider one.
+    nms_iou: float = 0.4  # Overlap from which two boxes show one person.
+    # Two boxes show a part and the whole of one body if they share this much of the smaller box and
+    # their axes are no farther apart than this share of the wider box.
     part_share: float = 0.8
     part_distance: float = 0.3
-    mean_iou: float = 0.6  # A box counts in a person's mean if it overlaps the best one more.
+    # Overlap with a person's best box above which a box is used in the person's mean box.
+    mean_iou: float = 0.6
     mean_margin: float = 0.1  # Added to the margins that weight this mean, which may be 0.
 
 
 @dataclass(frozen=True)
 class KeypointParameters:
-    """MoveNet's detections, and its keypoints of one person in a box."""
+    """Decoding of MoveNet's detections, and of its keypoints for one person in a box."""
 
-    max_people: int = 60  # For each pass of the network.
+    max_people: int = 60  # Most people found in one pass of the network.
     min_centre_score: float = 0.03
     min_box_cells: float = 0.25  # Sides of a box in heatmap cells; smaller ones are empty.
     input_px: tuple[int, int] = (256, 160)  # Window of one person, the longer side along them.
@@ -137,17 +145,19 @@ class ReadingParameters:
     # Weights in the quality, beside the agreement with MoveNet.
     presence_weight: float = 0.3
     drift_weight: float = 1.0
-    agreement_distance: float = 0.15  # Up to this, both networks agree about a keypoint.
-    unknown_agreement: float = 0.6  # Where MoveNet finds nobody.
-    keypoint_weight: float = 2.0  # Of a keypoint of score 1, against the landmark it agrees with.
-    min_trunk_score: float = 0.15  # Score from which hips and shoulders show its direction.
+    agreement_distance: float = 0.15  # Distance up to which both networks agree on a keypoint.
+    unknown_agreement: float = 0.6  # Agreement assumed if MoveNet finds nobody.
+    # Weight of a keypoint of score 1, relative to the landmark with which it agrees.
+    keypoint_weight: float = 2.0
+    # Score from which hips and shoulders show the direction of the trunk.
+    min_trunk_score: float = 0.15
     min_visible_score: float = 0.25  # Score from which a keypoint of MoveNet is visible.
-    # Distance from the frame's border; nearer landmarks are at most as visible as MoveNet's
+    # Distance from the frame's border within which landmarks are at most as visible as MoveNet's
     # keypoints.
     border_distance: float = 0.3
-    hips_to_feet: float = 1.7  # Distance relative to the trunk.
-    # Leans of the trunk between which a window that is not turned is tried as well: in windows
-    # turned to the trunk of leaning people, the network exchanges left and right at times.
+    hips_to_feet: float = 1.7  # Distance from hips to feet, relative to the trunk.
+    # If the trunk leans by an angle between these, a window that is not turned is tried as well: in
+    # windows turned to a leaning trunk, the network sometimes exchanges left and right.
     min_lean_deg: float = 15.0
     max_lean_deg: float = 60.0
 
@@ -156,20 +166,22 @@ class ReadingParameters:
 class SilhouetteParameters:
     """Silhouettes from the masks of the landmark network."""
 
-    min_probability: float = 0.5  # Of a person's pixels; chosen on even-numbered photographs.
+    # Least probability of a person's pixels; chosen on even-numbered photographs.
+    min_probability: float = 0.5
     max_side_px: int = 384  # Largest size at which masks are drawn and cleaned.
-    min_cover: float = 0.5  # Share of a person's pixel that the drawn mask covers.
-    # Boxes that end so close to the frame's edge are extended to it: the mask shows better than
-    # the box whether the body goes on.
+    min_cover: float = 0.5  # Least share of a person's pixel that the drawn mask covers.
+    # Boxes that end this close to the frame's edge are extended to it: the mask shows better than
+    # the box whether the body continues.
     edge_px: float = 5.0
-    min_fill: float = 0.12  # Share of the box; if less is filled, the network saw nobody.
-    # Landmarks from this visibility widen a box, with a margin of this share of its longer side.
+    min_fill: float = 0.12  # Filled share of the box below which the network saw nobody.
+    # Landmarks of at least this visibility widen a box, by a margin that is a share of its longer
+    # side.
     min_visibility: float = 0.5
     landmark_margin: float = 0.04
-    # From the ears to the crown, in distances from the shoulders to the ears.
+    # Distance from the ears to the crown, relative to that from the shoulders to the ears.
     crown: float = 0.7
-    min_part: float = 0.1  # Relative to the largest part; smaller ones are dropped.
-    max_hole: float = 0.01  # Relative to the mask; larger holes stay.
+    min_part: float = 0.1  # Area relative to the largest part; smaller parts are dropped.
+    max_hole: float = 0.01  # Area relative to the mask; larger holes stay.
 
 
 @dataclass(frozen=True)
@@ -186,9 +198,10 @@ class TruncationParameters:
     # Share of its extent along an edge above which a silhouette is cut: a shoe that just reaches
     # the last row is not.
     min_border_run: float = 0.1
-    unseen_end_share: float = 0.05  # The same, for a box with unseen head or feet.
+    # Distance from the frame's edge within which it may cut a box, as a share of the longer side.
+    unseen_end_share: float = 0.05
     min_keypoint_score: float = 0.3  # Score from which a keypoint is seen.
-    max_cover: float = 0.05  # Share of a whole person's box that a nearer one may cover.
+    max_cover: float = 0.05  # Share of a whole person's box that a nearer person may cover.
     box_fill: float = 0.5  # Share of a box that a person without a silhouette fills.
 
 
@@ -198,15 +211,15 @@ class BackgroundParameters:
 
     max_px: int = 1920 * 1080  # Larger frames are reduced: one of 12 megapixels took 13 s and 2 GB.
     blur_px: float = 0.8  # Standard deviation of the blur before frames are compared.
-    # Standard deviations of the noise from which a pixel has changed, and has changed if it is
-    # connected to such a pixel.
+    # Difference, in standard deviations of the noise, from which a pixel has certainly changed, and
+    # from which a pixel connected to such a one has changed.
     certain_distance: float = 8.0
     possible_distance: float = 4.0
-    min_noise: float = 2.0  # Compression alone leaves this much.
+    min_noise: float = 2.0  # Least noise: compression alone leaves this much.
     # Share of the background's local contrast that counts as noise: vibration and focus breathing
     # move edges.
     contrast_noise: float = 0.25
-    exposure_range: tuple[float, float] = (4.0, 250.0)  # Pixels outside say nothing about it.
+    exposure_range: tuple[float, float] = (4.0, 250.0)  # Pixels outside are not used to fit it.
     min_exposure_samples: int = 100
     # The fit of the exposure is repeated on the samples whose error is within this multiple of the
     # median error, or within this many grey levels: people are outliers.
@@ -218,22 +231,22 @@ class BackgroundParameters:
     max_shadow_tint: float = 0.06
     max_shadow_unevenness: float = 0.05
     min_cover: float = 0.45  # Share of the nearby difference that half a pixel of a person shows.
-    min_height_share: float = 0.8  # Of a region, relative to the smallest person wanted.
+    min_height_share: float = 0.8  # Height of a region, relative to the smallest person wanted.
     height_per_gap: float = 12.0  # Height of that person relative to gaps closed within a body.
-    # Scores by width over height of a standing or walking body, 0 outside the range, and by the
-    # share of its box that it fills, 0 below the range.
+    # Scores of a region, as a standing or walking body: by its width over height, 0 outside the
+    # range, and by the share of its box that it fills, 0 below the range.
     aspect: tuple[float, ...] = (0.15, 0.25, 0.6, 1.2)
     aspect_score: tuple[float, ...] = (0.3, 1.0, 1.0, 0.2)
     fill: tuple[float, ...] = (0.2, 0.4)
     fill_score: tuple[float, ...] = (0.4, 1.0)
     max_score: float = 0.9  # A region of change is never a person for certain.
-    min_part: float = 0.1  # Relative to the largest part; smaller ones are dropped.
-    max_hole: float = 0.05  # Relative to the mask; larger holes stay.
+    min_part: float = 0.1  # Area relative to the largest part; smaller parts are dropped.
+    max_hole: float = 0.05  # Area relative to the mask; larger holes stay.
 
 
 @dataclass(frozen=True)
 class VisionParameters:
-    """All of them."""
+    """All parameters of vision."""
 
     images: ImageParameters = ImageParameters()
     tiling: TilingParameters = TilingParameters()

@@ -84,7 +84,7 @@ class ObservedKeypoints:
 
 
 NETWORK_DEPTH_SD_M = 0.15
-"""Standard deviation of the depths that the landmark network gives."""
+"""Standard deviation of the landmark network's depths."""
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ class Detection:
     score : float
         Probability that the box holds a person, 0 to 1.
     keypoints : ObservedKeypoints, optional
-        In pixels of the frame; None where the detector finds none.
+        Keypoints in pixels of the frame; None if the detector finds none.
     windows : tuple of PersonWindow
-        Where the detector sees the whole body, the likeliest first; may be empty.
+        Windows in which the detector sees the whole body, the likeliest first; may be empty.
     """
 
     box: Box
@@ -167,7 +167,7 @@ class Silhouette:
     left, top : int
         Column and row of the crop's first pixel in the frame.
     segmenter : str
-        What made it: ``network``, ``background`` or ``mask``.
+        The source of the silhouette: ``network``, ``background`` or ``mask``.
     truncated : bool
         Whether the frame's border or another person cuts the body.
     """

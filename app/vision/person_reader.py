@@ -1,6 +1,6 @@
 """Reads one person: the best of the landmark network's readings, fused with MoveNet's keypoints.
 
-The landmark network reads well if its window is right: about the body, with the trunk upright.
+The landmark network is reliable if its window is right: about the body, with the trunk upright.
 Windows come from the detectors. MoveNet's keypoints need no window: they show which reading is
 right, and make its landmarks a little more precise where both networks agree.
 """
@@ -28,7 +28,7 @@ from app.vision.people import (
 )
 from app.vision.truncation import ends_at_border
 
-# Of the face, the nose alone counts.
+# Only the nose represents the face.
 _COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
 
 
@@ -81,16 +81,17 @@ class PersonReader:
         box : Box
             Tight around the visible person.
         keypoints : ObservedKeypoints, optional
-            MoveNet's, in pixels of the frame; by default they are read in the box.
+            MoveNet's keypoints, in pixels of the frame; by default they are read in the box.
         windows : sequence of PersonWindow
             Windows to try besides the one about the box, the likeliest first.
         tracked : PoseReading, optional
-            In the window that the person's track expects; no other is read if it is good.
+            Reading in the window that the person's track expects; if it is good, no other window is
+            read.
 
         Returns
         -------
         PoseReading
-            Its landmarks fused with the keypoints that agree.
+            The best reading, its landmarks fused with the keypoints that agree with them.
         """
         if keypoints is None:
             keypoints = self.keypoint_reader.read(frame, box)
@@ -111,7 +112,7 @@ class PersonReader:
         keypoints: ObservedKeypoints | None,
         tracked: PoseReading | None,
     ) -> PoseReading:
-        """The first good reading; without one the best or, in doubt, that of its next window."""
+        """The first good reading, else the best; if it is doubtful, its next window is tried."""
 
         def quality_of(reading: PoseReading) -> float:
             return reading_quality(reading, keypoints, self.parameters)
@@ -136,7 +137,7 @@ def window_beyond_border(
 ) -> list[PersonWindow]:
     """Window about the whole body if the border cuts off its head or its feet; else none.
 
-    In a window about the visible part alone, the network would read a small whole body.
+    In a window about the visible part alone, the network would see a small whole body.
     """
     if keypoints is None or not ends_at_border(box, frame_shape):
         return []
@@ -158,7 +159,7 @@ def reading_quality(
     keypoints: ObservedKeypoints | None,
     parameters: ReadingParameters = DEFAULTS.reading,
 ) -> float:
-    """How good a reading is: it agrees with MoveNet, sees a person, and its window stays."""
+    """Quality of a reading: agreement with MoveNet, presence, and a window that stays in place."""
     agreement = parameters.unknown_agreement
     if keypoints is not None:
         agreement = _agreement(reading, keypoints, parameters)
@@ -177,7 +178,7 @@ def _agreement(
     distances = _distances(reading, keypoints)[_COMPARED]
     agrees = np.exp(-((distances / parameters.agreement_distance) ** 2))
     total = float(scores.sum())
-    # Few keypoints show little.
+    # Few keypoints are little evidence.
     known = min(1.0, total)
     share = float((scores * agrees).sum() / max(total, 1e-9))
     return known * share + (1 - known) * parameters.unknown_agreement
@@ -219,8 +220,8 @@ def attenuate_visibility_at_border(
 ) -> Landmarks:
     """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
 
-    If the border cuts a body, the landmark network squeezes the whole of it into the visible part
-    and calls all of it visible. MoveNet gives a low score to what it does not see.
+    If the border cuts off part of a body, the landmark network squeezes the whole body into the
+    visible part and reports all of it as visible. MoveNet gives low scores to what it does not see.
     """
     landmarks = reading.landmarks
     if reading.keypoints is None:

@@ -51,7 +51,7 @@ class PhotographModels:
     doubt: DoubtModel
 
     def body(self, reading: PoseReading, camera: PinholeCamera) -> Body3D:
-        """A reading in three dimensions; ``ValueError`` where no network read it."""
+        """A reading in three dimensions; ``ValueError`` if it is not from the network."""
         given, landmarks = _given(reading), reading.landmarks
         depths = self.depth.correct(given, reading.window, camera)
         return body_of(
@@ -64,7 +64,7 @@ class PhotographModels:
         Raises
         ------
         ValueError
-            If no network read it.
+            If the reading is not from the network.
         """
         body, given, landmarks = self.body(reading, camera), _given(reading), reading.landmarks
         trust = doubt_features(
@@ -97,7 +97,7 @@ def _given(reading: PoseReading) -> NetworkPass:
 
 @cache
 def photograph_models(path: Path | None = None) -> PhotographModels:
-    """Load models once: those that ship, or those of another file.
+    """Load models once: the shipped ones, or those in another file.
 
     Raises
     ------

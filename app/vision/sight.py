@@ -18,7 +18,7 @@ ASSUMED_FOV_DEG = 60.0
 """Field of view along the longer side of a frame with no known camera settings."""
 
 NEAREST_M = 0.3
-"""Nobody is placed nearer to the camera than this."""
+"""Least distance from the camera at which a person is placed."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class PinholeCamera:
     centre : (2,) float64 array
         Principal point, pixels.
     given : bool
-        Whether the field of view is known rather than assumed.
+        Whether the field of view was given rather than assumed.
     """
 
     focal: NDArray[np.float64]
@@ -88,7 +88,7 @@ class PinholeCamera:
         return np.concatenate([aside, np.ones((*aside.shape[:-1], 1))], axis=-1)
 
     def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Places ``(..., 2)`` in pixels of points ``(..., 3)`` before the camera."""
+        """Places ``(..., 2)`` in pixels of points ``(..., 3)`` in front of the camera."""
         points = np.asarray(points, np.float64)
         return np.asarray(points[..., :2] / points[..., 2:] * self.focal + self.centre)
 
@@ -96,8 +96,8 @@ class PinholeCamera:
 def to_line_of_sight(rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotations ``(..., 3, 3)`` from camera axes to those of lines of sight ``(..., 3)``.
 
-    ``line @ camera``; the transpose leads back. Rodrigues' formula for the smallest rotation that
-    brings z onto the ray.
+    They apply as ``line @ camera``; the transpose leads back. They follow from Rodrigues' formula
+    for the smallest rotation that brings z onto the ray.
     """
     x, y, z = np.moveaxis(rays / np.linalg.norm(rays, axis=-1, keepdims=True), -1, 0)
     rest = 1 / (1 + z)
@@ -138,9 +138,9 @@ class PlacedBody:
     Parameters
     ----------
     points : (..., P, 3) float64 array
-        Metres from the camera, its axes.
+        Metres from the camera, in its axes.
     origin : (..., 3) float64 array
-        Where the origin of the depths lies, likewise.
+        Position of the origin of the depths, likewise.
     """
 
     points: NDArray[np.float64]
@@ -155,19 +155,20 @@ def place_on_sight_lines(
 ) -> PlacedBody:
     """Place points on the lines of sight of their landmarks.
 
-    The body's size says how far away it is: the origin is moved so that the points come as near to
-    their lines as they can, across the line of sight; then each is put onto its line at its depth.
+    The body's size determines how far away it is: the origin is moved so that the points are as
+    near to their lines as possible, across the line of sight. Then each point is put onto its line,
+    at its depth.
 
     Parameters
     ----------
     metres : (..., P, 3) float64 array
-        About any origin, axes of a line of sight; z is trusted.
+        Points about any origin, in the axes of a line of sight; their depths are not changed.
     rays : (..., P, 3) float64 array
         Directions of the landmarks, camera axes.
     axes : (..., 3, 3) float64 array
         Camera axes to those of the line of sight.
     weights : (P,) float64 array
-        How much each counts; not negative, not all zero.
+        Weight of each point; not negative, not all zero.
 
     Returns
     -------

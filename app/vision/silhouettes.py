@@ -1,4 +1,4 @@
-"""Silhouettes of the people of a frame, from the landmark network's masks or a caller's own."""
+"""Silhouettes of the people in a frame, from the landmark network's masks or a caller's mask."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def silhouettes_of(
 ) -> list[Silhouette | None]:
     """Cut people out of the masks of their readings.
 
-    A pixel that several people claim goes to the one of the highest probability.
+    A pixel in several people's masks goes to the person with the highest probability.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def silhouettes_of(
     exact : bool
         Whether boxes are tight; if not, limbs may reach beyond them.
     checkpoint : callable
-        Called before each person; raises where the work is no longer wanted.
+        Called before each person; raises an error if the work is no longer wanted.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParame
 
 
 def _region(box: Box, width: int, height: int, parameters: SilhouetteParameters) -> Box | None:
-    """The part of a frame to cut a person out of: the box, extended to edges that are near."""
+    """The part of a frame to cut a person out of: the box, extended to nearby edges."""
     inside = box.clip(width, height)
     if inside is None:
         return None
@@ -123,7 +123,7 @@ def _cut_out(
 ) -> Silhouette | None:
     """Cut one person out of a region; None if next to nothing is left.
 
-    ``rivals`` are the readings of other people there, and whether they win ties.
+    ``rivals`` are the readings of other people in the region, and whether they win ties.
     """
     left, top, right, bottom = region.pixels()
     width, height = right - left, bottom - top
@@ -166,7 +166,7 @@ def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]
     Larger ones stay: the gap between arm and trunk shows the pose.
     """
     limit = share * np.count_nonzero(mask)
-    # A ring of background, so that the outside is one component, number `labels[0, 0]`.
+    # A ring of background makes the outside one component, number `labels[0, 0]`.
     background = np.pad(~mask, 1, constant_values=True).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
     small = stats[:, cv2.CC_STAT_AREA] <= limit
@@ -180,7 +180,7 @@ def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]
 def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
     """Keep the largest component of a mask ``(H, W)`` and those of at least ``share`` of its area.
 
-    A lamp post may part a leg from its body, so one component need not be all of a person.
+    A lamp post may separate a leg from the body, so a person may consist of several components.
     """
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     if count <= 2:

@@ -24,7 +24,7 @@ class TfliteNetwork:
     Parameters
     ----------
     input_shape : (int or None, int or None, int)
-        Rows, columns and channels; None where the network takes any.
+        Rows, columns and channels; None for a size that may vary.
     output_shapes : sequence of the same
         Shape of each output.
     threads : int
@@ -50,7 +50,7 @@ class TfliteNetwork:
         self._path = path
         self._threads = threads
         # An interpreter holds the activations of its layers, so each serves one call at a time.
-        # None stands for one that is not made yet.
+        # None stands for an interpreter that has not been made yet.
         self._idle: LifoQueue[Interpreter | None] = LifoQueue()
         for _ in range(copies):
             self._idle.put(None)

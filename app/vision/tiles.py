@@ -19,7 +19,7 @@ class Tile:
     rect : (left, top, width, height)
         In pixels of the frame.
     factor : float
-        By which the part is resized.
+        Factor by which the part is resized.
     """
 
     rect: PixelRect
@@ -35,7 +35,7 @@ class Tile:
         """A box of this tile in pixels of the frame.
 
         None if it lies outside the frame, or ends within ``seam_px`` of an edge of the tile that is
-        not the frame's: such a person is cut.
+        not an edge of the frame, since such a person is cut off.
         """
         left, top, columns, rows = self.rect
         seam = seam_px / self.factor
@@ -72,7 +72,7 @@ def tiles_of(
     list of Tile
         The overview first; empty for a frame too thin to hold a person.
     """
-    # Portraits are seen as large as landscapes.
+    # Portrait frames are seen as large as landscape frames.
     longer, shorter = max(width, height), min(width, height)
     long_px, short_px = parameters.overview_px
     overview = min(long_px / longer, short_px / shorter, parameters.max_enlargement)

@@ -1,4 +1,4 @@
-"""Whether a body is cut: by the frame's border, or by another person in front of it."""
+"""Whether a body is cut off by the frame's border or covered by another person."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def touches_border(
     frame_shape: tuple[int, ...],
     parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
-    """Whether a silhouette runs along the frame's border; a caller's mask is taken to the pixel."""
+    """Whether a silhouette runs along the frame's border; a caller's mask is exact to the pixel."""
     crop = silhouette.crop
     near = max(parameters.border_px, parameters.border_share * max(crop.shape))
     if silhouette.segmenter == "mask":
         near = 0.0
-    # The crop as seen from each edge: its first columns are nearest.
+    # The crop as seen from each edge; the first columns are nearest to it.
     views = (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1])
     return any(
         gap <= near
@@ -67,7 +67,7 @@ def end_beyond_border(
     frame_shape: tuple[int, ...],
     parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
-    """Whether the frame cuts off a person's head or feet: none of their keypoints is seen in it."""
+    """Whether the frame cuts off a person's head or feet, so that no keypoint of it is seen."""
     height, width = frame_shape[:2]
     inside = ((keypoints.positions > -0.5) & (keypoints.positions < [width, height])).all(axis=1)
     seen = inside & (keypoints.scores >= parameters.min_keypoint_score)

@@ -1,4 +1,4 @@
-"""The networks that ship, and the constants fitted to their outputs.
+"""The shipped networks, and the constants fitted to their outputs.
 
 ``models.json`` gives each network's description, source, conversion and SHA-256. ``fitted.json``
 gives the constants, with the command that fits them and the data they were fitted to.
@@ -25,7 +25,7 @@ def network_path(name: str) -> Path:
     Raises
     ------
     NetworkError
-        If the file is missing or is not the one that ships.
+        If the file is missing or is not the shipped one.
     """
     model = json.loads(MODELS.read_text())[name]
     path = FOLDER / str(model["file"])
@@ -40,7 +40,7 @@ def network_path(name: str) -> Path:
 
 
 def check_networks() -> None:
-    """Raise :class:`NetworkError` if a network's file is not the one that ships."""
+    """Raise :class:`NetworkError` if a network's file is not the shipped one."""
     for name in json.loads(MODELS.read_text()):
         network_path(name)
 
