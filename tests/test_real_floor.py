@@ -37,7 +37,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 ORIENTATIONS = {"upright": (0, 45), "horizontal": (45, 135), "inverted": (135, 181)}
-LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 10, 4
+LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 40, 4
 PCK_WITHIN = 0.2
 """Share of the trunk's length within which a joint counts as found."""
 
@@ -138,9 +138,9 @@ def test_photographs_of_falls(real: Estimator, kind: str) -> None:
     )
     assert seen >= 95
     if kind == "fall":
-        assert low >= 65  # Measured: 70. A model fitted to these photographs reached 80 and none.
+        assert low >= 75  # Measured: 82; 76 of all photographs.
     else:
-        assert low <= 12  # Measured: 10.
+        assert low <= 6  # Measured: 0; 4 of all photographs.
 
 
 def frames_of(camera: str) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.float64], Box]]:
