@@ -151,9 +151,9 @@ class PostureRules:
     Heights and lengths are in legs (thigh and shank), heights from the lowest joint.
     """
 
-    # Least tilt of the trunk of a person who lies or is on all fours
+    # Smallest tilt of the trunk of a person lying or on all fours
     min_horizontal_deg: float = 55.0
-    # Largest height of the pelvis and the chest of a person who lies
+    # Largest height of the pelvis and the chest of a person lying
     max_lying_height: float = 0.5
     # Largest height of the lowest hand or elbow of a person on all fours
     max_hand_height: float = 0.3

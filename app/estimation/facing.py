@@ -63,8 +63,7 @@ def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
     """Share of the hypotheses' total confidence that faces the camera; arrays are ``(N,)``."""
-    weights = confidences + 1e-9  # Equal weights if all confidences are 0.
-    return float(np.clip(weights @ faces_camera(azimuths_deg) / weights.sum(), 0, 1))
+    return float(heading_shares(np.zeros(1), azimuths_deg, confidences)[0])
 
 
 def heading_shares(
@@ -87,6 +86,6 @@ def heading_shares(
     -------
     (N,) float64 array
     """
-    weights = confidences + 1e-9
-    apart = np.deg2rad(azimuths_deg[:, None] - voters_deg)
-    return np.asarray(np.clip((np.cos(apart) > 0) @ weights / weights.sum(), 0, 1))
+    weights = confidences + 1e-9  # Equal weights if all confidences are 0.
+    agree = faces_camera(azimuths_deg[:, None] - voters_deg)
+    return np.asarray(np.clip(agree @ weights / weights.sum(), 0, 1))

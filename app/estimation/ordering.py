@@ -131,7 +131,7 @@ def nearest_of_both_facings(
     chosen: list[int] = []
     while order and len(chosen) < n:
         opposite = [i for i in order if front[i] != front[chosen[0]]] if chosen else []
-        wanted = int(share * (len(chosen) + 1) + 1e-9)
+        wanted = int(share * (len(chosen) + 1) + 1e-9)  # Seven sevenths are one.
         have = sum(bool(front[i] != front[chosen[0]]) for i in chosen)
         following = opposite[0] if opposite and have < wanted else order[0]
         order.remove(following)

@@ -68,7 +68,7 @@ class MatchingParameters:
     near_per_s: float = 1.0
     far: float = 2.0
     # Largest ratio of two sizes of one person at once; it applies once more for each second since
-    # the last sighting. A person who falls towards the camera shrinks within half a second.
+    # the last sighting. A person's box shrinks within half a second in a fall towards the camera.
     max_growth: float = 1.6
     # Weights of the costs of a pair, each 0 to 1 within the limits above.
     place_weight: float = 0.4

@@ -17,6 +17,7 @@ from index.build.photographs.development import develop
 from index.build.photographs.materials import Materials
 from index.build.photographs.meshes import Mesh, joined
 from index.build.photographs.people import (
+    LANDMARK_NAMES,
     MIRRORED,
     Person,
     cast,
@@ -72,6 +73,14 @@ EMPTY = -1
 
 _SHADOW_PIXELS, _SHADOW_REACH_M = 256, 2.6
 _PELVIS = JOINT_NAMES.index("pelvis")
+_HIPS, _HEAD, _FEET = (
+    [LANDMARK_NAMES.index(name) for name in names]
+    for names in (
+        ("left_hip", "right_hip"),
+        ("nose", "left_shoulder", "right_shoulder"),
+        ("left_ankle", "right_ankle"),
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -251,11 +260,10 @@ def _photograph(
 ) -> Photograph | None:
     """Furnish the scene, take the picture and say what it shows; None where little is seen."""
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
-    target = np.asarray((low + high) / 2, np.float64)
-    close = body is not None and generator.random() < CLOSE_UPS
-    if body is not None and close:
-        target = _end_of(body, generator)
-    camera = sample_camera(target, floor, generator, close=close)
+    middle = np.asarray((low + high) / 2, np.float64)
+    end = _end_of(body, generator) if body is not None and generator.random() < CLOSE_UPS else None
+    target = middle if end is None else end
+    camera = sample_camera(target, floor, generator, close=end is not None)
     seen = camera.seen(subject.vertices)
     if seen[:, 2].min() < NEAREST_M:
         return None
@@ -324,9 +332,8 @@ def _photograph(
 
 def _end_of(body: PosedBody, generator: np.random.Generator) -> NDArray[np.float64]:
     """A place between the hips and one end of a body: the head, seldom the feet."""
-    hips = body.landmarks[[23, 24]].mean(axis=0)
-    rows = [0, 11, 12] if generator.random() < 0.8 else [27, 28]
-    end = body.landmarks[rows].mean(axis=0)
+    hips = body.landmarks[_HIPS].mean(axis=0)
+    end = body.landmarks[_HEAD if generator.random() < 0.8 else _FEET].mean(axis=0)
     return np.asarray(hips + generator.uniform(0.5, 1.0) * (end - hips), np.float64)
 
 
