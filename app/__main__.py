@@ -14,8 +14,8 @@ import sys
 
 import uvicorn
 
-from app.http.logs import log_config
-from app.serving.cameras_file import read_cameras
+from app.http.access_log import log_config
+from app.serving.loading import read_cameras
 from app.serving.milvus import MissingPackageError, check_milvus_package
 from app.serving.runtime import VERSION
 from app.settings import Settings, SettingsError, read_settings

@@ -13,24 +13,23 @@ from fastapi.middleware.gzip import GZipMiddleware
 from starlette.formparsers import MultiPartParser
 from starlette.types import Scope
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
+from app.cameras import CameraSessions
 from app.http.access_log import AccessLogMiddleware
 from app.http.admission import AdmissionMiddleware, UploadLimits
 from app.http.errors import register_error_handlers
 from app.http.identity import CAMERA_HEADER, Identity, IdentityMiddleware
 from app.http.metrics import Metrics
 from app.http.routing import HeadMiddleware, RouteTable
+from app.photograph import Estimator
 from app.routes import cameras, deepstack, index, pose, sequence, system
 from app.routes.cameras import SESSION_HEADER
 from app.routes.openapi import SERVERS, TAGS, add_openapi
 from app.scheduling.executor import Executor
 from app.scheduling.process import configure_process
-from app.serving.cameras_file import read_cameras
-from app.serving.loading import become_ready, keep_index_loaded
+from app.serving.loading import become_ready, keep_index_loaded, read_cameras
 from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, read_settings
-from app.tracking.session import CameraSession
-from app.tracking.sessions import CameraSessions
 
 # Compressing a smaller answer saves less than a packet.
 GZIP_FROM_BYTES = 1400

@@ -1,7 +1,7 @@
 """The probability that a hypothesis is right, from features of the match alone.
 
 :func:`index.build.calibrate.fit_calibration` fits it. With landmarks,
-:func:`app.estimation.ordering.fused_confidences` computes the confidence instead, from constants
+:func:`app.estimation.poses.fused_confidences` computes the confidence instead, from constants
 that ``scripts/training/fit_people.py`` fits.
 """
 
@@ -27,7 +27,7 @@ FEATURES = (
     "log_agreement_5px_far",
     "log_agreement_10px_far",
 )
-"""Features of a hypothesis, computed by :func:`index.features.match_features`:
+"""Features of a hypothesis, computed by :func:`index.matching.match_features`:
 
 - logarithm of its descriptor distance, and the same relative to the smallest of all hypotheses;
 - logarithm of its votes, the weighted share of candidates in its mode, and the same relative to the

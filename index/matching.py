@@ -7,26 +7,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from index.candidates import Candidates
-from index.features import match_features
-from index.keypoints import Agreement, Keypoints, fit_to_keypoints
-from index.modes import Modes, find_modes, mode_weights
-from index.outlines import outline_distances
-from index.parameters import MATCHING, MatchParameters
-from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
-from index.ranking import NetworkRanking, fused_distances
-from index.rotations import (
+from descriptor.silhouette import HEIGHT, WIDTH
+from index.candidates import (
+    Candidates,
     RotatedQuery,
     find_rotated_candidates,
     landmark_rotations,
     seen_from,
     silhouette_rotations,
 )
+from index.confidence import RIGHT_BELOW_PX
+from index.landmarks import Agreement, Keypoints, fit_to_keypoints
+from index.modes import Modes, candidate_weights, find_modes, mode_weights
+from index.parameters import MATCHING, MatchParameters
+from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
+from index.ranking import NetworkRanking, fused_distances
 from index.search import NearestEntries
 from index.skeleton import (
+    JOINTS,
     LIMB_HIPS,
     LIMB_SHOULDERS,
     POINTS,
@@ -35,6 +37,115 @@ from index.skeleton import (
     wrap_degrees,
 )
 from index.store import PoseIndex
+
+AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
+"""Mean joint distances below which a candidate agrees with a mode."""
+
+AGREEMENT_FALL_OFFS = (0.15, 0.5)
+"""Fall-offs of the candidates' weights, as in :func:`index.modes.candidate_weights`."""
+
+
+def match_features(
+    candidates: Candidates, modes: Modes, outline_errors: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Compute :data:`index.confidence.FEATURES`.
+
+    Parameters
+    ----------
+    modes : Modes
+        M modes of the candidates, ordered by rank.
+    outline_errors : (M,) array
+        Outline distance between the query and the centre of each mode, pixels.
+
+    Returns
+    -------
+    (M, F) float64 array
+    """
+    distances, votes = np.log(modes.distances + 1e-6), np.log(modes.votes + 1e-6)
+    nearest = np.full(len(modes), np.log(candidates.distances[0] + 1e-6))
+    return np.stack(
+        [
+            distances,
+            distances - distances.min(),
+            votes,
+            votes - votes.max(),
+            nearest,
+            np.asarray(outline_errors, np.float64),
+            np.log(np.arange(1, len(modes) + 1)),
+            *np.log(_agreements(candidates, modes) + 1e-3),
+        ],
+        axis=-1,
+    )
+
+
+def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
+    """Weighted shares ``(4, M)`` of the candidates that agree with each mode.
+
+    The share of candidates that agree with a hypothesis is a better predictor of its being right
+    than the fit of the hypothesis itself.
+    """
+    mode_joints = modes.points_normalised[:, :JOINTS]
+    joints = candidates.points_normalised[:, :JOINTS]
+    # Candidates come last, because NumPy is several times slower along short axes.
+    joints = joints.transpose(2, 1, 0).copy()
+    squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
+    squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2
+    errors = np.sqrt(squares).sum(axis=1) / JOINTS
+    agree = [(errors < px).astype(np.float64) for px in AGREEMENT_PX]
+    weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
+    return np.stack([a @ w / w.sum() for w in weights for a in agree])
+
+
+def outline_distances(
+    silhouette: NDArray[np.uint8], others: NDArray[np.uint8]
+) -> NDArray[np.float64]:
+    """Mean distance from each outline to the nearest point of the other, averaged both ways.
+
+    Parameters
+    ----------
+    silhouette : (128, 48) uint8 array
+    others : (B, 128, 48) uint8 array
+
+    Returns
+    -------
+    (B,) float64 array
+        Pixels.
+    """
+    silhouettes = np.concatenate([silhouette[None], others])
+    # Shortest paths between two pixels stay within the bounding box of all silhouettes.
+    left, top, width, height = cv2.boundingRect(silhouettes.max(axis=0))
+    outlines = _outlines(silhouettes[:, top : top + max(1, height), left : left + max(1, width)])
+    # Sums of float32 would depend on how many others there are, and on the processor.
+    distances = _distance_transforms(outlines).reshape(len(outlines), -1).astype(np.float64)
+    on_outline = outlines.reshape(len(outlines), -1).astype(np.float64)
+    lengths = np.maximum(on_outline.sum(axis=1), 1)
+    from_others = on_outline[1:] @ distances[0] / lengths[1:]
+    to_others = distances[1:] @ on_outline[0] / lengths[0]
+    return np.asarray((from_others + to_others) / 2)
+
+
+def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Outermost pixels of silhouettes ``(B, H, W)``, found in one tall picture."""
+    count, height, width = silhouettes.shape
+    # A row of background below each separates them.
+    padded = np.zeros((count, height + 1, width), np.uint8)
+    padded[:, :height] = silhouettes != 0
+    eroded = cv2.erode(
+        padded.reshape(-1, width),
+        np.ones((3, 3), np.uint8),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    ).reshape(padded.shape)
+    return np.asarray((padded != eroded)[:, :height])
+
+
+def _distance_transforms(outlines: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distance ``(B, H, W)`` of each pixel to the outline; the frame's diagonal if it is empty."""
+    distances = np.empty(outlines.shape, np.float32)
+    for background, distance in zip((~outlines).view(np.uint8), distances, strict=True):
+        cv2.distanceTransform(background, cv2.DIST_L2, 3, distance)
+    distances[~outlines.any(axis=(1, 2))] = np.hypot(HEIGHT, WIDTH)
+    return distances
 
 
 @dataclass(frozen=True)
@@ -55,7 +166,7 @@ class Hypothesis:
         pixels of the normalised frame.
     confidence : float
         Probability that the mean joint error in the normalised frame is below 5 px; 0 with
-        landmarks, from which :mod:`app.estimation.ordering` computes it.
+        landmarks, from which :mod:`app.estimation.poses` computes it.
     points_3d : (24, 3) float64 array
         Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     points_normalised : (24, 2) float64 array

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.keypoints import Agreement
+from index.landmarks import Agreement
 from index.parameters import MODES, ModeParameters
 from index.skeleton import JOINTS, POINTS, with_bone_lengths_of
 

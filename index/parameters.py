@@ -83,7 +83,7 @@ class ModeParameters:
 
 @dataclass(frozen=True)
 class KeypointParameters:
-    """How landmarks are compared with skeletons and fitted; see :mod:`index.keypoints`."""
+    """How landmarks are compared with skeletons and fitted; see :mod:`index.landmarks`."""
 
     # Standard deviation of a point about its keypoint, pixels of the normalised frame
     sigma_px: float = 8.0
@@ -107,7 +107,7 @@ class KeypointParameters:
 
 @dataclass(frozen=True)
 class RotationParameters:
-    """Which in-plane rotations of a query are searched; see :mod:`index.rotations`."""
+    """Which in-plane rotations of a query are searched; see :mod:`index.candidates`."""
 
     # Ratio of width to height from which a silhouette is searched both as it is and rotated
     nearly_square: float = 0.75

@@ -2,7 +2,7 @@
 
 Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
 in the order of the table in ``docs/index.md``; the first that holds decides. The posture of a
-*person* follows from the votes of skeletons: :mod:`app.estimation.posture_probability`.
+*person* follows from the votes of skeletons: :mod:`app.estimation.posture`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 With landmarks, the agreement with them decides; without, a network that predicts joints from the
 silhouette does. The network itself is in :mod:`index.network`, its file in :mod:`index.reranker`.
-The hypotheses that a client gets are chosen in :mod:`app.estimation.ordering`.
+The hypotheses that a client gets are chosen in :mod:`app.estimation.poses`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.keypoints import Agreement
+from index.landmarks import Agreement
 from index.modes import Modes
 from index.network import Distributions, joint_positions
 from index.parameters import RANKING, RankingParameters
@@ -95,7 +95,7 @@ class NetworkRanking:
         Parameters
         ----------
         features : (M, 11) float64 array
-            From :func:`index.features.match_features`.
+            From :func:`index.matching.match_features`.
         distances : (M,) float64 array
             From :meth:`distances`.
         """

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, Boxes
-from app.vision.images import decode_image
-from app.vision.masks import decode_mask
+from app.vision.images import decode_image, decode_mask
 from index.skeleton import LIMBS
 from scripts.results import ROOT
 
@@ -53,7 +52,7 @@ class Reference:
 
     @property
     def azimuth_deg(self) -> float:
-        """As :func:`app.estimation.facing.azimuth_deg`, of shoulders and hips."""
+        """As :func:`app.estimation.posture.azimuth_deg`, of shoulders and hips."""
         return azimuth_of_limbs(self.joints_3d)
 
 
@@ -107,7 +106,7 @@ class Athlete:
 
 
 def azimuth_of_limbs(joints_3d: NDArray[np.float64]) -> float:
-    """As :func:`app.estimation.facing.azimuth_deg`, of limb joints ``(12, 3)``."""
+    """As :func:`app.estimation.posture.azimuth_deg`, of limb joints ``(12, 3)``."""
     across = joints_3d[0] - joints_3d[1] + joints_3d[6] - joints_3d[7]
     return float(np.rad2deg(np.arctan2(-across[2], across[0])))
 

@@ -19,15 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
-from app.estimation.normalise import NormalisedPerson
+from app.estimation.poses import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.crops import sample_window
-from app.vision.geometry import PersonWindow
+from app.vision.geometry import PersonWindow, sample_window
 from app.vision.people import Detection
 from index.skeleton import NATIVE
 from index.store import PoseIndex

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette, silhouette_from_mask
-from app.vision.sight import PinholeCamera
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import METRES_PER_UNIT, Clip
 from index.build.poses import Poses

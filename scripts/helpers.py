@@ -10,20 +10,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator, fit_poses, normalise_person
-from app.estimation.normalise import NormalisedPerson
+from app.camera import CameraSession
+from app.estimation.poses import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person
 from app.estimation.upload import Upload
+from app.photograph import Estimator, fit_poses, normalise_person
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession
 from app.vision.geometry import Box
+from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette
-from app.vision.sight import PinholeCamera
+from index.candidates import RotatedQuery
 from index.matching import Hypothesis
 from index.parameters import DEFAULT_HYPOTHESES
-from index.rotations import RotatedQuery
 from index.store import PoseIndex
 
 

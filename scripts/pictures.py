@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import draw_skeleton
-from app.estimation.estimator import Estimator
-from app.estimation.normalise import NormalisedPerson
+from app.estimation.poses import NormalisedPerson
 from app.estimation.results import ObservedPerson, Scene
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
-from app.vision.sight import PinholeCamera
+from app.vision.optics import PinholeCamera
 from index import DEFAULT_PATH
 from index.skeleton import NATIVE
 from scripts.datasets import POSE2SIM_CAMERAS, read_frames, read_pose2sim, read_vtest, rotate_box

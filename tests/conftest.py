@@ -21,8 +21,8 @@ from hypothesis import HealthCheck
 from hypothesis import settings as property_settings
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor

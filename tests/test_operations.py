@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 from pydantic.fields import FieldInfo
 
-from app.http.logs import JsonFormatter
+from app.http.access_log import JsonFormatter
 from app.settings import VARIABLES, Settings, variable
 from scripts.__main__ import COMMANDS
 from tests.conftest import ROOT

@@ -17,9 +17,9 @@ import pytest
 from numpy.typing import NDArray
 
 from app.api.replies import MIN_SCORE
-from app.estimation.estimator import Estimator
 from app.estimation.results import Person
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings

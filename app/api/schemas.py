@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
-from app.estimation.facing import FacingSource
+from app.estimation.posture import FacingSource
 from app.estimation.results import Source
 from app.vision import DetectorName
 from app.vision.images import ImageWarning

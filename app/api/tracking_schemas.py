@@ -19,8 +19,8 @@ from app.api.schemas import (
     PoseResponse,
     Probability,
 )
+from app.film import VideoEndReason
 from app.tracking.results import EventName, EventState
-from app.tracking.video_run import VideoEndReason
 from app.tracking.zones import ZoneKind, has_area
 from index.posture import Posture as PostureLabel
 

@@ -14,16 +14,14 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
-from app.vision.detector import Detector
+from app.vision.detector import Detector, smallest_person_px
 from app.vision.geometry import Box
-from app.vision.masks import LabelImage
+from app.vision.images import LabelImage
+from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
-from app.vision.photograph_models import photograph_models
-from app.vision.sight import PinholeCamera
-from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
-from app.vision.tiles import smallest_person_px
-from app.vision.truncation import end_beyond_border
+from app.vision.rendered import photograph_models
+from app.vision.silhouettes import end_beyond_border, silhouettes_from_labels, silhouettes_of
 
 
 @dataclass(frozen=True)

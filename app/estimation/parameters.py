@@ -25,7 +25,7 @@ class MaskParameters:
 
 @dataclass(frozen=True)
 class NormalisationParameters:
-    """Which landmarks are used for matching; see :mod:`app.estimation.normalise`."""
+    """Which landmarks are used for matching; see :mod:`app.estimation.poses`."""
 
     # Visibility above which a landmark is used
     min_score: float = 0.05
@@ -39,7 +39,7 @@ class NormalisationParameters:
 
 @dataclass(frozen=True)
 class PostureParameters:
-    """How votes and landmarks decide; see :mod:`app.estimation.posture_probability`."""
+    """How votes and landmarks decide; see :mod:`app.estimation.posture`."""
 
     # Hypotheses that vote, however many were requested
     voters: int = DEFAULT_HYPOTHESES
@@ -52,7 +52,7 @@ class PostureParameters:
 
 @dataclass(frozen=True)
 class PlacementParameters:
-    """How skeletons are placed in front of the camera; see :mod:`app.estimation.placement`."""
+    """How skeletons are placed in front of the camera; see :mod:`app.estimation.poses`."""
 
     # Visibility below which a landmark does not move a joint
     min_visibility: float = 0.05

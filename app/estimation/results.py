@@ -8,14 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.facing import Facing
-from app.estimation.posture_probability import EstimatedPosture
-from app.vision.doubt import Doubt
-from app.vision.frame_posture import FramePosture
+from app.estimation.posture import EstimatedPosture, Facing
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
+from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, Silhouette
-from app.vision.sight import PinholeCamera
+from app.vision.rendered import Doubt, FramePosture
 from index.matching import Hypothesis
 from index.store import Label
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 import time
 import uuid
 from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Any
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.errors import ProblemError, ProblemResponse
 from app.http.metrics import PROBES, Metrics
-from app.http.request_state import RequestState, request_id, request_state
-from app.http.routing import RouteTable
+from app.http.routing import RequestState, RouteTable, request_id, request_state
 
 log = logging.getLogger("app.request")
 
@@ -103,3 +105,47 @@ class AccessLogMiddleware:
 def _given_id(scope: Scope) -> str | None:
     value = dict(scope["headers"]).get(_HEADER.lower().encode(), b"")
     return value.decode() if _ACCEPTABLE_ID.fullmatch(value) else None
+
+
+class JsonFormatter(logging.Formatter):
+    """Formats a log record as one line of JSON, with the id of its request."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Write one record."""
+        line: dict[str, Any] = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if request_id.get():
+            line["request_id"] = request_id.get()
+        line |= getattr(record, "fields", {})
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
+
+
+def log_config(level: str) -> dict[str, Any]:
+    """Return a configuration for :func:`logging.config.dictConfig`: all to standard output."""
+    return {
+        "version": 1,
+        "disable_existing_loggers": False,
+        "formatters": {"json": {"()": "app.http.access_log.JsonFormatter"}},
+        "handlers": {
+            "out": {
+                "class": "logging.StreamHandler",
+                "formatter": "json",
+                "stream": "ext://sys.stdout",
+            }
+        },
+        "root": {"handlers": ["out"], "level": "WARNING"},
+        "loggers": {
+            "app": {"level": level.upper()},
+            "uvicorn": {"level": level.upper()},
+            # The logger app.request replaces uvicorn's access log.
+            "uvicorn.access": {"level": "WARNING"},
+            # A broken form from a client gets a 400 and needs no log line.
+            "python_multipart": {"level": "ERROR"},
+        },
+    }

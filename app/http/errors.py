@@ -15,12 +15,11 @@ from starlette.requests import ClientDisconnect
 from starlette.types import Receive, Scope, Send
 
 from app.api.schemas import Problem
+from app.camera import LateFrameError
 from app.estimation.upload import UploadError
-from app.http.request_state import request_state
-from app.http.routing import RouteTable
+from app.http.routing import RouteTable, request_state
 from app.messages import SEARCH_FAILED, expected_and_got, shortened
 from app.scheduling.job import BusyError, ClientGoneError
-from app.tracking.session import LateFrameError
 from app.video.reader import VideoError
 from index.search import UnavailableError
 

@@ -17,10 +17,10 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
+from app.cameras import CameraTraffic
 from app.estimation.results import Person
 from app.settings import Settings
 from app.tracking.results import Event
-from app.tracking.sessions import CameraTraffic
 from index.search import FailureReason
 
 # A frame with a mask takes milliseconds; a search for people takes a tenth of a second.

@@ -16,7 +16,7 @@ from starlette.types import Scope
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.http.errors import MEDIA_TYPE, ProblemError, problem_body
-from app.http.request_state import request_state
+from app.http.routing import request_state
 
 
 class _HeadTooLargeError(Exception):

@@ -19,9 +19,10 @@ from app.api.tracking_schemas import (
     CameraState,
     TrackResponse,
 )
+from app.cameras import CameraKey, CameraSessions, TooManyCamerasError
 from app.http.errors import ProblemError
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
-from app.http.request_state import request_state
+from app.http.routing import request_state
 from app.messages import located
 from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, NoQuery, TrackQuery
@@ -29,7 +30,6 @@ from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 from app.tracking.results import SessionState
-from app.tracking.sessions import CameraKey, CameraSessions, TooManyCamerasError
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 

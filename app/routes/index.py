@@ -10,10 +10,10 @@ from fastapi.responses import Response
 from app.api.overlay import encode_png
 from app.api.replies import entry_reply, index_reply
 from app.api.schemas import EntryResponse, IndexResponse
-from app.estimation.estimator import Estimator
 from app.http.errors import ProblemError
 from app.http.identity import RequireKey
 from app.messages import WHOLE_NUMBER
+from app.photograph import Estimator
 from app.routes.openapi import documented
 from app.routes.pose import PNG
 from app.routes.queries import EntryQuery, GivenOnce, NoQuery

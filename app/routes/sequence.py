@@ -16,16 +16,16 @@ from starlette.types import Message, Receive, Scope, Send
 
 from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceLine, VideoUpload
+from app.camera import CameraSession
+from app.film import VideoRun
 from app.http.errors import ProblemError
 from app.http.identity import RequireKey, identity_of
-from app.http.request_state import request_state
+from app.http.routing import request_state
 from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, SequenceQuery
 from app.routes.uploads import check_fields, is_multipart, is_video, unsupported_body
 from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession
-from app.tracking.video_run import VideoRun
 from app.video.reader import VideoFrame, VideoReader, new_file, open_video
 
 PATH = "/sequence"

@@ -7,11 +7,17 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import anyio
+from pydantic import StringConstraints, TypeAdapter, ValidationError
 
-from app.estimation.estimator import Estimator, load_networks
+from app.api.replies import settings_from
+from app.api.tracking_schemas import CameraConfiguration
+from app.cameras import CameraSettings
+from app.http.identity import CAMERA_PATTERN
+from app.messages import located
+from app.photograph import Estimator, load_networks
 from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
@@ -20,13 +26,47 @@ from app.scheduling.process import (
 )
 from app.serving.milvus import MissingPackageError, RemoteIndex, check_milvus_package
 from app.serving.runtime import VERSION, Runtime
-from app.settings import Settings
+from app.settings import Settings, SettingsError
 from app.vision.tflite import NetworkError
 from index.artefact import load_index
 from index.files import ArtefactError
 from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import PoseIndex
+
+_CAMERAS = TypeAdapter(
+    dict[Annotated[str, StringConstraints(pattern=CAMERA_PATTERN)], CameraConfiguration]
+)
+
+
+def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
+    """Read the settings of cameras by their names; none without a file.
+
+    Parameters
+    ----------
+    path : Path or None
+        A JSON object: for each name, the body of ``PUT /cameras/{camera_id}``.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read or does not fit; the message is one sentence.
+    """
+    if path is None:
+        return {}
+    try:
+        cameras = _CAMERAS.validate_json(path.read_text(errors="replace"))
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        sentence = f"expected a file of cameras, got {path}: {reason}"
+    except ValidationError as error:
+        first = error.errors()[0]
+        place, problem = located(first)
+        sentence = f"{path}: {place}: {problem}" if place else f"{path}: {problem}"
+    else:
+        return {name: settings_from(camera) for name, camera in cameras.items()}
+    raise SettingsError(f"POSE_CAMERAS_FILE: {sentence}")
+
 
 T = TypeVar("T")
 

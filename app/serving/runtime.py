@@ -10,14 +10,14 @@ from typing import Annotated, TypeVar, cast
 
 from fastapi import Depends, Request
 
-from app.estimation.estimator import Estimator
+from app.cameras import CameraSessions
 from app.http.errors import overloaded
 from app.http.identity import identity_of
 from app.http.metrics import Metrics
+from app.photograph import Estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
 from app.settings import Settings
-from app.tracking.sessions import CameraSessions
 
 T = TypeVar("T")
 

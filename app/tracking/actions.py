@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.parameters import POSTURE
-from app.estimation.posture_probability import EstimatedPosture
+from app.estimation.posture import EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
-from app.tracking.ground_motion import ground_path
+from app.tracking.motion import ground_path
 from app.tracking.parameters import DEFAULTS, ActionParameters, GroundParameters, TrackingParameters
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import Smoothed
@@ -322,7 +322,7 @@ def action_features(
     up : (3,) float64 array
         Direction away from the ground, in the same axes.
     path : (T, 2) float64 array
-        Path of the pelvis, metres, from :func:`app.tracking.ground_motion.ground_path`.
+        Path of the pelvis, metres, from :func:`app.tracking.motion.ground_path`.
 
     Returns
     -------

@@ -104,7 +104,7 @@ class TrackParameters:
 
 @dataclass(frozen=True)
 class GroundParameters:
-    """How motion over the ground is measured; see :mod:`app.tracking.ground_motion`."""
+    """How motion over the ground is measured; see :mod:`app.tracking.motion`."""
 
     window_s: float = 1.0  # Time over which a velocity is measured.
     min_frames: int = 3  # Fewest frames for a velocity.

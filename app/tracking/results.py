@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.estimation.results import Person
 from app.vision.images import ImageWarning
-from app.vision.sight import PinholeCamera
+from app.vision.optics import PinholeCamera
 
 EventName = Literal["entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end", "instant", "unconfirmed"]

@@ -16,11 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.facing import Facing, azimuth_deg
-from app.estimation.posture_probability import vote_posture
+from app.estimation.posture import Facing, azimuth_deg, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
-from app.tracking.ground_motion import GroundMotion, GroundVelocity
-from app.tracking.heading import Heading, HeadingFilter
+from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFilter
 from app.tracking.parameters import DEFAULTS, SmoothingParameters, TrackingParameters
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of

@@ -9,12 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.crops import resize
-from app.vision.geometry import Box
+from app.vision.geometry import Box, resize
 from app.vision.parameters import DEFAULTS, BackgroundParameters
 from app.vision.people import Detection, Silhouette, silhouette_from_mask
-from app.vision.silhouettes import fill_small_holes, keep_components
-from app.vision.truncation import with_truncation
+from app.vision.silhouettes import fill_small_holes, keep_components, with_truncation
 
 
 class BackgroundSegmenter:

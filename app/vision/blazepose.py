@@ -15,18 +15,114 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.crops import resize, sample_window
-from app.vision.geometry import WINDOW_SCALE, PersonWindow, non_max_suppression, transform_points
-from app.vision.network_pass import MAP_SHAPES, POINTS, NetworkPass
+from app.vision.geometry import (
+    WINDOW_SCALE,
+    PersonWindow,
+    non_max_suppression,
+    resize,
+    sample_window,
+    transform_points,
+)
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
+from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints, landmark_rows
 from app.vision.tflite import TfliteNetwork
+
+LANDMARKS = 33
+_WINDOW_PX = 256
+_TRUNK, _LEGS = landmark_rows("shoulder", "hip"), landmark_rows("knee", "ankle")
+
+
+def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Interpolate feature maps linearly at the landmarks.
+
+    Parameters
+    ----------
+    maps : (N, S, S, C) float32 array
+    points : (N, 39, 5) array
+        Pixels of the window in the first two columns, see
+        :class:`app.vision.blazepose.NetworkPass`.
+
+    Returns
+    -------
+    (N, 33, C) float32 array
+        Beyond the map's outermost cells, their values are repeated.
+    """
+    count, size = maps.shape[:2]
+    places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / _WINDOW_PX) - 0.5
+    places = np.clip(places, 0.0, size - 1.0)
+    first = np.minimum(places.astype(int), size - 2)
+    share = (places - first).astype(np.float32)
+    rows = np.arange(count)[:, None]
+    x, y = first[..., 0], first[..., 1]
+    across, down = share[..., :1], share[..., 1:]
+    top = (1 - across) * maps[rows, y, x] + across * maps[rows, y, x + 1]
+    bottom = (1 - across) * maps[rows, y + 1, x] + across * maps[rows, y + 1, x + 1]
+    return np.asarray((1 - down) * top + down * bottom, np.float32)
+
+
+def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Means over the trunk and over the legs ``(N, 2 C)`` of a map at the landmarks ``(N, 33, C)``.
+
+    They show what surrounds a body, such as a seat, a blanket, or a table in front of the legs.
+    """
+    parts = [sampled[:, rows].astype(np.float32).mean(axis=1) for rows in (_TRUNK, _LEGS)]
+    return np.hstack(parts)
+
+
+POINTS = 39
+"""33 landmarks, and 6 points of the circle about the body."""
+
+MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
+"""Rows, columns and channels of the feature maps: middle and last."""
+
+
+@dataclass(frozen=True)
+class NetworkPass:
+    """The output of one pass.
+
+    Parameters
+    ----------
+    points : (39, 5) float32 array
+        x and y in pixels of the window from the corner of its first pixel, depth in the same
+        pixels, log odds of visibility and of presence.
+    world : (39, 3) float32 array
+        Metres about the middle of the hips: x and y along the window's sides, z along its line
+        of sight.
+    presence : float
+        The network's probability that a person is in the window.
+    middle : (8, 8, 144) float32 array
+        Feature map.
+    last : (2, 2, 288) float32 array
+        Feature map.
+    """
+
+    points: NDArray[np.float32]
+    world: NDArray[np.float32]
+    presence: float
+    middle: NDArray[np.float32]
+    last: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        shapes = (self.points.shape, self.world.shape)
+        maps = (self.middle.shape, self.last.shape)
+        if shapes != ((POINTS, 5), (POINTS, 3)) or maps != MAP_SHAPES:
+            raise ValueError(
+                f"expected points (39, 5), world (39, 3) and maps {MAP_SHAPES}, "
+                f"got {shapes} and {maps}"
+            )
+
+    @cached_property
+    def sampled(self) -> NDArray[np.float32]:
+        """The middle map at the landmarks ``(33, 144)``."""
+        return np.asarray(sample_map(self.middle[None], self.points[None])[0])
+
 
 LANDMARK_PX = 256
 """Side of the landmark network's input and mask."""

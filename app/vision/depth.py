@@ -6,18 +6,92 @@ landmarks and predicts these errors, with the scale of a Laplace distribution fo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.dense import DenseNetwork
+from app.vision.blazepose import LANDMARKS, NetworkPass
 from app.vision.geometry import PersonWindow
-from app.vision.landmark_features import LANDMARKS
-from app.vision.network_pass import NetworkPass
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES, landmark_rows
-from app.vision.sight import PinholeCamera, roll_rotation
+from app.vision.optics import (
+    PinholeCamera,
+    place_on_sight_lines,
+    roll_rotation,
+    to_line_of_sight,
+    window_axes,
+)
+from app.vision.people import LANDMARK_NAMES, Landmarks, landmark_rows
+
+
+@dataclass(frozen=True)
+class DenseNetwork:
+    """A network with standardised inputs and with SiLU between its layers.
+
+    Parameters
+    ----------
+    means, scales : (F,) float32 array
+        Means and scales of the inputs.
+    weights : tuple of (I, O) float32 arrays
+    biases : tuple of (O,) float32 arrays
+    """
+
+    means: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+
+    def __post_init__(self) -> None:
+        width = len(self.means)
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            if weight.shape != (width, len(bias)):
+                raise ValueError(
+                    f"expected weights of shape {(width, len(bias))}, got {weight.shape}"
+                )
+            width = len(bias)
+
+    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Outputs ``(N, O)`` of features ``(N, F)``."""
+        values = ((features - self.means) / self.scales).astype(np.float32)
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            values = values @ weight + bias
+            if number + 1 < len(self.weights):
+                values = values / (1 + np.exp(-np.clip(values, -30, 30)))
+        return values
+
+    def arrays(self, name: str) -> dict[str, NDArray[np.float16 | np.float32]]:
+        """Arrays that :meth:`of` reads: in half precision, except those of the standardisation."""
+        stored: dict[str, NDArray[np.float16 | np.float32]] = {
+            f"{name}.means": self.means,
+            f"{name}.scales": self.scales,
+        }
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            stored[f"{name}.weights.{number}"] = weight.astype(np.float16)
+            stored[f"{name}.biases.{number}"] = bias.astype(np.float32)
+        return stored
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[np.generic]], name: str) -> DenseNetwork:
+        """The network with a given name among stored arrays."""
+        layers = sum(key.startswith(f"{name}.weights.") for key in arrays)
+
+        def array(part: str) -> NDArray[np.float32]:
+            return np.asarray(arrays[f"{name}.{part}"], np.float32)
+
+        return cls(
+            array("means"),
+            array("scales"),
+            tuple(array(f"weights.{number}") for number in range(layers)),
+            tuple(array(f"biases.{number}") for number in range(layers)),
+        )
+
+
+def softmax(scores: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Probabilities along the last axis."""
+    shifted = np.exp(scores - scores.max(axis=-1, keepdims=True), dtype=np.float64)
+    return np.asarray(shifted / shifted.sum(axis=-1, keepdims=True))
+
 
 MAP_ROWS = [
     LANDMARK_NAMES.index("nose"),
@@ -95,7 +169,7 @@ def depth_features(
     ----------
     points : (N, 39, 5) array
     world : (N, 39, 3) array
-        See :class:`app.vision.network_pass.NetworkPass`.
+        See :class:`app.vision.blazepose.NetworkPass`.
     sampled : (N, 33, 144) array
         The middle map at the landmarks.
     sight : (N, 5) float64 array
@@ -155,3 +229,73 @@ class DepthModel:
         features = depth_features(given.points[None], given.world[None], given.sampled[None], sight)
         metres, sigmas = decode_depths(self.network(features), network_depths(given.world[None]))
         return Depths(metres[0], sigmas[0])
+
+
+MIN_WEIGHT = 0.05
+"""Weight of unseen landmarks when a body is placed."""
+
+
+@dataclass(frozen=True)
+class Body3D:
+    """Landmarks in three dimensions.
+
+    Parameters
+    ----------
+    points : (33, 3) float64 array
+        Metres about the middle of the hips, camera axes: x right, y down, z forward.
+    sigmas : (33,) float64 array
+        Expected absolute error along the line of sight, metres.
+    origin : (3,) float64 array
+        The middle of the hips, metres from the camera, estimated from the body's size.
+    sight : (3, 3) float64 array
+        Rotation from camera axes to those of the window's line of sight (without its roll).
+    """
+
+    points: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    sight: NDArray[np.float64]
+
+    @property
+    def depth_sd(self) -> NDArray[np.float64]:
+        """Standard deviations ``(33,)`` of the depths, those of Laplace distributions, metres."""
+        return np.asarray(np.sqrt(2) * self.sigmas)
+
+    def along_sight(self, camera: PinholeCamera, landmarks: Landmarks) -> NDArray[np.float64]:
+        """The points ``(33, 3)`` in the axes of the line of sight to the hips."""
+        hips = landmarks.positions[HIPS].mean(axis=0)
+        return np.asarray(self.points @ to_line_of_sight(camera.rays(hips)).T)
+
+
+def body_of(
+    given: NetworkPass,
+    window: PersonWindow,
+    camera: PinholeCamera,
+    depths: Depths,
+    places: NDArray[np.float64],
+    visibility: NDArray[np.float64],
+) -> Body3D:
+    """Put the landmarks of a pass onto their lines of sight at corrected depths.
+
+    Parameters
+    ----------
+    given : NetworkPass
+    window : PersonWindow
+        The window that was read.
+    camera : PinholeCamera
+        Camera that took the frame.
+    depths : Depths
+    places : (33, 2) float64 array
+        The landmarks in the frame, pixels.
+    visibility : (33,) float64 array
+        Probability that each landmark is seen; its weight when the body is placed.
+    """
+    axes = window_axes(camera, window)
+    metres = given.world[:LANDMARKS].astype(np.float64)
+    metres = metres - metres[HIPS].mean(axis=0)
+    metres[:, 2] = depths.metres
+    weights = np.maximum(visibility, MIN_WEIGHT)
+    placed = place_on_sight_lines(metres, camera.rays(places), axes, weights)
+    hips = placed.points[HIPS].mean(axis=0)
+    sight = roll_rotation(-window.roll_deg) @ axes
+    return Body3D(placed.points - hips, depths.sigmas, hips, np.asarray(sight))

@@ -1,19 +1,35 @@
-"""The interface of detectors, which find people in a frame, and what they share.
+"""Detection of people with both networks and, beside them, HOG.
 
-There are two: :mod:`app.vision.network_detector` and :mod:`app.vision.hog_detector`. Both drop
-overlapping detections with :func:`app.vision.geometry.non_max_suppression`.
+MoveNet sees the whole frame once. If the smallest wanted person would be too small in it, MoveNet
+sees the frame again at a higher resolution, in tiles.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.vision import DetectorName
-from app.vision.geometry import Box
+from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
+from app.vision.geometry import (
+    Box,
+    PersonWindow,
+    PixelRect,
+    box_array,
+    crop,
+    non_max_suppression,
+    resize,
+)
+from app.vision.hog import hog_margin
+from app.vision.models import fitted_constants
+from app.vision.movenet import MoveNet
+from app.vision.odds import logit, sigmoid
+from app.vision.parameters import DEFAULTS, DetectorParameters, TilingParameters, VisionParameters
 from app.vision.people import Detection
 
 
@@ -44,3 +60,273 @@ def check_limits(min_person_px: float | None, min_score: float) -> None:
         raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
     if not 0 <= min_score <= 1:
         raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of a frame as MoveNet sees it.
+
+    Parameters
+    ----------
+    rect : (left, top, width, height)
+        In pixels of the frame.
+    factor : float
+        Factor by which the part is resized.
+    """
+
+    rect: PixelRect
+    factor: float
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height after resizing, in pixels."""
+        _, _, width, height = self.rect
+        return max(1, round(width * self.factor)), max(1, round(height * self.factor))
+
+    def to_frame(self, box: Box, width: int, height: int, seam_px: float) -> Box | None:
+        """A box of this tile in pixels of the frame.
+
+        None if it lies outside the frame, or ends within ``seam_px`` of an edge of the tile that is
+        not an edge of the frame, since such a person is cut off.
+        """
+        left, top, columns, rows = self.rect
+        seam = seam_px / self.factor
+        whole = box.scaled(1 / self.factor)
+        is_cut = (
+            (left > 0 and whole.x < seam)
+            or (top > 0 and whole.y < seam)
+            or (left + columns < width and whole.right > columns - seam)
+            or (top + rows < height and whole.bottom > rows - seam)
+        )
+        if is_cut:
+            return None
+        return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
+
+
+def tiles_of(
+    width: int,
+    height: int,
+    min_person_px: float | None = None,
+    parameters: TilingParameters = DEFAULTS.tiling,
+) -> list[Tile]:
+    """The overview of a frame, and tiles at a higher resolution if small people are wanted.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the frame, in pixels.
+    min_person_px : float, optional
+        Height of the smallest person wanted, in pixels of the frame; by default a share of its
+        height, for which the overview is enough.
+
+    Returns
+    -------
+    list of Tile
+        The overview first; empty for a frame too thin to hold a person.
+    """
+    # Portrait frames are seen as large as landscape frames.
+    longer, shorter = max(width, height), min(width, height)
+    long_px, short_px = parameters.overview_px
+    overview = min(long_px / longer, short_px / shorter, parameters.max_enlargement)
+    if shorter * overview < parameters.min_side_px:
+        return []
+    whole = Tile((0, 0, width, height), overview)
+    if min_person_px is None:
+        return [whole]
+    fine = min(
+        parameters.max_fine_side_px / longer,
+        math.sqrt(parameters.max_fine_px / (width * height)),
+        parameters.min_person_px / min_person_px,
+    )
+    if fine <= parameters.min_gain * overview:
+        return [whole]
+    return [whole, *(Tile(rect, fine) for rect in _grid(width, height, fine, parameters))]
+
+
+def _grid(width: int, height: int, factor: float, parameters: TilingParameters) -> list[PixelRect]:
+    """Overlapping tiles, small enough when resized by ``factor``, with the smallest total area."""
+    overlap = parameters.overlap_px / factor
+    counts = range(1, parameters.max_tiles_per_side + 1)
+    widths = {columns: _part(width, columns, overlap) for columns in counts}
+    heights = {rows: _part(height, rows, overlap) for rows in counts}
+    _, columns, rows = min(
+        (columns * widths[columns] * rows * heights[rows], columns, rows)
+        for columns in counts
+        for rows in counts
+        if widths[columns] * heights[rows] * factor**2 <= parameters.max_tile_px
+    )
+    return [
+        (left, top, right - left, bottom - top)
+        for top, bottom in _spans(height, rows, overlap)
+        for left, right in _spans(width, columns, overlap)
+    ]
+
+
+def _part(length: int, count: int, overlap: float) -> float:
+    """Length of each of ``count`` overlapping parts."""
+    return (length + (count - 1) * overlap) / count
+
+
+def _spans(length: int, count: int, overlap: float) -> list[tuple[int, int]]:
+    part = _part(length, count, overlap)
+    starts = [round(i * (part - overlap)) for i in range(count)]
+    return [(start, min(length, math.ceil(start + part))) for start in starts]
+
+
+def smallest_person_px(
+    frame_shape: tuple[int, ...],
+    min_person_px: float | None,
+    parameters: TilingParameters = DEFAULTS.tiling,
+) -> float:
+    """Height of the smallest person wanted, in pixels: a share of the frame's unless given."""
+    if min_person_px is not None:
+        return min_person_px
+    return max(1.0, parameters.min_person_share * frame_shape[0])
+
+
+class NetworkDetector:
+    """Find people with MoveNet and BlazePose's detector.
+
+    MoveNet finds people of any size, BlazePose's detector large people in any pose and orientation.
+    HOG may raise a score but never lowers it, since it recognises only standing people.
+
+    Parameters
+    ----------
+    movenet : MoveNet
+    body_detector : BlazePoseDetector
+    landmarks : LandmarkNetwork
+        Confirms people that MoveNet misses.
+    min_person_px : float, optional
+        Height of the smallest person wanted, in pixels; by default a share of the frame's height.
+    min_score : float, optional
+        Probability from which a person is reported.
+    """
+
+    name: DetectorName = "network"
+
+    def __init__(
+        self,
+        movenet: MoveNet,
+        body_detector: BlazePoseDetector,
+        landmarks: LandmarkNetwork,
+        *,
+        min_person_px: float | None = None,
+        min_score: float | None = None,
+        parameters: VisionParameters = DEFAULTS,
+    ) -> None:
+        self._movenet = movenet
+        self._body_detector = body_detector
+        self._landmarks = landmarks
+        self._parameters = parameters.detector
+        self._tiling = parameters.tiling
+        self._hog = parameters.hog
+        self._min_score = self._parameters.min_score if min_score is None else min_score
+        self._min_person_px = min_person_px
+        check_limits(min_person_px, self._min_score)
+
+    def detect(
+        self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
+    ) -> list[Detection]:
+        """Find the people; see :class:`Detector`."""
+        detections, scores = self.candidates(frame)
+        odds = detection_odds(scores, self._parameters)
+        for box in expected_boxes:
+            near = [i for i, one in enumerate(detections) if self._may_be(one.box, box)]
+            if near:
+                odds[max(near, key=lambda i: odds[i])] += self._parameters.expected_log_odds
+        found = (
+            replace(detection, score=probability)
+            for detection, probability in zip(detections, sigmoid(odds).tolist(), strict=True)
+        )
+        return best_first(found, self._min_score)
+
+    def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
+        """Find all candidates of both networks, however low their score.
+
+        Returns
+        -------
+        detections : list of Detection
+            One for each person, with MoveNet's score and the windows of BlazePose's detector.
+        scores : (N, 3) float64 array
+            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a network
+            detects nobody.
+        """
+        found = self._movenet_people(frame)
+        windows: list[list[PersonWindow]] = [[] for _ in found]
+        scores = [[one.score, hog_margin(frame, one.box, self._hog), 0.0] for one in found]
+        alone: list[Detection] = []
+        for body in self._body_detector.detect(frame, self._parameters.min_body_score):
+            same = [i for i, one in enumerate(found) if self._is_same(body.window, one.box)]
+            if same:
+                best = max(same, key=lambda i: found[i].score)
+                windows[best].append(body.window)
+                scores[best][2] = max(scores[best][2], body.score)
+            elif (person := self._confirmed(frame, body)) is not None:
+                alone.append(person)
+                scores.append([0.0, 0.0, body.score])
+        both = [replace(one, windows=tuple(own)) for one, own in zip(found, windows, strict=True)]
+        return [*both, *alone], np.array(scores, np.float64).reshape(-1, 3)
+
+    def _movenet_people(self, frame: NDArray[np.uint8]) -> list[Detection]:
+        """MoveNet's detections in the overview and tiles, one for each person, best first."""
+        height, width = frame.shape[:2]
+        tiles = tiles_of(width, height, self._min_person_px, self._tiling)
+        found: list[Detection] = []
+        ranks: list[float] = []
+        for number, tile in enumerate(tiles):
+            for person in self._movenet.detect(resize(crop(frame, tile.rect), *tile.size)):
+                box = tile.to_frame(person.box, width, height, self._parameters.seam_px)
+                if box is None or person.score < self._parameters.min_movenet_score:
+                    continue
+                score = min(1.0, person.score)
+                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
+                found.append(Detection(box, score, keypoints))
+                overview_px = max(box.width, box.height) * tiles[0].factor
+                is_large = overview_px >= self._parameters.large_person_px
+                # A box from the more suitable resolution comes before all others.
+                ranks.append(score + (len(tiles) == 1 or is_large == (number == 0)))
+        boxes = box_array(one.box for one in found)
+        kept = non_max_suppression(boxes, np.array(ranks), self._parameters.nms_iou)
+        return [found[i] for i in kept]
+
+    def _confirmed(self, frame: NDArray[np.uint8], body: BlazePoseDetection) -> Detection | None:
+        """A body that MoveNet misses, if the landmark network sees a person there."""
+        reading = self._landmarks.read(frame, body.window)
+        box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
+        if box is None or reading.presence < self._parameters.min_presence:
+            return None
+        return Detection(box, 0.0, None, (body.window,))
+
+    def _is_same(self, window: PersonWindow, box: Box) -> bool:
+        """Whether a body's window and a box belong to the same person."""
+        inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
+        low, high = self._parameters.same_size
+        return inside and low < window.side / PersonWindow.about_box(box).side < high
+
+    def _may_be(self, box: Box, expected: Box) -> bool:
+        """Whether a box may hold an expected person, standing there or on the ground nearby."""
+        x, y, width, height = expected.x, expected.y, expected.width, expected.height
+        margin = max(width, height) / 2
+        reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
+        return box.intersection(reach) >= self._parameters.min_expected_share * box.area
+
+
+def detection_odds(
+    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
+) -> NDArray[np.float64]:
+    """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
+    constants = fitted_constants("detection")
+    weights = np.array([constants[name] for name in ("movenet", "hog", "pose_detection")])
+    return np.asarray(detection_features(scores, parameters) @ weights + constants["offset"])
+
+
+def detection_features(
+    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
+) -> NDArray[np.float64]:
+    """Features ``(N, 3)`` of the fitted probability, from :meth:`NetworkDetector.candidates`.
+
+    They are MoveNet's log odds, HOG's margin if positive, and the score of BlazePose's detector.
+    """
+    movenet, margin, body = scores.T
+    odds = logit(np.maximum(movenet, parameters.min_movenet_score), parameters.min_probability)
+    return np.stack([odds, np.maximum(0.0, margin), body], axis=1)

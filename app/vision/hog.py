@@ -14,8 +14,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.crops import PixelRect, resize
-from app.vision.geometry import Box, Boxes, intersections, iou_matrix, non_max_suppression
+from app.vision.geometry import (
+    Box,
+    Boxes,
+    PixelRect,
+    intersections,
+    iou_matrix,
+    non_max_suppression,
+    resize,
+)
 from app.vision.parameters import HogParameters
 
 # The detector was trained on windows of this size, in which a person is 96 px tall and lies within

@@ -8,21 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision import DetectorName
-from app.vision.crops import resize
-from app.vision.detector import best_first, check_limits
-from app.vision.geometry import Box, Boxes
+from app.vision.detector import best_first, check_limits, smallest_person_px
+from app.vision.geometry import Box, Boxes, resize
 from app.vision.hog import hog_people
 from app.vision.models import fitted_constants
 from app.vision.odds import sigmoid
 from app.vision.parameters import DEFAULTS, VisionParameters
 from app.vision.people import Detection
-from app.vision.tiles import smallest_person_px
 
 
 class HogDetector:
     """Find upright people with HOG alone, without a network.
 
-    Limits are those of :class:`app.vision.network_detector.NetworkDetector`.
+    Limits are those of :class:`app.vision.detector.NetworkDetector`.
     """
 
     name: DetectorName = "hog"

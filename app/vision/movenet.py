@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.crops import PixelRect, crop_and_resize
-from app.vision.geometry import Box
+from app.vision.geometry import Box, PixelRect, crop_and_resize
 from app.vision.parameters import DEFAULTS, KeypointParameters
 from app.vision.people import COCO_NAMES, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork

@@ -26,7 +26,7 @@ from app.vision.people import (
     ObservedKeypoints,
     coco_rows,
 )
-from app.vision.truncation import ends_at_border
+from app.vision.silhouettes import ends_at_border
 
 # Only the nose represents the face.
 _COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api.overlay import PEOPLE, draw_skeleton, write_text
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.session import CameraSession
 from index import DEFAULT_PATH
 from index.parameters import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.actions import ActionModel
-from app.tracking.events import EventDetector, Reliability
+from app.tracking.events import EventDetector, PostureFilter, Reliability
 from app.tracking.parameters import DEFAULTS
-from app.tracking.posture_filter import PostureFilter
 from app.tracking.smoothing import PoseSmoother
 from app.tracking.track import hip_height
 from index import DEFAULT_PATH

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
+from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.tracking.session import CameraSession
 from index import posture
 from scripts.experiments.photograph_sources import LOW, SITTING, UPRIGHT, HomeFilm, home_films
 from scripts.helpers import track

@@ -18,13 +18,13 @@ from tqdm import tqdm
 
 from descriptor.silhouette import HEIGHT, WIDTH, pack
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
+from index.build.builder import PAPER_AVATARS
 from index.build.descriptor_learning import view_joints
 from index.build.garments import make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import Poses, read_poses
 from index.build.render import render, skin
 from index.build.simulate import Simulation
-from index.build.splits import PAPER_AVATARS
 from index.build.views import VIEW_DTYPE
 from index.confidence import RIGHT_BELOW_PX
 from index.silhouettes import Silhouettes

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
 from app.estimation.results import Person
+from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
-from app.tracking.session import CameraSession
 from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES
 from index.posture import ON_THE_GROUND

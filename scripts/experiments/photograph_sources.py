@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimator import load_networks
+from app.photograph import load_networks
 from app.settings import Settings
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box

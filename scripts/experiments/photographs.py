@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.body_reading import body_of
-from app.vision.depth import Depths, network_depths
-from app.vision.frame_posture import FRAME_POSTURES
-from app.vision.photograph_models import Judgement, PhotographModels, photograph_models
-from app.vision.sight import PinholeCamera
+from app.vision.depth import Depths, body_of, network_depths
+from app.vision.optics import PinholeCamera
+from app.vision.rendered import FRAME_POSTURES, Judgement, PhotographModels, photograph_models
 from index.build.calibrate import expected_calibration_error
 from scripts.datasets import HIPS, about_hips
 from scripts.experiments.photograph_sources import (

@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.estimator import Estimator
+from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import Detector
+from app.vision.detector import Detector, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
-from app.vision.network_detector import NetworkDetector
 from app.vision.parameters import DEFAULTS
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimator import Estimator
 from app.estimation.results import ObservedPerson
+from app.photograph import Estimator
+from app.vision.detector import NetworkDetector, detection_features
 from app.vision.geometry import Boxes
 from app.vision.hog_detector import HogDetector
-from app.vision.network_detector import NetworkDetector, detection_features
 from app.vision.odds import sigmoid
 from index.skeleton import wrap_degrees
 from scripts.datasets import Photograph, as_array, rotate_box

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimator import Estimator, fit_poses
 from app.estimation.finder import make_observation
-from app.estimation.normalise import NormalisedPerson
+from app.estimation.poses import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
+from app.photograph import Estimator, fit_poses
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.models import fitted_constants as constants_of
 from app.vision.odds import sigmoid
+from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
-from app.vision.sight import PinholeCamera
 from app.vision.silhouettes import silhouettes_of
 from descriptor.silhouette import normalise
 from index.parameters import DEFAULT_HYPOTHESES
@@ -213,7 +213,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
 
 
 def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias of the confidence of :mod:`app.estimation.ordering`."""
+    """Fit slope and bias of the confidence of :mod:`app.estimation.poses`."""
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
         agreement[:, None], np.concatenate([t.right for t in trials])

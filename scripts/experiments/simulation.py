@@ -1,7 +1,7 @@
 """The simulation experiment: bodies, clips and views that the index never saw.
 
 The index is built as the shipped one is, but without the held-out clips
-(:func:`index.build.splits.hold_out`); descriptor and confidence are fitted to what remains. The
+(:func:`index.build.builder.hold_out`); descriptor and confidence are fitted to what remains. The
 network that re-ranks is the shipped one, which knows none of these clips either. Queries are frames
 spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, each from one random
 view of the hemisphere: upright motion, clips near the ground, and both laid down.
@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture_probability import vote_posture
-from index.build.builder import QueryCounts, simulate_queries
+from app.estimation.posture import vote_posture
+from index.build.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
 from index.build.calibrate import (
     Queries,
     Trial,
@@ -27,12 +27,11 @@ from index.build.calibrate import (
 from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
-from index.build.splits import HELD_OUT_AVATARS, hold_out
+from index.candidates import RotatedQuery, find_rotated_candidates, silhouette_rotations
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.parameters import DEFAULT_HYPOTHESES
 from index.posture import LOW, POSTURES, classify_postures
 from index.reranker import RankingModel
-from index.rotations import RotatedQuery, find_rotated_candidates, silhouette_rotations
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 from scripts.metrics import confusion, percent, reliability

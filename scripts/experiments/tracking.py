@@ -18,19 +18,25 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.facing import azimuth_deg
+from app.estimation.posture import azimuth_deg
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.parameters import DEFAULTS
 from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.build.body import Phenotype
-from index.build.builder import IndexSpec, build
+from index.build.builder import (
+    CALIBRATION_AVATARS,
+    HELD_OUT_AVATARS,
+    IndexSpec,
+    build,
+    hold_out,
+    split_by_clip,
+)
 from index.build.calibrate import expected_calibration_error
 from index.build.garments import Wardrobe, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
-from index.build.splits import CALIBRATION_AVATARS, HELD_OUT_AVATARS, hold_out, split_by_clip
 from index.confidence import RIGHT_BELOW_PX
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex

@@ -25,12 +25,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.tracking.session import CameraSession
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
 from index import DEFAULT_PATH

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import STAGES, Job, ParallelMap
 from app.scheduling.process import available_cores
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.tracking.session import CameraSession
 from index import DEFAULT_PATH
 from index.parameters import DEFAULT_HYPOTHESES
 from scripts.experiments import pages

@@ -22,10 +22,10 @@ from app.tracking.actions import PoseSample
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from index.artefact import load_index
 from index.build.body import Avatar
+from index.build.builder import CALIBRATION_AVATARS, HELD_OUT_AVATARS
 from index.build.garments import make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
-from index.build.splits import CALIBRATION_AVATARS, HELD_OUT_AVATARS
 from index.posture import classify_postures
 from index.skeleton import BODY_UP
 from index.store import PoseIndex

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.dense import DenseNetwork
+from app.vision.depth import DenseNetwork
 
 Loss = Callable[[Any, Any], Any]
 """Outputs ``(B, O)`` and targets ``(B, T)`` as tensors to a mean."""

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.estimator import Estimator, normalise_person
 from app.estimation.results import Person
+from app.photograph import Estimator, normalise_person
 from app.serving.loading import load_estimator
 from app.settings import Settings
+from app.vision.detector import NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
 from app.vision.hog_detector import HogDetector
 from app.vision.models import write_fitted
-from app.vision.network_detector import NetworkDetector, detection_features
 from index.confidence import RIGHT_BELOW_PX
 from index.parameters import RANKING
 from index.skeleton import LIMB_ROWS, LIMBS

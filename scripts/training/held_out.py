@@ -8,9 +8,8 @@ from pathlib import Path
 
 from index import DEFAULT_PATH
 from index.artefact import load_index, save_index
-from index.build.builder import IndexSpec, build
+from index.build.builder import IndexSpec, build, hold_out
 from index.build.motion import Segment, read_manifest
-from index.build.splits import hold_out
 from index.reranker import RankingModel, load_reranker
 from index.store import PoseIndex
 

@@ -19,7 +19,7 @@ class WindowRows:
     scene : (N,) int64 array
         Number of the photograph.
     points, world, presence, last
-        As :class:`app.vision.network_pass.NetworkPass` has them, ``N`` of each.
+        As :class:`app.vision.blazepose.NetworkPass` has them, ``N`` of each.
     sampled : (N, 33, 144) float16 array
         The middle map at the landmarks.
     window, next_window : (N, 4) float64 array

@@ -27,29 +27,35 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import roc_auc_score
 
-from app.vision.dense import DenseNetwork
+from app.vision.blazepose import LANDMARKS, region_features
 from app.vision.depth import (
     HIPS,
     RESIDUAL_M,
+    DenseNetwork,
     Depths,
     decode_depths,
     depth_features,
     network_depths,
     sight_features,
 )
-from app.vision.doubt import DoubtModel, doubt_features
-from app.vision.frame_posture import FRAME_POSTURES, PostureModel, posture_features, trusted
-from app.vision.landmark_features import LANDMARKS, region_features
 from app.vision.models import MODELS
 from app.vision.odds import sigmoid
-from app.vision.people import landmark_rows
-from app.vision.photograph_models import FILE
-from app.vision.sight import (
+from app.vision.optics import (
     ASSUMED_FOV_DEG,
     PinholeCamera,
     place_on_sight_lines,
     roll_rotation,
     to_line_of_sight,
+)
+from app.vision.people import landmark_rows
+from app.vision.rendered import (
+    FILE,
+    FRAME_POSTURES,
+    DoubtModel,
+    PostureModel,
+    doubt_features,
+    posture_features,
+    trusted,
 )
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import averaged, fit_dense, moved_outputs, scaled_outputs

@@ -13,11 +13,9 @@ from pathlib import Path
 
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.build.builder import IndexSpec
-from index.build.joint_training import TrainingConfig
+from index.build.builder import IndexSpec, hold_out
 from index.build.motion import read_manifest
-from index.build.reranker import train_reranker
-from index.build.splits import hold_out
+from index.build.reranker import TrainingConfig, train_reranker
 from index.reranker import save_reranker
 from scripts.results import SHARED
 

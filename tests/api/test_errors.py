@@ -12,9 +12,9 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.tracking_schemas import MAX_CORNERS, MAX_ZONES
-from app.estimation.estimator import Estimator
 from app.estimation.upload import Upload, UploadError
 from app.main import create_app
+from app.photograph import Estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from tests.conftest import Photo, Serving, png

@@ -15,7 +15,7 @@ from fastapi.testclient import TestClient
 from starlette.types import Message
 
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame
-from app.http.request_state import request_state
+from app.http.routing import request_state
 from app.routes import sequence
 from tests.conftest import Photo, Server, Serving, running_server
 from tests.support.service import check_problem, eventually, sample

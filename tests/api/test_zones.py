@@ -14,8 +14,7 @@ from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraEvents, CameraState
 from app.main import create_app
-from app.serving.cameras_file import read_cameras
-from app.serving.loading import load_estimator
+from app.serving.loading import load_estimator, read_cameras
 from app.serving.runtime import Runtime
 from app.settings import Settings, SettingsError
 from index import DEFAULT_PATH

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from index.keypoints import Keypoints
+from index.landmarks import Keypoints
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from index.candidates import find_candidates
 from index.confidence import FEATURES
-from index.features import match_features
+from index.matching import match_features
 from index.modes import find_modes
 from index.store import PoseIndex
 

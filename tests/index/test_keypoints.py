@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.keypoints import Keypoints, fit_to_keypoints
+from index.landmarks import Keypoints, fit_to_keypoints
 from index.parameters import KEYPOINTS
 from index.skeleton import (
     JOINTS,

@@ -11,12 +11,12 @@ from index.build.body import Avatar
 from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
+from index.candidates import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
-from index.keypoints import Keypoints
+from index.landmarks import Keypoints
 from index.matching import Hypothesis, Match, match
 from index.parameters import DEFAULT_HYPOTHESES, MATCHING
 from index.posture import Posture
-from index.rotations import rotate_silhouette
 from index.skeleton import (
     JOINTS,
     POINTS,

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.outlines import outline_distances
+from index.matching import outline_distances
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
-from index.keypoints import Agreement, Keypoints
+from index.landmarks import Agreement, Keypoints
 from index.matching import match
 from index.modes import find_modes
 from index.ranking import NetworkRanking, fused_distances

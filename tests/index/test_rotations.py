@@ -11,14 +11,14 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
-from index.parameters import ROTATIONS
-from index.rotations import (
+from index.candidates import (
     RotatedQuery,
     find_rotated_candidates,
     landmark_rotations,
     rotate_silhouette,
     silhouette_rotations,
 )
+from index.parameters import ROTATIONS
 from index.search import NearestEntries
 from index.store import PoseIndex
 

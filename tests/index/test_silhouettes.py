@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import pack, unpack
 from index.build.simulate import Simulation
-from index.outlines import outline_distances
+from index.matching import outline_distances
 from index.silhouettes import Silhouettes, sampled
 from index.store import PoseIndex
 

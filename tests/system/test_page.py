@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.coco import compressed, run_lengths
+from app.api.replies import compressed, run_lengths
 from app.vision.people import silhouette_from_mask
 from tests.conftest import ROOT, WALKERS, Photo, png
 

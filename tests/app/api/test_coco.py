@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
-from app.api.coco import compressed, polygon, run_lengths
+from app.api.replies import compressed, polygon, run_lengths
 from app.vision.people import Silhouette, silhouette_from_mask
 from tests.conftest import Photo
 

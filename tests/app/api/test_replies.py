@@ -14,13 +14,13 @@ from app.api.replies import (
     track_reply,
 )
 from app.api.tracking_schemas import TrackResponse
-from app.estimation.estimator import Estimator
-from app.estimation.facing import Facing
+from app.estimation.posture import Facing
 from app.estimation.results import Estimate
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.vision.sight import PinholeCamera
+from app.vision.optics import PinholeCamera
 from index.skeleton import NATIVE
 from tests.conftest import Photo
 

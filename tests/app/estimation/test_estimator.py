@@ -8,16 +8,16 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation import finder
-from app.estimation.estimator import Estimator, network_threads
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.estimation.upload import Upload
+from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
+from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, silhouette_from_mask
 from app.vision.person_reader import PersonReader
-from app.vision.sight import PinholeCamera
 from index.posture import LOW
 from index.skeleton import rotate_clockwise
 from tests.conftest import WALKERS, Photo, png

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from app.estimation.facing import azimuth_deg, front_share, heading_shares
+from app.estimation.posture import azimuth_deg, front_share, heading_shares
 from index.skeleton import POINTS, camera_rotation, rotate_clockwise, side_rows, wrap_degrees
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from app.estimation.normalise import NormalisedPerson
+from app.estimation.poses import NormalisedPerson
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.skeleton import LIMBS, POINT_NAMES, rotate_clockwise, rows, wrap_degrees

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.estimation.ordering import (
+from app.estimation.parameters import HYPOTHESES_PER_OPPOSITE_FACING
+from app.estimation.poses import (
     fused_confidences,
     nearest_of_both_facings,
     order_by_landmarks,
     order_by_silhouette,
 )
-from app.estimation.parameters import HYPOTHESES_PER_OPPOSITE_FACING
 from index.matching import Hypothesis
 from index.skeleton import POINTS, rows
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from app.estimation.placement import place_skeletons
+from app.estimation.poses import place_skeletons
+from app.vision.optics import PinholeCamera, to_line_of_sight
 from app.vision.people import LANDMARK_NAMES, Landmarks
-from app.vision.sight import PinholeCamera, to_line_of_sight
 from index.skeleton import POINT_NAMES, mirror_3d, side_rows
 from tests.conftest import stick_figure
 

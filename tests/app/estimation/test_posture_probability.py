@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.estimation.parameters import POSTURE
-from app.estimation.posture_probability import (
+from app.estimation.posture import (
     LANDMARK_GROUPS,
     estimate_posture,
     likeliest_posture,
@@ -17,7 +17,7 @@ from app.estimation.posture_probability import (
     shares_of,
     vote_posture,
 )
-from app.vision.frame_posture import FRAME_POSTURES, FramePosture
+from app.vision.rendered import FRAME_POSTURES, FramePosture
 from index.posture import POSTURES
 
 some_weights = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES))

@@ -10,11 +10,10 @@ import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message, Receive, Scope, Send
 
-from app.estimation.estimator import Estimator
-from app.http.access_log import AccessLogMiddleware
-from app.http.logs import JsonFormatter
+from app.http.access_log import AccessLogMiddleware, JsonFormatter
 from app.http.metrics import Metrics
 from app.http.routing import RouteTable
+from app.photograph import Estimator
 from tests.conftest import Photo, Serving
 from tests.support.service import check_problem, sample
 

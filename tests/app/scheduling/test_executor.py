@@ -17,7 +17,7 @@ import anyio
 import pytest
 from anyio import to_thread
 
-from app.http.request_state import request_id
+from app.http.routing import request_id
 from app.scheduling.executor import Executor
 from app.scheduling.job import BusyError, ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import OverloadedError, Sender, ShutdownError

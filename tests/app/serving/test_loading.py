@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.photograph import Estimator
 from app.serving import loading
 from app.settings import Settings
 from app.vision import models

@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
 from app.main import create_app
+from app.photograph import Estimator
 from app.serving import loading
 from app.serving.milvus import ObservedNeighbours, RemoteIndex
 from app.serving.runtime import Runtime

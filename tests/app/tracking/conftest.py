@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.estimation.estimator import Estimator
-from app.tracking.session import CameraSession
+from app.camera import CameraSession
+from app.photograph import Estimator
 from index.store import PoseIndex
 from tests.app.tracking.drawn import ColourDetector, drawn_estimator
 

@@ -8,14 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession
 from app.vision.blazepose import LANDMARK_PX, PoseReading
-from app.vision.crops import sample_window
-from app.vision.geometry import Box, PersonWindow
+from app.vision.geometry import Box, PersonWindow, sample_window
 from app.vision.people import Detection, Landmarks
 from index.store import PoseIndex
 from tests.conftest import png

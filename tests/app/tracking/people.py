@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.facing import Facing
-from app.estimation.posture_probability import posture_of, vote_posture
+from app.estimation.posture import Facing, posture_of, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.vision.geometry import Box
 from index.posture import Posture

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.facing import Facing
-from app.estimation.posture_probability import EstimatedPosture, vote_posture
+from app.estimation.posture import EstimatedPosture, Facing, vote_posture
 from app.tracking.actions import (
     RATE_HZ,
     ActionModel,
@@ -21,7 +20,7 @@ from app.tracking.actions import (
     shipped_model,
     window_features,
 )
-from app.tracking.ground_motion import STILL
+from app.tracking.motion import STILL
 from app.tracking.parameters import DEFAULTS
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import Smoothed

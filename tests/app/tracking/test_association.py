@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import ObservedPerson
-from app.tracking.association import appearance_distance, appearance_histogram, associate
-from app.tracking.track import Sighting, Track
+from app.tracking.track import Sighting, Track, appearance_distance, appearance_histogram, associate
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
 

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
-from app.estimation.square_pixels import SquarePixels
-from app.estimation.upload import DecodedUpload
+from app.camera import CameraSession
+from app.estimation.upload import DecodedUpload, SquarePixels
+from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.detection import TrackedPeopleDetector
+from app.tracking.following import TrackedPeopleDetector
 from app.tracking.parameters import DEFAULTS
-from app.tracking.session import CameraSession
 from app.tracking.track import Sighting, Track
 from app.vision.images import decode_image
-from app.vision.sight import PinholeCamera
+from app.vision.optics import PinholeCamera
 from tests.app.tracking.drawn import ColourDetector, ColourReader, draw, ids, send
 
 

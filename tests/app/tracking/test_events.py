@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from app.estimation.posture_probability import vote_posture
+from app.estimation.posture import vote_posture
 from app.tracking.events import DropDetector, EventDetector, HipHeight, Reliability
 from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event

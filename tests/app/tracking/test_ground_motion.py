@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.tracking.ground_motion import STILL, GroundMotion, GroundVelocity, ground_path
+from app.tracking.motion import STILL, GroundMotion, GroundVelocity, ground_path
 from app.vision.geometry import Box
 from index.skeleton import camera_rotation
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from app.tracking.ground_motion import STILL, GroundVelocity
-from app.tracking.heading import Heading, HeadingFilter
+from app.tracking.motion import STILL, GroundVelocity, Heading, HeadingFilter
 from app.tracking.parameters import DEFAULTS
 
 BESIDE_DEG = DEFAULTS.heading.min_turned_deg

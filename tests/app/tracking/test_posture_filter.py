@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.posture_probability import vote_posture
-from app.tracking.posture_filter import PostureFilter
-from app.vision.frame_posture import FRAME_POSTURES, FramePosture
+from app.estimation.posture import vote_posture
+from app.tracking.events import PostureFilter
 from app.vision.geometry import Box
+from app.vision.rendered import FRAME_POSTURES, FramePosture
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 UPRIGHT, LEVEL = Box(0, 0, 40, 160), Box(0, 0, 160, 40)

@@ -9,12 +9,12 @@ from collections import deque
 import numpy as np
 import pytest
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession, LateFrameError
 from app.estimation.upload import Upload, UploadError
+from app.photograph import Estimator
 from app.scheduling.job import DeadlineError, Job
 from app.tracking.actions import shipped_model
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession, LateFrameError
 from app.vision.geometry import Box
 from tests.app.tracking.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
 from tests.conftest import png

@@ -8,12 +8,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from app.estimation.estimator import Estimator
+from app.cameras import CameraKey, CameraSessions, CameraTraffic
 from app.estimation.upload import Upload, UploadError
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
-from app.tracking.sessions import CameraKey, CameraSessions, CameraTraffic
-from app.vision.sight import PinholeCamera
+from app.vision.optics import PinholeCamera
 
 UPLOAD = Upload(b"frame")
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.facing import azimuth_deg
+from app.estimation.posture import azimuth_deg
 from app.estimation.results import Person
 from app.tracking.parameters import DEFAULTS
 from app.tracking.smoothing import PoseSmoother, Smoothed

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimation.posture_probability import EstimatedPosture
+from app.estimation.posture import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
+from app.film import VideoSummary
 from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.tracking.summary import VideoSummary
 from app.vision.geometry import Box
-from app.vision.sight import PinholeCamera
+from app.vision.optics import PinholeCamera
 from index.posture import Posture
 
 

@@ -11,9 +11,9 @@ from app.estimation.results import ObservedPerson
 from app.tracking.results import TrackedPerson
 from app.tracking.track import BoxFilter, Sighting, Track
 from app.tracking.zones import Zone
-from app.vision.doubt import Doubt
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
+from app.vision.rendered import Doubt
 from tests.app.tracking.people import person_of, seen_from
 
 BOX = Box(100, 100, 30, 80)

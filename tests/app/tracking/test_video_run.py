@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession, LateFrameError
+from app.film import VideoEnd, VideoRun
+from app.photograph import Estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError
 from app.scheduling.queue import Sender, ShutdownError
 from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession, LateFrameError
-from app.tracking.video_run import VideoEnd, VideoRun
 from app.video.reader import VideoError, VideoFrame
 from index.search import UnavailableError
 

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import Detector
+from app.vision.detector import Detector, NetworkDetector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
-from app.vision.network_detector import NetworkDetector
 from app.vision.person_reader import PersonReader
 from tests.conftest import WALKERS
 

@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from app.vision.crops import crop, crop_and_resize, resize, sample_window
-from app.vision.geometry import PersonWindow, transform_points
+from app.vision.geometry import (
+    PersonWindow,
+    crop,
+    crop_and_resize,
+    resize,
+    sample_window,
+    transform_points,
+)
 from tests.app.vision.conftest import PERSON_WINDOWS
 
 

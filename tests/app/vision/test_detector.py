@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.detector import Detector
+from app.vision.detector import Detector, NetworkDetector
 from app.vision.geometry import Box
 from app.vision.hog_detector import HogDetector
-from app.vision.network_detector import NetworkDetector
 from tests.app.vision.conftest import found_share, scores_of
 
 Make = Callable[..., Detector]

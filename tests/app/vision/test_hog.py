@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.crops import resize
-from app.vision.geometry import Box
+from app.vision.geometry import Box, resize
 from app.vision.hog import hog_margin, hog_people, hog_windows
 from app.vision.parameters import DEFAULTS
 

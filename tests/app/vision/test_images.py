@@ -13,8 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from app.vision.images import ImageError, ImageTooLargeError, Photograph, decode_image, read_header
-from app.vision.masks import decode_mask
+from app.vision.images import (
+    ImageError,
+    ImageTooLargeError,
+    Photograph,
+    decode_image,
+    decode_mask,
+    read_header,
+)
 from tests.app.vision.encoded import UPRIGHT, encode, png, quadrants, with_orientation
 
 LIMIT = 1_000_000

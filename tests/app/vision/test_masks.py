@@ -13,8 +13,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from PIL import Image
 
-from app.vision.images import ImageError
-from app.vision.masks import LabelImage, decode_mask
+from app.vision.images import ImageError, LabelImage, decode_mask
 from tests.app.vision.encoded import UPRIGHT, encode, png, quadrants, with_orientation
 
 LIMIT = 1_000_000

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from app.vision.blazepose import LandmarkNetwork
+from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.hog_detector import HogDetector
 from app.vision.movenet import KeypointReader
-from app.vision.network_detector import NetworkDetector
 from app.vision.silhouettes import silhouettes_of
 
 PIXELS = 1_000_000

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
+from app.vision.detector import NetworkDetector, detection_odds
 from app.vision.geometry import Box
 from app.vision.movenet import MoveNet
-from app.vision.network_detector import NetworkDetector, detection_odds
 from app.vision.odds import sigmoid
 from tests.app.vision.conftest import found_share, moved, scores_of
 

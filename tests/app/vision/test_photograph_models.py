@@ -11,15 +11,19 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, PoseReading
-from app.vision.dense import DenseNetwork, softmax
-from app.vision.depth import HIPS, decode_depths, network_depths
-from app.vision.frame_posture import FRAME_POSTURES, FramePosture, posture_features, trusted
+from app.vision.blazepose import LandmarkNetwork, PoseReading, sample_map
+from app.vision.depth import HIPS, DenseNetwork, decode_depths, network_depths, softmax
 from app.vision.geometry import Box, PersonWindow
-from app.vision.landmark_features import sample_map
+from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES
-from app.vision.photograph_models import FILE, photograph_models
-from app.vision.sight import PinholeCamera
+from app.vision.rendered import (
+    FILE,
+    FRAME_POSTURES,
+    FramePosture,
+    photograph_models,
+    posture_features,
+    trusted,
+)
 from app.vision.tflite import NetworkError
 from index.build.photographs import people as rendered
 

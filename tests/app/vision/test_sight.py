@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from app.vision.geometry import PersonWindow
-from app.vision.sight import (
+from app.vision.optics import (
     PinholeCamera,
     place_on_sight_lines,
     roll_rotation,

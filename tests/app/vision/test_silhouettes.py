@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from app.estimation.finder import distinct_bodies
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, PersonWindow, transform_points
-from app.vision.masks import LabelImage
+from app.vision.images import LabelImage
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.silhouettes import (

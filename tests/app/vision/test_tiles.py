@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from app.vision.detector import Tile, tiles_of
 from app.vision.parameters import DEFAULTS
-from app.vision.tiles import Tile, tiles_of
 
 TILING = DEFAULTS.tiling
 OVERVIEW_PX = math.prod(TILING.overview_px)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from app.vision.geometry import Box
 from app.vision.people import COCO_NAMES, ObservedKeypoints, Silhouette
-from app.vision.truncation import (
+from app.vision.silhouettes import (
     end_beyond_border,
     hidden_by_others,
     touches_border,

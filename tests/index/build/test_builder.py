@@ -17,14 +17,16 @@ from index.build.builder import (
     Plan,
     QueryCounts,
     choose_poses,
+    entries_of,
     simulate_queries,
+    split,
+    split_by_clip,
     spread,
 )
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.parameters import POSES
 from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
-from index.build.splits import entries_of, split, split_by_clip
 from index.posture import LOW, POSTURES, classify_postures
 from tests.index.toys import walk, write_clip
 from tests.support.programs import output_of

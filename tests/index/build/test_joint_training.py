@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 torch = pytest.importorskip("torch", reason="needs the build extra: torch")
 
-from index.build.joint_training import (  # noqa: E402
+from index.build.reranker import (  # noqa: E402
     Examples,
     TrainingConfig,
     _channels_first,

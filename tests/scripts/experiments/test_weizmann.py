@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from app.estimation.estimator import Estimator
+from app.photograph import Estimator
 from descriptor.descriptor import DiagonalDescriptor
 from index.store import PoseIndex
 from scripts.experiments.weizmann import (

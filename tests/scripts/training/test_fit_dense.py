@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from app.vision.dense import DenseNetwork
+from app.vision.depth import DenseNetwork
 from scripts.training.fit_dense import averaged, fit_dense, moved_outputs, scaled_outputs
 
 

@@ -5,20 +5,95 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncGenerator, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
+from app.camera import CameraSession
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.messages import SEARCH_FAILED
 from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import Sender, ShutdownError
-from app.tracking.results import TrackedFrame
-from app.tracking.session import CameraSession
-from app.tracking.summary import VideoSummary
+from app.tracking.parameters import DEFAULTS, SummaryParameters
+from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.video.reader import VideoError, VideoFrame, VideoReader
+from index.posture import Posture
 from index.search import UnavailableError
+
+PostureLabel = Posture | Literal["unclear"]
+
+
+@dataclass
+class TrackSummary:
+    """One person over the frames of a video.
+
+    Parameters
+    ----------
+    track_id : int
+        Unique within the video.
+    first_timestamp, last_timestamp : float
+        Seconds.
+    frames : int
+        Frames in which the person was seen.
+    """
+
+    track_id: int
+    first_timestamp: float
+    last_timestamp: float
+    frames: int = 0
+    _posture: PostureLabel | None = None
+    _posture_s: dict[PostureLabel, float] = field(default_factory=dict)
+    _actions: dict[str, float] = field(default_factory=dict)
+    _frames_with_action: int = 0
+
+    def add(self, tracked: TrackedPerson, timestamp: float, max_gap_s: float) -> None:
+        """Add the person's next frame; a posture lasts until then unless the gap is longer."""
+        gap_s = timestamp - self.last_timestamp
+        if self._posture is not None and gap_s <= max_gap_s:
+            self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
+        posture = tracked.person.posture
+        self._posture = posture.label if posture else None
+        if self._posture is not None:
+            self._posture_s.setdefault(self._posture, 0.0)
+        if tracked.action is not None:
+            label, probability = tracked.action.label, tracked.action.probability
+            self._actions[label] = self._actions.get(label, 0.0) + probability
+            self._frames_with_action += 1
+        self.last_timestamp = timestamp
+        self.frames += 1
+
+    def postures(self) -> list[tuple[PostureLabel, float]]:
+        """Return each posture and its seconds, the longest first."""
+        return sorted(self._posture_s.items(), key=lambda item: -item[1])
+
+    def action(self) -> RecognisedAction | None:
+        """Return the action with the largest sum of probabilities, and its mean probability."""
+        if not self._actions:
+            return None
+        label = max(self._actions, key=lambda name: self._actions[name])
+        return RecognisedAction(label, self._actions[label] / self._frames_with_action)
+
+
+class VideoSummary:
+    """Tracks and events over the frames of a video."""
+
+    def __init__(self, parameters: SummaryParameters = DEFAULTS.summary) -> None:
+        self._max_gap_s = parameters.max_gap_s
+        self.frames = 0
+        self.tracks: dict[int, TrackSummary] = {}
+        self.events: list[Event] = []
+
+    def add(self, frame: TrackedFrame) -> None:
+        """Add the next frame."""
+        self.frames += 1
+        self.events += frame.events
+        for tracked in frame.persons:
+            track = self.tracks.setdefault(
+                tracked.track_id, TrackSummary(tracked.track_id, frame.timestamp, frame.timestamp)
+            )
+            track.add(tracked, frame.timestamp, self._max_gap_s)
+
 
 VideoEndReason = Literal[
     "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable", "failed"
@@ -50,7 +125,7 @@ class VideoRun:
     sender, kind
         As in :meth:`app.scheduling.executor.Executor.run`.
     n, evidence
-        As in :meth:`app.tracking.session.CameraSession.process`.
+        As in :meth:`app.camera.CameraSession.process`.
     fov_deg, pixel_aspect : float or None
         As in :class:`app.estimation.upload.Upload`; by default, the video's own pixel aspect is
         used.

@@ -24,8 +24,7 @@ from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box, PersonWindow
 from app.vision.people import Detection
 from app.vision.person_reader import fuse, sides_exchanged
-from app.vision.silhouettes import silhouettes_of
-from app.vision.truncation import ends_at_border
+from app.vision.silhouettes import ends_at_border, silhouettes_of
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from app.estimation.finder import PeopleFinder
-from app.estimation.normalise import NormalisedPerson
-from app.estimation.ordering import order_by_landmarks, order_by_silhouette
 from app.estimation.parameters import POSTURE, THREADS_PER_PASS
-from app.estimation.placement import place_skeletons
-from app.estimation.posture_probability import estimate_posture, vote_posture
+from app.estimation.poses import (
+    NormalisedPerson,
+    order_by_landmarks,
+    order_by_silhouette,
+    place_skeletons,
+)
+from app.estimation.posture import estimate_posture, vote_posture
 from app.estimation.results import (
     Estimate,
     Evidence,
@@ -26,15 +29,14 @@ from app.scheduling.job import Job
 from app.scheduling.process import available_cores
 from app.vision import DetectorName
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import Detector
+from app.vision.detector import Detector, NetworkDetector
 from app.vision.geometry import Box
 from app.vision.hog_detector import HogDetector
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
-from app.vision.network_detector import NetworkDetector
+from app.vision.optics import PinholeCamera
 from app.vision.person_reader import PersonReader
-from app.vision.photograph_models import photograph_models
-from app.vision.sight import PinholeCamera
+from app.vision.rendered import photograph_models
 from index.matching import match
 from index.store import PoseIndex
 

@@ -11,19 +11,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.estimator import Estimator
 from app.estimation.results import Evidence, ObservedPerson, Scene
-from app.estimation.square_pixels import SquarePixels
-from app.estimation.upload import DecodedUpload, Upload
+from app.estimation.upload import DecodedUpload, SquarePixels, Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.association import appearance_histogram, associate
-from app.tracking.detection import TrackedPeopleDetector
+from app.tracking.following import TrackedPeopleDetector
 from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.track import Sighting, Track
+from app.tracking.track import Sighting, Track, appearance_histogram, associate
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
-from app.vision.truncation import ends_at_border
+from app.vision.silhouettes import ends_at_border
 from index.parameters import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 110_000
@@ -105,7 +103,7 @@ class CameraSession:
             Checked between steps. If it raises, the next frame reports what began or ended at this
             one.
         evidence : str
-            As in :meth:`app.estimation.estimator.Estimator.estimate`.
+            As in :meth:`app.photograph.Estimator.estimate`.
         zones : sequence of Zone
             Zones of the camera; they may change between frames.
 

@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-from app.estimation.estimator import Estimator
+from app.camera import CameraSession
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
+from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import Event, TrackedFrame
-from app.tracking.session import CameraSession
 from app.tracking.zones import Zone
 
 KEPT_EVENTS = 100
@@ -227,7 +227,7 @@ class CameraSessions:
         Raises
         ------
         UploadError, LateFrameError
-            See :meth:`app.tracking.session.CameraSession.process`.
+            See :meth:`app.camera.CameraSession.process`.
         """
         with self._lock:
             self._end_idle()

@@ -1,0 +1,366 @@
+"""Skeletons placed in front of the camera, in perspective.
+
+The index stores skeletons in line-of-sight axes, as if each person stood in the middle of the
+frame, at the size of its own avatars. Here each joint of a hypothesis is put on the line of sight
+of its pixel, at the depth that the hypothesis and the landmarks give it. The result is in the
+camera's axes and has the person's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.parameters import (
+    HYPOTHESES_PER_OPPOSITE_FACING,
+    NORMALISATION,
+    PLACEMENT,
+    PlacementParameters,
+)
+from app.estimation.posture import Facing, azimuth_deg, faces_camera, front_share, heading_shares
+from app.vision.geometry import transform_points
+from app.vision.models import fitted_constants
+from app.vision.odds import sigmoid
+from app.vision.optics import PinholeCamera, place_on_sight_lines, to_line_of_sight
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
+from descriptor.silhouette import is_wide, normalise, principal_axis_deg
+from index.candidates import rotate_silhouette
+from index.landmarks import Keypoints
+from index.matching import Hypothesis
+from index.parameters import RANKING
+from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
+
+# Points of the index and their landmarks. The eyes and ears of the index are in other places, so
+# they are left out.
+_LANDMARK_OF = {name: name for name in (*LIMBS, "nose")} | {
+    f"{side}_toe": f"{side}_foot_index" for side in SIDES
+}
+_POINTS, _LANDMARKS = rows(*_LANDMARK_OF), rows(*_LANDMARK_OF.values(), among=LANDMARK_NAMES)
+_LIMBS = rows(*LIMBS, among=LANDMARK_NAMES)
+_ANKLES = side_rows("ankle", among=LANDMARK_NAMES)
+_HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
+
+
+@dataclass(frozen=True)
+class NormalisedPerson:
+    """A person's normalised silhouette and keypoints; wide silhouettes are rotated upright.
+
+    Parameters
+    ----------
+    silhouette : (128, 48) uint8 array
+    roll_deg : float
+        Clockwise rotation of the silhouette, as if the camera had been rolled; 0 unless the
+        silhouette is wide.
+    to_frame : (2, 3) float64 array
+        Affine transform from pixels of ``silhouette`` to pixels of the frame.
+    landmarks : Landmarks or None
+        Landmarks in pixels of the frame; None if they were not read.
+    """
+
+    silhouette: NDArray[np.uint8]
+    roll_deg: float
+    to_frame: NDArray[np.float64]
+    landmarks: Landmarks | None
+
+    @classmethod
+    def of(cls, silhouette: Silhouette, landmarks: Landmarks | None) -> NormalisedPerson:
+        """Normalise a person's silhouette and landmarks, both given in the frame."""
+        corner = np.array([silhouette.left, silhouette.top], np.float64)
+        if is_wide(silhouette.crop):
+            roll_deg = -principal_axis_deg(silhouette.crop)
+            normalised, to_frame = rotate_silhouette(silhouette.crop, roll_deg)
+            to_frame = np.column_stack([to_frame[:, :2], to_frame[:, 2] + corner])
+            return cls(normalised, roll_deg, to_frame, landmarks)
+        normalised, placement = normalise(silhouette.crop)
+        offset = np.array([placement.offset_x, placement.offset_y])
+        scale = 1 / placement.scale
+        to_frame = np.column_stack([scale * np.eye(2), corner - scale * offset])
+        return cls(normalised, 0.0, to_frame, landmarks)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the photograph shows the person from head to feet; true without landmarks."""
+        if self.landmarks is None:
+            return True
+        visibility = self.landmarks.visibility
+        feet_visible = visibility[_ANKLES].max() >= NORMALISATION.min_feet_visibility
+        return bool(feet_visible and visibility[_HEAD].max() >= NORMALISATION.min_head_visibility)
+
+    def keypoints(self) -> Keypoints | None:
+        """The landmarks in the normalised frame, for matching; None if too few are visible."""
+        if self.landmarks is None:
+            return None
+        scores = self.landmarks.visibility[_LANDMARKS]
+        used = np.flatnonzero(scores > NORMALISATION.min_score)
+        if len(used) < NORMALISATION.min_keypoints:
+            return None
+        to_normalised = np.asarray(cv2.invertAffineTransform(self.to_frame), np.float64)
+        positions = self.landmarks.positions[_LANDMARKS][used]
+        return Keypoints(
+            tuple(_POINTS[i] for i in used),
+            transform_points(to_normalised, positions),
+            np.minimum(scores[used], 1.0),
+            rotate_clockwise(self.landmarks.metres[_LIMBS], self.roll_deg),
+            self.landmarks.visibility[_LIMBS],
+        )
+
+    def points_in_frame(self, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points ``(..., 2)`` of the normalised frame in pixels of the frame."""
+        return transform_points(self.to_frame, points_normalised)
+
+
+def order_by_silhouette(
+    hypotheses: Sequence[Hypothesis], n: int, voters: int | None = None
+) -> tuple[Facing, list[Hypothesis]]:
+    """Keep the first ``n`` hypotheses of a match without landmarks.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        At least one, in the order of the match.
+    voters : int, optional
+        Number of hypotheses that decide the facing; by default all that are kept.
+
+    Returns
+    -------
+    facing : Facing
+        Its probability is the confidence of the hypotheses that face the camera, as a share of the
+        confidence of all.
+    hypotheses : list of Hypothesis
+        In the order of the match, with ascending distances: a nearer hypothesis of a later batch
+        gets the distance of the farthest one before it.
+    """
+    kept = hypotheses[:n]
+    confidences = np.array([one.confidence for one in kept])
+    facing = Facing(front_share(_azimuths(kept[:voters]), confidences[:voters]), "none")
+    distances = np.array([one.distance for one in kept])
+    return facing, _with(kept, distances, confidences)
+
+
+def order_by_landmarks(
+    hypotheses: Sequence[Hypothesis], n: int, voters: int | None = None
+) -> tuple[Facing, list[Hypothesis]]:
+    """Choose the nearest ``n`` hypotheses of a match with landmarks, some of either facing.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        At least one; with more than ``n`` there is a choice.
+    voters : int, optional
+        Number of hypotheses that decide the facing; by default all.
+
+    Returns
+    -------
+    facing, hypotheses
+        As in :func:`order_by_silhouette`, with confidences from silhouette and landmarks.
+    """
+    azimuths = _azimuths(hypotheses)
+    distances = np.array([one.distance for one in hypotheses])
+    adjusted_m = np.array([one.adjusted_m for one in hypotheses])
+    confidences = fused_confidences(distances, adjusted_m)
+    front = front_share(azimuths[:voters], confidences[:voters])
+    # A skeleton cannot be likelier right than its heading.
+    shares = heading_shares(azimuths, azimuths[:voters], confidences[:voters])
+    confidences = np.minimum(confidences, shares)
+    chosen = nearest_of_both_facings(azimuths, distances, n, front)
+    facing = Facing(front, "image")
+    return facing, _with([hypotheses[i] for i in chosen], distances[chosen], confidences[chosen])
+
+
+def fused_confidences(
+    distances: NDArray[np.float64], adjusted_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Fitted probabilities ``(N,)`` that hypotheses are right.
+
+    Parameters
+    ----------
+    distances : (N,) float64 array
+        Distances from silhouette and landmarks.
+    adjusted_m : (N,) float64 array
+        Mean joint distances by which the fit moved the hypotheses from their entries.
+    """
+    constants = fitted_constants("confidence")
+    agreement = -RANKING.distance_weight * np.log(np.maximum(distances, 1e-9))
+    odds = (
+        constants["slope"] * agreement + constants["adjusted_m"] * adjusted_m + constants["offset"]
+    )
+    return sigmoid(odds)
+
+
+def nearest_of_both_facings(
+    azimuths_deg: NDArray[np.float64],
+    distances: NDArray[np.float64],
+    n: int,
+    front_probability: float,
+) -> list[int]:
+    """Choose ``n`` hypotheses, nearest first, with each facing as frequent as it is likely.
+
+    The nearest is first. Among the first k, the share that faces the opposite way equals the
+    probability of that facing. It is at least one in
+    :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING`, however far these hypotheses
+    are, as long as there are any. The first k of n are those chosen for k.
+
+    Parameters
+    ----------
+    azimuths_deg, distances : (N,) float64 array
+    front_probability : float
+        Probability that the camera sees the person from the front.
+
+    Returns
+    -------
+    list of int
+        Rows.
+    """
+    order: list[int] = np.argsort(distances, kind="stable").tolist()
+    front = faces_camera(azimuths_deg)
+    opposite_probability = 1 - front_probability if front[order[0]] else front_probability
+    share = max(opposite_probability, 1 / HYPOTHESES_PER_OPPOSITE_FACING)
+    chosen: list[int] = []
+    while order and len(chosen) < n:
+        opposite = [i for i in order if front[i] != front[chosen[0]]] if chosen else []
+        wanted = int(share * (len(chosen) + 1) + 1e-9)  # Seven sevenths are one.
+        have = sum(bool(front[i] != front[chosen[0]]) for i in chosen)
+        following = opposite[0] if opposite and have < wanted else order[0]
+        order.remove(following)
+        chosen.append(following)
+    return chosen
+
+
+def _azimuths(hypotheses: Sequence[Hypothesis]) -> NDArray[np.float64]:
+    return azimuth_deg(np.array([one.points_3d for one in hypotheses]))
+
+
+def _with(
+    hypotheses: Sequence[Hypothesis],
+    distances: NDArray[np.float64],
+    confidences: NDArray[np.float64],
+) -> list[Hypothesis]:
+    """Replace confidences, and distances by their running maxima."""
+    ascending = np.maximum.accumulate(distances)
+    return [
+        replace(one, distance=distance, confidence=confidence)
+        for one, distance, confidence in zip(
+            hypotheses, ascending.tolist(), confidences.tolist(), strict=True
+        )
+    ]
+
+
+# The eyes and ears of the index are in other places than those of the landmark network.
+_POINT_OF = {
+    name: name
+    for name in LANDMARK_NAMES
+    if name in POINT_NAMES and not name.endswith(("eye", "ear"))
+} | {f"{side}_foot_index": f"{side}_toe" for side in ("left", "right")}
+_SEEN_LANDMARKS = [LANDMARK_NAMES.index(name) for name in _POINT_OF]
+_SEEN_POINTS = np.array([POINT_NAMES.index(name) for name in _POINT_OF.values()])
+_HIPS = side_rows("hip")
+_LANDMARK_HIPS = side_rows("hip", among=LANDMARK_NAMES)
+_PELVIS = POINT_NAMES.index("pelvis")
+
+
+@dataclass(frozen=True)
+class PlacedSkeletons:
+    """Skeletons in front of a camera.
+
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Metres, camera axes, relative to the pelvis.
+    points_2d : (M, 24, 2) float64 array
+        Their projections, pixels of the frame.
+    pelvis : (M, 3) float64 array
+        Metres from the camera, in its axes.
+    """
+
+    points_3d: NDArray[np.float64]
+    points_2d: NDArray[np.float64]
+    pelvis: NDArray[np.float64]
+
+
+def place_skeletons(
+    points_3d: NDArray[np.float64],
+    points_2d: NDArray[np.float64],
+    landmarks: Landmarks | None,
+    camera: PinholeCamera,
+    parameters: PlacementParameters = PLACEMENT,
+) -> PlacedSkeletons:
+    """Place the hypotheses of a person in front of a camera.
+
+    The first is moved towards the landmarks' depths, less so where these are uncertain. The others
+    keep their own depths: they are other interpretations of the image. Without landmarks, skeletons
+    stay in the axes of the line of sight unless the field of view is known.
+
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Best hypothesis first: metres, axes of the line of sight.
+    points_2d : (M, 24, 2) float64 array
+        The same, fitted to the image: pixels of the frame.
+    landmarks : Landmarks or None
+        Pixels of the frame, and metres in the axes of the line of sight to the hips.
+    """
+    if landmarks is None:
+        placed = _as_they_are(points_3d, points_2d, camera)
+        # A mask may be a crop: nothing shows where the optical axis is, unless the caller says so.
+        return placed if camera.given else replace(placed, points_3d=points_3d)
+    visibility = landmarks.visibility[_SEEN_LANDMARKS]
+    visible = np.where(visibility > parameters.min_visibility, visibility, 0.0)
+    weights = np.maximum(visible, 1e-3)
+    seen = landmarks.positions[_SEEN_LANDMARKS]
+    line = to_line_of_sight(camera.rays(landmarks.positions[_LANDMARK_HIPS].mean(axis=0)))
+    metres = landmarks.metres[_SEEN_LANDMARKS]
+    origin = place_on_sight_lines(metres, camera.rays(seen), line, weights).origin
+    depth = float((line @ origin)[2])
+    rows = _rows_shown(points_2d, seen)
+    each = np.arange(len(rows))[:, None]
+    about_hips = points_3d - points_3d[:, _HIPS].mean(axis=1, keepdims=True)
+    shown = about_hips[each, rows]
+    size = (weights[:, None] * metres * shown).sum(axis=(1, 2)) / (weights[:, None] * shown**2).sum(
+        axis=(1, 2)
+    )
+    depths = np.clip(size, *parameters.sizes)[:, None] * about_hips[..., 2]
+    reliability = visible / (
+        1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / parameters.half_way_sd_m) ** 2
+    )
+    depths[0, _SEEN_POINTS] += reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])
+    pixels = points_2d.copy()
+    pixels[each, rows] += visible[:, None] * (seen - pixels[each, rows])
+    lines = camera.rays(pixels) @ line.T
+    lines = lines / np.maximum(lines[..., 2:], parameters.min_forward)
+    return _about_pelvis(
+        lines * np.maximum(depth + depths, parameters.min_distance_m)[..., None] @ line, pixels
+    )
+
+
+def _as_they_are(
+    own_3d: NDArray[np.float64], own_2d: NDArray[np.float64], camera: PinholeCamera
+) -> PlacedSkeletons:
+    """Skeletons on their lines of sight, at the distance where they appear as in the image."""
+    rays = camera.rays(own_2d)
+    lines = to_line_of_sight(rays[:, _PELVIS])
+    origin = place_on_sight_lines(own_3d, rays, lines, np.ones(rays.shape[1])).origin
+    return _about_pelvis(own_3d @ lines + origin[:, None], own_2d)
+
+
+def _rows_shown(own_2d: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray[np.integer]:
+    """Rows ``(M, P)`` of the points of skeletons that the landmarks show.
+
+    Left and right are exchanged if the points are then nearer, except for the first skeleton.
+    """
+    other = OTHER_SIDE[_SEEN_POINTS]
+    same, exchanged = (
+        np.linalg.norm(own_2d[:, rows] - seen, axis=-1).mean(axis=1)
+        for rows in (_SEEN_POINTS, other)
+    )
+    rows = np.where((exchanged < same)[:, None], other, _SEEN_POINTS)
+    rows[0] = _SEEN_POINTS
+    return rows
+
+
+def _about_pelvis(points: NDArray[np.float64], pixels: NDArray[np.float64]) -> PlacedSkeletons:
+    pelvis = points[:, _PELVIS]
+    return PlacedSkeletons(points - pelvis[:, None], pixels, pelvis)
