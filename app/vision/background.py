@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, resize
-from app.vision.parameters import DEFAULTS, BackgroundParameters
 from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.silhouettes import fill_small_holes, keep_components, with_truncation
+
+_MIN_HEIGHT_SHARE = 0.8  # Height of a region, relative to the smallest person wanted.
+_HEIGHT_PER_GAP = 12.0  # Height of that person relative to gaps closed within a body.
+_MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
+_MAX_HOLE = 0.05  # Area relative to the mask; larger holes stay.
 
 
 class BackgroundSegmenter:
@@ -33,11 +37,9 @@ class BackgroundSegmenter:
         background: NDArray[np.uint8],
         *,
         min_person_px: float = 50,
-        parameters: BackgroundParameters = DEFAULTS.background,
     ) -> None:
         self._background = background
         self._min_person_px = min_person_px
-        self._parameters = parameters
         self._compared: tuple[NDArray[np.uint8], NDArray[np.bool_]] | None = None
 
     def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
@@ -51,15 +53,14 @@ class BackgroundSegmenter:
         ValueError
             If the frame ``(H, W, 3)`` does not have the size of the background.
         """
-        parameters = self._parameters
-        min_height = parameters.min_height_share * self._min_person_px
+        min_height = _MIN_HEIGHT_SHARE * self._min_person_px
         rows, columns = frame.shape[:2]
-        is_too_thin = rows < min_height or columns < parameters.aspect[0] * min_height
+        is_too_thin = rows < min_height or columns < _ASPECT[0] * min_height
         if is_too_thin and frame.shape == self._background.shape:
             return []
         changed = self._changed(frame)
         # Closing joins the parts of a body, for example if its belt has the pavement's colour.
-        reach = max(1, round(self._min_person_px / parameters.height_per_gap))
+        reach = max(1, round(self._min_person_px / _HEIGHT_PER_GAP))
         kernel: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
         joined = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
@@ -68,7 +69,7 @@ class BackgroundSegmenter:
         for label, (left, top, width, height, _) in zip(high, stats[high].tolist(), strict=True):
             part = np.s_[top : top + height, left : left + width]
             own = changed[part] & (labels[part] == label)
-            score = _likeness(width / height, float(own.mean()), parameters)
+            score = _likeness(width / height, float(own.mean()))
             if score > 0:
                 found.append(Detection(Box(left - 0.5, top - 0.5, width, height), score))
         return sorted(found, key=lambda one: -one.score)
@@ -87,7 +88,6 @@ class BackgroundSegmenter:
         """
         height, width = frame.shape[:2]
         changed = self._changed(frame)
-        min_part, max_hole = self._parameters.min_part, self._parameters.max_hole
         found: list[Silhouette | None] = []
         for row, whole in enumerate(boxes):
             checkpoint()
@@ -100,7 +100,7 @@ class BackgroundSegmenter:
             for other in (*boxes[:row], *boxes[row + 1 :]):
                 if box.intersection(other) > 0:
                     mask &= ~_nearer_to_other(box, other, mask.shape)
-            mask = fill_small_holes(keep_components(mask, min_part), max_hole)
+            mask = fill_small_holes(keep_components(mask, _MIN_PART), _MAX_HOLE)
             found.append(silhouette_from_mask(mask, left=left, top=top, segmenter="background"))
         return with_truncation(found, boxes, frame.shape)
 
@@ -108,15 +108,24 @@ class BackgroundSegmenter:
         """Pixels ``(H, W)`` that differ from the scene."""
         compared = self._compared
         if compared is None or compared[0] is not frame:
-            changed = foreground(frame, self._background, self._parameters)
+            changed = foreground(frame, self._background)
             compared = self._compared = frame, changed
         return compared[1]
+
+
+MAX_PX = 1920 * 1080
+"""Larger frames are reduced: one of 12 megapixels took 13 s and 2 GB."""
+
+_BLUR_PX = 0.8  # Standard deviation of the blur before frames are compared.
+# Difference, in standard deviations of the noise, from which a pixel has certainly changed, and
+# from which a pixel connected to such a one has changed.
+_CERTAIN_DISTANCE = 8.0
+_POSSIBLE_DISTANCE = 4.0
 
 
 def foreground(
     frame: NDArray[np.uint8],
     background: NDArray[np.uint8],
-    parameters: BackgroundParameters = DEFAULTS.background,
 ) -> NDArray[np.bool_]:
     """Pixels that differ from the background by more than exposure, noise and shadow explain.
 
@@ -140,54 +149,57 @@ def foreground(
     if frame.shape != background.shape:
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")
     height, width = frame.shape[:2]
-    if height * width > parameters.max_px:
-        factor = math.sqrt(parameters.max_px / (height * width))
+    if height * width > MAX_PX:
+        factor = math.sqrt(MAX_PX / (height * width))
         size = max(1, int(factor * width)), max(1, int(factor * height))
-        reduced = foreground(resize(frame, *size), resize(background, *size), parameters)
+        reduced = foreground(resize(frame, *size), resize(background, *size))
         return cv2.resize(
             reduced.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
         ).view(np.bool_)
     now, scene = (
-        cv2.GaussianBlur(image, (0, 0), parameters.blur_px).astype(np.float32)
+        cv2.GaussianBlur(image, (0, 0), _BLUR_PX).astype(np.float32)
         for image in (frame, background)
     )
-    expected = _with_exposure_of(now, scene, parameters)
-    distance, difference = _distances(now, expected, parameters)
-    distance[_shadow(now, expected, parameters)] = 0
-    grown = _hysteresis(
-        distance > parameters.possible_distance, distance > parameters.certain_distance
-    )
+    expected = _with_exposure_of(now, scene)
+    distance, difference = _distances(now, expected)
+    distance[_shadow(now, expected)] = 0
+    grown = _hysteresis(distance > _POSSIBLE_DISTANCE, distance > _CERTAIN_DISTANCE)
     opened = cv2.morphologyEx(grown.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    return _without_halo(closed > 0, difference, parameters.min_cover)
+    return _without_halo(closed > 0, difference)
 
 
-def _with_exposure_of(
-    now: NDArray[np.float32], scene: NDArray[np.float32], parameters: BackgroundParameters
-) -> NDArray[np.float32]:
+def _with_exposure_of(now: NDArray[np.float32], scene: NDArray[np.float32]) -> NDArray[np.float32]:
     """The scene ``(H, W, 3)``, adapted in place to the exposure of this frame."""
     for channel in range(3):
         x, y = scene[::4, ::4, channel].ravel(), now[::4, ::4, channel].ravel()
-        gain, offset = _fit_exposure(x, y, parameters)
+        gain, offset = _fit_exposure(x, y)
         scene[..., channel] = gain * scene[..., channel] + offset
     return np.clip(scene, 1, 255, out=scene)
 
 
-def _fit_exposure(
-    x: NDArray[np.float32], y: NDArray[np.float32], parameters: BackgroundParameters
-) -> tuple[float, float]:
+_EXPOSURE_RANGE = (4.0, 250.0)  # Grey levels outside are not used to fit it.
+_MIN_EXPOSURE_SAMPLES = 100
+# The fit is repeated on the samples whose error is within this multiple of the median error, or
+# within this many grey levels: people are outliers.
+_EXPOSURE_ROUNDS = 4
+_EXPOSURE_OUTLIER = 2.5
+_MIN_EXPOSURE_ERROR = 3.0
+
+
+def _fit_exposure(x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[float, float]:
     """Gain and offset from samples ``(N,)`` of the scene to those of the frame."""
-    low, high = parameters.exposure_range
+    low, high = _EXPOSURE_RANGE
     usable = (x > low) & (x < high) & (y > low) & (y < high)
-    if np.count_nonzero(usable) < parameters.min_exposure_samples:
+    if np.count_nonzero(usable) < _MIN_EXPOSURE_SAMPLES:
         return 1.0, 0.0
     x, y = x[usable], y[usable]
     gain, offset = float(np.median(y / x)), 0.0
     # People are outliers: the fit is repeated on the samples that agree with it.
-    for _ in range(parameters.exposure_rounds):
+    for _ in range(_EXPOSURE_ROUNDS):
         error = np.abs(y - gain * x - offset)
-        limit = parameters.exposure_outlier * float(np.median(error))
-        agree = error <= max(parameters.min_exposure_error, limit)
+        limit = _EXPOSURE_OUTLIER * float(np.median(error))
+        agree = error <= max(_MIN_EXPOSURE_ERROR, limit)
         centre_x, centre_y = float(x[agree].mean()), float(y[agree].mean())
         spread = float(((x[agree] - centre_x) ** 2).sum())
         if spread < 1:
@@ -197,8 +209,14 @@ def _fit_exposure(
     return gain, offset
 
 
+_MIN_NOISE = 2.0  # Grey levels: compression alone leaves this much.
+# Share of the background's local contrast that counts as noise: vibration and focus breathing move
+# edges.
+_CONTRAST_NOISE = 0.25
+
+
 def _distances(
-    now: NDArray[np.float32], expected: NDArray[np.float32], parameters: BackgroundParameters
+    now: NDArray[np.float32], expected: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Distances ``(H, W)`` in standard deviations of the noise, and the largest difference."""
     squares = np.zeros(now.shape[:2], np.float32)
@@ -207,18 +225,22 @@ def _distances(
     for channel in range(3):
         residual = np.abs(now[..., channel] - expected[..., channel])
         # A normal distribution's standard deviation is 1.4826 times its median deviation.
-        noise = max(1.4826 * float(np.median(residual[::2, ::2])), parameters.min_noise)
+        noise = max(1.4826 * float(np.median(residual[::2, ::2])), _MIN_NOISE)
         contrast = cv2.morphologyEx(
             expected[..., channel], cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)
         )
-        squares += residual**2 / (noise**2 + (parameters.contrast_noise * contrast) ** 2)
+        squares += residual**2 / (noise**2 + (_CONTRAST_NOISE * contrast) ** 2)
         np.maximum(difference, residual, out=difference)
     return np.sqrt(squares / 3), difference
 
 
-def _shadow(
-    now: NDArray[np.float32], expected: NDArray[np.float32], parameters: BackgroundParameters
-) -> NDArray[np.bool_]:
+# A shadow leaves a share of the light in this range, alike in all channels, and the texture.
+_SHADOW_LIGHT = (0.45, 0.98)
+_MAX_SHADOW_TINT = 0.06
+_MAX_SHADOW_UNEVENNESS = 0.05
+
+
+def _shadow(now: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Pixels ``(H, W)`` where the scene has less light: equally in all channels, and evenly."""
     # Adding channel by channel takes a quarter of the time of sums along the last axis.
     total_now = now[..., 0] + now[..., 1] + now[..., 2]
@@ -232,12 +254,12 @@ def _shadow(
         np.maximum(tint, np.abs(share, out=share), out=tint)
     mean = cv2.blur(light, (5, 5))
     unevenness = np.sqrt(np.maximum(cv2.blur(light**2, (5, 5)) - mean**2, 0))
-    darkest, brightest = parameters.shadow_light
+    darkest, brightest = _SHADOW_LIGHT
     return np.asarray(
         (light > darkest)
         & (light < brightest)
-        & (tint < parameters.max_shadow_tint)
-        & (unevenness < parameters.max_shadow_unevenness)
+        & (tint < _MAX_SHADOW_TINT)
+        & (unevenness < _MAX_SHADOW_UNEVENNESS)
     )
 
 
@@ -249,9 +271,10 @@ def _hysteresis(possible: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDAr
     return np.asarray(chosen[labels])
 
 
-def _without_halo(
-    mask: NDArray[np.bool_], difference: NDArray[np.float32], min_cover: float
-) -> NDArray[np.bool_]:
+_MIN_COVER = 0.45  # Share of the nearby difference that half a pixel of a person shows.
+
+
+def _without_halo(mask: NDArray[np.bool_], difference: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Drop border pixels of which a person covers less than half, since lenses blur edges.
 
     Such pixels differ from the background less than half as much as pixels further inside.
@@ -259,16 +282,25 @@ def _without_halo(
     kernel: NDArray[np.uint8] = np.ones((5, 5), np.uint8)
     inside = cv2.erode(mask.astype(np.uint8), kernel, borderValue=1) > 0
     strongest = cv2.dilate(np.where(mask, difference, 0).astype(np.float32), kernel)
-    return np.asarray(inside | (mask & (difference > min_cover * strongest)))
+    return np.asarray(inside | (mask & (difference > _MIN_COVER * strongest)))
 
 
-def _likeness(aspect: float, fill: float, parameters: BackgroundParameters) -> float:
+# Scores of a region, as a standing or walking body: by its width over height, 0 outside the range,
+# and by the share of its box that it fills, 0 below the range.
+_ASPECT = (0.15, 0.25, 0.6, 1.2)
+_ASPECT_SCORE = (0.3, 1.0, 1.0, 0.2)
+_FILL = (0.2, 0.4)
+_FILL_SCORE = (0.4, 1.0)
+_MAX_SCORE = 0.9  # A region of change is never a person for certain.
+
+
+def _likeness(aspect: float, fill: float) -> float:
     """How much a region's proportions and solidity resemble an upright body."""
-    if not parameters.aspect[0] <= aspect <= parameters.aspect[-1] or fill < parameters.fill[0]:
+    if not _ASPECT[0] <= aspect <= _ASPECT[-1] or fill < _FILL[0]:
         return 0.0
-    upright = float(np.interp(aspect, parameters.aspect, parameters.aspect_score))
-    solid = float(np.interp(fill, parameters.fill, parameters.fill_score))
-    return parameters.max_score * upright * solid
+    upright = float(np.interp(aspect, _ASPECT, _ASPECT_SCORE))
+    solid = float(np.interp(fill, _FILL, _FILL_SCORE))
+    return _MAX_SCORE * upright * solid
 
 
 def _nearer_to_other(box: Box, other: Box, shape: tuple[int, ...]) -> NDArray[np.bool_]:

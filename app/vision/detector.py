@@ -29,7 +29,6 @@ from app.vision.hog import hog_margin
 from app.vision.models import fitted_constants
 from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
-from app.vision.parameters import DEFAULTS, DetectorParameters, TilingParameters, VisionParameters
 from app.vision.people import Detection
 
 
@@ -103,11 +102,32 @@ class Tile:
         return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
 
 
+OVERVIEW_PX = (640, 352)
+"""Largest sides of the overview: a camera with more pixels does not cost more."""
+
+MAX_ENLARGEMENT = 1.5
+"""Largest factor by which small frames are enlarged."""
+
+MIN_SIDE_PX = 12
+"""Shortest side of the overview; thinner frames hold nobody."""
+
+# Height of the smallest person wanted by default, as a share of the frame's height.
+_MIN_PERSON_SHARE = 1 / 12
+
+MIN_PERSON_PX = OVERVIEW_PX[1] * _MIN_PERSON_SHARE
+"""Height at which MoveNet sees the smallest wanted person."""
+
+MIN_GAIN = 1.1
+"""Gain in resolution over the overview up to which tiles add nothing."""
+
+MAX_FINE_SIDE_PX, MAX_FINE_PX = 1280, 1280 * 720
+"""Largest side and area of the frame at the resolution of the tiles; they bound the time."""
+
+
 def tiles_of(
     width: int,
     height: int,
     min_person_px: float | None = None,
-    parameters: TilingParameters = DEFAULTS.tiling,
 ) -> list[Tile]:
     """The overview of a frame, and tiles at a higher resolution if small people are wanted.
 
@@ -126,34 +146,42 @@ def tiles_of(
     """
     # Portrait frames are seen as large as landscape frames.
     longer, shorter = max(width, height), min(width, height)
-    long_px, short_px = parameters.overview_px
-    overview = min(long_px / longer, short_px / shorter, parameters.max_enlargement)
-    if shorter * overview < parameters.min_side_px:
+    long_px, short_px = OVERVIEW_PX
+    overview = min(long_px / longer, short_px / shorter, MAX_ENLARGEMENT)
+    if shorter * overview < MIN_SIDE_PX:
         return []
     whole = Tile((0, 0, width, height), overview)
     if min_person_px is None:
         return [whole]
     fine = min(
-        parameters.max_fine_side_px / longer,
-        math.sqrt(parameters.max_fine_px / (width * height)),
-        parameters.min_person_px / min_person_px,
+        MAX_FINE_SIDE_PX / longer,
+        math.sqrt(MAX_FINE_PX / (width * height)),
+        MIN_PERSON_PX / min_person_px,
     )
-    if fine <= parameters.min_gain * overview:
+    if fine <= MIN_GAIN * overview:
         return [whole]
-    return [whole, *(Tile(rect, fine) for rect in _grid(width, height, fine, parameters))]
+    return [whole, *(Tile(rect, fine) for rect in _grid(width, height, fine))]
 
 
-def _grid(width: int, height: int, factor: float, parameters: TilingParameters) -> list[PixelRect]:
+MAX_TILE_PX = 160_000
+"""Area of a tile as MoveNet sees it, which bounds the memory."""
+
+_MAX_TILES_PER_SIDE = 8
+# Overlap of tiles, so that a person at a seam is whole in the next tile or the overview.
+_OVERLAP_PX = 96
+
+
+def _grid(width: int, height: int, factor: float) -> list[PixelRect]:
     """Overlapping tiles, small enough when resized by ``factor``, with the smallest total area."""
-    overlap = parameters.overlap_px / factor
-    counts = range(1, parameters.max_tiles_per_side + 1)
+    overlap = _OVERLAP_PX / factor
+    counts = range(1, _MAX_TILES_PER_SIDE + 1)
     widths = {columns: _part(width, columns, overlap) for columns in counts}
     heights = {rows: _part(height, rows, overlap) for rows in counts}
     _, columns, rows = min(
         (columns * widths[columns] * rows * heights[rows], columns, rows)
         for columns in counts
         for rows in counts
-        if widths[columns] * heights[rows] * factor**2 <= parameters.max_tile_px
+        if widths[columns] * heights[rows] * factor**2 <= MAX_TILE_PX
     )
     return [
         (left, top, right - left, bottom - top)
@@ -176,12 +204,34 @@ def _spans(length: int, count: int, overlap: float) -> list[tuple[int, int]]:
 def smallest_person_px(
     frame_shape: tuple[int, ...],
     min_person_px: float | None,
-    parameters: TilingParameters = DEFAULTS.tiling,
 ) -> float:
     """Height of the smallest person wanted, in pixels: a share of the frame's unless given."""
     if min_person_px is not None:
         return min_person_px
-    return max(1.0, parameters.min_person_share * frame_shape[0])
+    return max(1.0, _MIN_PERSON_SHARE * frame_shape[0])
+
+
+MIN_SCORE = 0.3
+"""Probability from which a detection is reported by default."""
+
+# Log odds added to a detection where a person was seen a moment ago. People do not vanish, but a
+# falling person is blurred, and then lies in a pose that detectors rarely recognise.
+_EXPECTED_LOG_ODDS = 1.0
+# Share of a box that must be within reach of that person.
+_MIN_EXPECTED_SHARE = 0.5
+# Longer side of a box, in the overview, from which people are taken from the overview; smaller ones
+# are taken from the tiles, which separate two people side by side.
+_LARGE_PERSON_PX = 96.0
+_SEAM_PX = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut.
+# Overlap from which two boxes show one person; two people side by side reach 0.3.
+_NMS_IOU = 0.4
+_MIN_MOVENET_SCORE = 0.02  # MoveNet's lower scores are ignored.
+_MIN_BODY_SCORE = 0.3  # Least score of BlazePose's detector.
+# Size of BlazePose's window relative to the one about MoveNet's box if both show one person.
+_SAME_SIZE = (0.4, 2.5)
+# Presence from which a detection of BlazePose alone is a person: walls and trees stay below 0.1,
+# most people are above 0.9.
+_MIN_PRESENCE = 0.5
 
 
 class NetworkDetector:
@@ -212,15 +262,11 @@ class NetworkDetector:
         *,
         min_person_px: float | None = None,
         min_score: float | None = None,
-        parameters: VisionParameters = DEFAULTS,
     ) -> None:
         self._movenet = movenet
         self._body_detector = body_detector
         self._landmarks = landmarks
-        self._parameters = parameters.detector
-        self._tiling = parameters.tiling
-        self._hog = parameters.hog
-        self._min_score = self._parameters.min_score if min_score is None else min_score
+        self._min_score = MIN_SCORE if min_score is None else min_score
         self._min_person_px = min_person_px
         check_limits(min_person_px, self._min_score)
 
@@ -229,11 +275,11 @@ class NetworkDetector:
     ) -> list[Detection]:
         """Find the people; see :class:`Detector`."""
         detections, scores = self.candidates(frame)
-        odds = detection_odds(scores, self._parameters)
+        odds = detection_odds(scores)
         for box in expected_boxes:
             near = [i for i, one in enumerate(detections) if self._may_be(one.box, box)]
             if near:
-                odds[max(near, key=lambda i: odds[i])] += self._parameters.expected_log_odds
+                odds[max(near, key=lambda i: odds[i])] += _EXPECTED_LOG_ODDS
         found = (
             replace(detection, score=probability)
             for detection, probability in zip(detections, sigmoid(odds).tolist(), strict=True)
@@ -253,9 +299,9 @@ class NetworkDetector:
         """
         found = self._movenet_people(frame)
         windows: list[list[PersonWindow]] = [[] for _ in found]
-        scores = [[one.score, hog_margin(frame, one.box, self._hog), 0.0] for one in found]
+        scores = [[one.score, hog_margin(frame, one.box), 0.0] for one in found]
         alone: list[Detection] = []
-        for body in self._body_detector.detect(frame, self._parameters.min_body_score):
+        for body in self._body_detector.detect(frame, _MIN_BODY_SCORE):
             same = [i for i, one in enumerate(found) if self._is_same(body.window, one.box)]
             if same:
                 best = max(same, key=lambda i: found[i].score)
@@ -270,37 +316,37 @@ class NetworkDetector:
     def _movenet_people(self, frame: NDArray[np.uint8]) -> list[Detection]:
         """MoveNet's detections in the overview and tiles, one for each person, best first."""
         height, width = frame.shape[:2]
-        tiles = tiles_of(width, height, self._min_person_px, self._tiling)
+        tiles = tiles_of(width, height, self._min_person_px)
         found: list[Detection] = []
         ranks: list[float] = []
         for number, tile in enumerate(tiles):
             for person in self._movenet.detect(resize(crop(frame, tile.rect), *tile.size)):
-                box = tile.to_frame(person.box, width, height, self._parameters.seam_px)
-                if box is None or person.score < self._parameters.min_movenet_score:
+                box = tile.to_frame(person.box, width, height, _SEAM_PX)
+                if box is None or person.score < _MIN_MOVENET_SCORE:
                     continue
                 score = min(1.0, person.score)
                 keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
                 found.append(Detection(box, score, keypoints))
                 overview_px = max(box.width, box.height) * tiles[0].factor
-                is_large = overview_px >= self._parameters.large_person_px
+                is_large = overview_px >= _LARGE_PERSON_PX
                 # A box from the more suitable resolution comes before all others.
                 ranks.append(score + (len(tiles) == 1 or is_large == (number == 0)))
         boxes = box_array(one.box for one in found)
-        kept = non_max_suppression(boxes, np.array(ranks), self._parameters.nms_iou)
+        kept = non_max_suppression(boxes, np.array(ranks), _NMS_IOU)
         return [found[i] for i in kept]
 
     def _confirmed(self, frame: NDArray[np.uint8], body: BlazePoseDetection) -> Detection | None:
         """A body that MoveNet misses, if the landmark network sees a person there."""
         reading = self._landmarks.read(frame, body.window)
         box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
-        if box is None or reading.presence < self._parameters.min_presence:
+        if box is None or reading.presence < _MIN_PRESENCE:
             return None
         return Detection(box, 0.0, None, (body.window,))
 
     def _is_same(self, window: PersonWindow, box: Box) -> bool:
         """Whether a body's window and a box belong to the same person."""
         inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
-        low, high = self._parameters.same_size
+        low, high = _SAME_SIZE
         return inside and low < window.side / PersonWindow.about_box(box).side < high
 
     def _may_be(self, box: Box, expected: Box) -> bool:
@@ -308,25 +354,25 @@ class NetworkDetector:
         x, y, width, height = expected.x, expected.y, expected.width, expected.height
         margin = max(width, height) / 2
         reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
-        return box.intersection(reach) >= self._parameters.min_expected_share * box.area
+        return box.intersection(reach) >= _MIN_EXPECTED_SHARE * box.area
 
 
-def detection_odds(
-    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
-) -> NDArray[np.float64]:
+def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
     constants = fitted_constants("detection")
     weights = np.array([constants[name] for name in ("movenet", "hog", "pose_detection")])
-    return np.asarray(detection_features(scores, parameters) @ weights + constants["offset"])
+    return np.asarray(detection_features(scores) @ weights + constants["offset"])
 
 
-def detection_features(
-    scores: NDArray[np.float64], parameters: DetectorParameters = DEFAULTS.detector
-) -> NDArray[np.float64]:
+# Least distance of scores from 0 and 1 when their log odds are taken.
+_MIN_PROBABILITY = 1e-4
+
+
+def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Features ``(N, 3)`` of the fitted probability, from :meth:`NetworkDetector.candidates`.
 
     They are MoveNet's log odds, HOG's margin if positive, and the score of BlazePose's detector.
     """
     movenet, margin, body = scores.T
-    odds = logit(np.maximum(movenet, parameters.min_movenet_score), parameters.min_probability)
+    odds = logit(np.maximum(movenet, _MIN_MOVENET_SCORE), _MIN_PROBABILITY)
     return np.stack([odds, np.maximum(0.0, margin), body], axis=1)

@@ -23,7 +23,6 @@ from app.vision.geometry import (
     non_max_suppression,
     resize,
 )
-from app.vision.parameters import HogParameters
 
 # The detector was trained on windows of this size, in which a person is 96 px tall and lies within
 # these shares of width and height.
@@ -46,20 +45,25 @@ def _people_classifier() -> cv2.HOGDescriptor:
 _HOG = _people_classifier()
 
 
-def hog_margin(frame: NDArray[np.uint8], box: Box, parameters: HogParameters) -> float:
+_BOX_SCALE = 1.06  # Windows in which a box is scored, relative to the box.
+_MIN_MARGIN = -5.0  # Lower margins are raised to this.
+
+
+def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
     """Signed distance from the decision boundary: how much a box looks like a person."""
-    scale = parameters.box_scale * box.height / _PERSON_PX
+    scale = _BOX_SCALE * box.height / _PERSON_PX
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)
     image = resize(_crop_replicated(frame, (left, top, width, height)), *_SCORED_PX)
     _, margins = _HOG.detect(image, -10.0, _STRIDE, (0, 0))
-    return max(parameters.min_margin, float(np.max(margins)))
+    return max(_MIN_MARGIN, float(np.max(margins)))
 
 
-def hog_people(
-    frame: NDArray[np.uint8], min_person_px: float, parameters: HogParameters
-) -> tuple[Boxes, NDArray[np.float64]]:
+_NMS_IOU = 0.4  # Overlap from which two boxes show one person.
+
+
+def hog_people(frame: NDArray[np.uint8], min_person_px: float) -> tuple[Boxes, NDArray[np.float64]]:
     """Find upright people of at least this height in a frame ``(H, W, 3)``, BGR.
 
     Returns
@@ -69,15 +73,21 @@ def hog_people(
     margins : (K,) float64 array
         Distance from the decision boundary, positive.
     """
-    boxes, margins = hog_windows(frame, min_person_px, 0.0, parameters)
+    boxes, margins = hog_windows(frame, min_person_px, 0.0)
     if len(boxes) == 0:
         return boxes, margins
-    kept = drop_parts(boxes, non_max_suppression(boxes, margins, parameters.nms_iou), parameters)
-    return mean_boxes(boxes, margins, kept, parameters), margins[kept]
+    kept = drop_parts(boxes, non_max_suppression(boxes, margins, _NMS_IOU))
+    return mean_boxes(boxes, margins, kept), margins[kept]
+
+
+_PYRAMID_STEP = 1.15  # Coarser than the usual 1.05, at half the time.
+# Height of the largest person searched for, as a share of the frame's height.
+_MAX_PERSON_SHARE = 1.15
+_BORDER_PX = 16  # Padding in the trained window, so that people at the border fill one.
 
 
 def hog_windows(
-    frame: NDArray[np.uint8], min_person_px: float, threshold: float, parameters: HogParameters
+    frame: NDArray[np.uint8], min_person_px: float, threshold: float
 ) -> tuple[Boxes, NDArray[np.float64]]:
     """Find the windows of a pyramid that look like a person, many for each person.
 
@@ -90,9 +100,9 @@ def hog_windows(
     """
     found = [(np.zeros((0, 4)), np.zeros(0))]
     factor = _PERSON_PX / min_person_px
-    while _PERSON_PX / factor <= parameters.max_person_share * frame.shape[0]:
-        found.append(_search(frame, factor, threshold, parameters.border_px))
-        factor /= parameters.pyramid_step
+    while _PERSON_PX / factor <= _MAX_PERSON_SHARE * frame.shape[0]:
+        found.append(_search(frame, factor, threshold, _BORDER_PX))
+        factor /= _PYRAMID_STEP
     boxes, margins = zip(*found, strict=True)
     return np.vstack(boxes), np.concatenate(margins)
 
@@ -119,7 +129,13 @@ def _search(
     return boxes, np.ravel(margins).astype(np.float64)
 
 
-def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters) -> list[int]:
+# Two boxes show a part and the whole of one body if they share this much of the smaller box and
+# their axes are no farther apart than this share of the wider box.
+_PART_SHARE = 0.8
+_PART_DISTANCE = 0.3
+
+
+def drop_parts(boxes: Boxes, kept: list[int]) -> list[int]:
     """Drop boxes of a head and trunk within a better box of the whole body, and the reverse.
 
     ``kept`` are rows of ``boxes``, best first. Two people side by side are both kept, since their
@@ -131,9 +147,8 @@ def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters) -> list
     result: list[int] = []
     for row in kept:
         is_part = any(
-            shared[row, other] > parameters.part_share * min(area[row], area[other])
-            and abs(axis[row] - axis[other])
-            < parameters.part_distance * max(boxes[row, 2], boxes[other, 2])
+            shared[row, other] > _PART_SHARE * min(area[row], area[other])
+            and abs(axis[row] - axis[other]) < _PART_DISTANCE * max(boxes[row, 2], boxes[other, 2])
             for other in result
         )
         if not is_part:
@@ -141,13 +156,16 @@ def drop_parts(boxes: Boxes, kept: list[int], parameters: HogParameters) -> list
     return result
 
 
-def mean_boxes(
-    boxes: Boxes, margins: NDArray[np.float64], kept: list[int], parameters: HogParameters
-) -> Boxes:
+# Overlap with a person's best box above which a box is used in the person's mean box.
+_MEAN_IOU = 0.6
+_MEAN_MARGIN = 0.1  # Added to the margins that weight this mean, which may be 0.
+
+
+def mean_boxes(boxes: Boxes, margins: NDArray[np.float64], kept: list[int]) -> Boxes:
     """Mean of the boxes about each kept one ``(len(kept), 4)``, weighted by margin and overlap."""
     overlaps = iou_matrix(boxes[kept], boxes)
-    scores = margins + parameters.mean_margin
-    weights = np.where(overlaps > parameters.mean_iou, overlaps * scores**3, 0)
+    scores = margins + _MEAN_MARGIN
+    weights = np.where(overlaps > _MEAN_IOU, overlaps * scores**3, 0)
     weights /= weights.sum(axis=1, keepdims=True)
     corners = weights @ np.hstack([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]])
     return np.hstack([corners[:, :2], corners[:, 2:] - corners[:, :2]])

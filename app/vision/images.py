@@ -22,7 +22,6 @@ from PIL import (
 )
 
 from app.vision.geometry import Box
-from app.vision.parameters import DEFAULTS, ImageParameters
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 JPEG = ("JPEG", "MPO")
@@ -62,6 +61,11 @@ class ImageTooLargeError(ImageError):
     """The image has more pixels than allowed."""
 
 
+# A picture is dark if this percentile of its values is lower than the limit.
+_BRIGHT_PERCENTILE = 99.0
+_DARK_BELOW = 20.0
+
+
 @dataclass(frozen=True)
 class Photograph:
     """A decoded photograph.
@@ -82,17 +86,17 @@ class Photograph:
         cls,
         pixels: NDArray[np.uint8],
         *found: ImageWarning,
-        parameters: ImageParameters = DEFAULTS.images,
     ) -> Photograph:
         """Make a photograph; if the picture ``(H, W, 3)`` is dark, add that to the warnings."""
-        bright = np.percentile(_sample(pixels, parameters), parameters.bright_percentile)
-        dark: tuple[ImageWarning, ...] = ("dark",) if bright < parameters.dark_below else ()
+        bright = np.percentile(_sample(pixels), _BRIGHT_PERCENTILE)
+        dark: tuple[ImageWarning, ...] = ("dark",) if bright < _DARK_BELOW else ()
         return cls(pixels, (*dark, *sorted(found)))
 
 
-def decode_image(
-    data: bytes, *, max_pixels: int, parameters: ImageParameters = DEFAULTS.images
-) -> Photograph:
+_MAX_MISSING_SHARE = 0.5  # A JPEG of which more is missing is refused.
+
+
+def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
     """Decode a photograph.
 
     The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR, an
@@ -111,27 +115,33 @@ def decode_image(
     pixels = decode(data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     found: list[ImageWarning] = []
     if header.format in JPEG and (missing := _missing_share(pixels)):
-        if missing > parameters.max_missing_share:
+        if missing > _MAX_MISSING_SHARE:
             raise ImageError("the JPEG image is broken: most of it is missing")
         found.append("truncated")
     if pixels.dtype == np.uint16:
-        low, high = _used_range(pixels, parameters)
+        low, high = _used_range(pixels)
         if (low, high) != (0, 2**16):
             found.append("stretched")
         levels = (np.arange(2**16) - low) * 256 // (high - low)
         pixels = np.clip(levels, 0, 255).astype(np.uint8)[pixels]
-    return Photograph.of(pixels, *found, parameters=parameters)
+    return Photograph.of(pixels, *found)
 
 
-def _used_range(pixels: NDArray[np.uint16], parameters: ImageParameters) -> tuple[int, int]:
+# The range of 16-bit values that is stretched excludes outliers of this percentage, and is at
+# least this wide: a narrower one would be noise.
+_OUTLIER_PERCENTILE = 0.1
+_MIN_USED_RANGE = 64
+
+
+def _used_range(pixels: NDArray[np.uint16]) -> tuple[int, int]:
     """The used range of 16 bits, its end excluded; all if it reaches the upper half or is tiny.
 
     Outliers are ignored.
     """
-    outliers = parameters.outlier_percentile
-    sample = _sample(pixels, parameters)
+    outliers = _OUTLIER_PERCENTILE
+    sample = _sample(pixels)
     low, high = np.percentile(sample, [outliers, 100 - outliers]).astype(int).tolist()
-    if high >= 2**15 or high - low < parameters.min_used_range:
+    if high >= 2**15 or high - low < _MIN_USED_RANGE:
         return 0, 2**16
     return low, high + 1
 
@@ -148,14 +158,17 @@ def _missing_share(pixels: NDArray[np.uint8]) -> float:
     return float((pixels == _MISSING).all(axis=2).mean())
 
 
-def _sample(pixels: NDArray[Any], parameters: ImageParameters) -> NDArray[Any]:
+_SAMPLED_PX = 20_000  # Percentiles of the sample take half a millisecond.
+
+
+def _sample(pixels: NDArray[Any]) -> NDArray[Any]:
     """Pixels evenly spaced in an image ``(H, W, ...)``, few enough for statistics."""
     height, width = pixels.shape[:2]
-    step = math.ceil(math.sqrt(height * width / parameters.sampled_px))
+    step = math.ceil(math.sqrt(height * width / _SAMPLED_PX))
     return pixels[:: min(step, height), :: min(step, width)]
 
 
-def read_header(data: bytes, parameters: ImageParameters = DEFAULTS.images) -> Image.Image:
+def read_header(data: bytes) -> Image.Image:
     """Read format and size, as stored, without decoding the image.
 
     Raises
@@ -166,7 +179,7 @@ def read_header(data: bytes, parameters: ImageParameters = DEFAULTS.images) -> I
     if not data:
         raise ImageError("expected an image, got no bytes")
     try:
-        return Image.open(_LimitedReads(data, parameters), formats=FORMATS)
+        return Image.open(_LimitedReads(data), formats=FORMATS)
     except ImageError:
         raise
     except Exception as error:  # Damaged headers make Pillow raise almost anything.
@@ -183,12 +196,18 @@ def _kind(data: bytes) -> str:
     return next(named, "something else or a broken one")
 
 
+# Reads that an image may take, and further bytes for each further read. Pillow keeps every segment
+# of a JPEG: 16 MB of empty ones would take ten seconds and 700 MB.
+_FREE_READS = 10_000
+_BYTES_PER_READ = 500
+
+
 class _LimitedReads(io.BytesIO):
     """Encoded bytes with a limited number of reads."""
 
-    def __init__(self, data: bytes, parameters: ImageParameters) -> None:
+    def __init__(self, data: bytes) -> None:
         super().__init__(data)
-        self._reads_left = parameters.free_reads + len(data) // parameters.bytes_per_read
+        self._reads_left = _FREE_READS + len(data) // _BYTES_PER_READ
 
     def read(self, size: int | None = -1, /) -> bytes:
         self._reads_left -= 1
@@ -210,7 +229,7 @@ def checked_header(data: bytes, max_pixels: int) -> Image.Image:
     if header.format == "PNG":
         # OpenCV allocates what a chunk announces: two gigabytes for a file of a kilobyte.
         try:
-            Image.open(_LimitedReads(data, DEFAULTS.images), formats=("PNG",)).verify()
+            Image.open(_LimitedReads(data), formats=("PNG",)).verify()
         except Exception as error:
             raise ImageError("the PNG image is broken") from error
     return header
@@ -293,20 +312,29 @@ def _labels_in(part: Labels) -> list[int]:
     return (np.flatnonzero(counts[1:]) + 1).tolist()
 
 
-def _checked(image: LabelImage, parameters: ImageParameters) -> LabelImage:
+_MAX_LABELS = 100  # With more values, an image is a mask with soft edges, not a crowd.
+# Most pairs of neighbouring pixels with different labels: this number and, above the third number,
+# also this share of the pixels. Fifty people who fill a frame of 12 megapixels have 400,000, a
+# thirtieth of the pixels; noise has two for each pixel.
+_MAX_LABEL_CHANGES = 1_000_000
+_MAX_LABEL_CHANGE_SHARE = 0.5
+_FEW_LABEL_CHANGES = 10_000
+
+
+def _checked(image: LabelImage) -> LabelImage:
     """Check that the labels of an image may mark people; a single label becomes label 1."""
     count, part = len(image.present), image.part
-    if count > parameters.max_labels:
+    if count > _MAX_LABELS:
         raise ImageError(
-            f"expected a mask of at most {parameters.max_labels} labels, got {count}: "
+            f"expected a mask of at most {_MAX_LABELS} labels, got {count}: "
             "a mask with soft edges must be thresholded first"
         )
     changes = sum(
         np.count_nonzero(first != second)
         for first, second in ((part[:, 1:], part[:, :-1]), (part[1:], part[:-1]))
     )
-    many = max(parameters.few_label_changes, parameters.max_label_change_share * part.size)
-    most = min(parameters.max_label_changes, round(many))
+    many = max(_FEW_LABEL_CHANGES, _MAX_LABEL_CHANGE_SHARE * part.size)
+    most = min(_MAX_LABEL_CHANGES, round(many))
     if changes > most:
         raise ImageError(
             "expected a mask whose labels mark people, got scattered ones: "
@@ -315,9 +343,7 @@ def _checked(image: LabelImage, parameters: ImageParameters) -> LabelImage:
     return image.merged() if count == 1 and image.present != [1] else image
 
 
-def decode_mask(
-    data: bytes, *, max_pixels: int, parameters: ImageParameters = DEFAULTS.images
-) -> LabelImage:
+def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
     Grey images and PNG images with a palette keep their stored values, whatever their bit depth: of
@@ -336,20 +362,20 @@ def decode_mask(
     """
     header = checked_header(data, max_pixels)
     if header.format == "PNG" and header.mode == "P":
-        return _checked(LabelImage.of(_stored(data)), parameters)
+        return _checked(LabelImage.of(_stored(data)))
     pixels = decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if is_lossy(header, data):
-        values = _one_channel(pixels, parameters.lossy_channel_difference)
-        return _checked(LabelImage.of(_thresholded(values, parameters)), parameters)
+        values = _one_channel(pixels, _LOSSY_CHANNEL_DIFFERENCE)
+        return _checked(LabelImage.of(_thresholded(values)))
     labels = _one_channel(pixels, 0)
     if header.format == "PNG" and header.mode == "L":
         # OpenCV stretches 2 and 4 bits to 0..255; the 25th byte of a PNG is its bit depth.
         labels = labels // {2: 85, 4: 17}.get(data[24], 1)
     if header.mode in ("RGBA", "LA") and not labels.any():
         alpha = _stored(data)[..., -1]
-        if alpha.min() < parameters.lossy_threshold:
-            labels = np.asarray(alpha >= parameters.lossy_threshold).view(np.uint8)
-    return _checked(LabelImage.of(labels), parameters)
+        if alpha.min() < _LOSSY_THRESHOLD:
+            labels = np.asarray(alpha >= _LOSSY_THRESHOLD).view(np.uint8)
+    return _checked(LabelImage.of(labels))
 
 
 def is_lossy(image: Image.Image, data: bytes) -> bool:
@@ -362,12 +388,18 @@ def is_lossy(image: Image.Image, data: bytes) -> bool:
     return image.format in JPEG
 
 
-def _thresholded(values: Labels, parameters: ImageParameters) -> NDArray[np.uint8]:
+_LOSSY_THRESHOLD = 128  # Value from which a pixel of a lossy mask is the person's.
+# Lossy compression moves black and white by up to this, except at edges; pixels in between may be
+# this share of those of the person.
+_LOSSY_CERTAINTY = 48
+_MAX_LOSSY_BETWEEN = 0.5
+
+
+def _thresholded(values: Labels) -> NDArray[np.uint8]:
     """The person ``(H, W)`` in a lossy mask; raise an error if its values look like labels."""
-    marked = np.asarray(values >= parameters.lossy_threshold).view(np.uint8)
-    certain = parameters.lossy_certainty
-    between = np.count_nonzero((values > certain) & (values < 255 - certain))
-    allowed = parameters.max_lossy_between * int(np.count_nonzero(marked))
+    marked = np.asarray(values >= _LOSSY_THRESHOLD).view(np.uint8)
+    between = np.count_nonzero((values > _LOSSY_CERTAINTY) & (values < 255 - _LOSSY_CERTAINTY))
+    allowed = _MAX_LOSSY_BETWEEN * int(np.count_nonzero(marked))
     # Labels that are small numbers leave nothing above the threshold.
     if between > allowed or (values.any() and not marked.any()):
         raise ImageError(
@@ -384,6 +416,9 @@ def _stored(data: bytes) -> NDArray[np.uint8]:
             return np.asarray(ImageOps.exif_transpose(image))
     except Exception as error:  # Damaged data make Pillow raise almost anything.
         raise ImageError("the image is broken") from error
+
+
+_LOSSY_CHANNEL_DIFFERENCE = 16  # Channels of a lossy grey image differ by up to this.
 
 
 def _one_channel(pixels: NDArray[Any], max_difference: int) -> Labels:

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, PixelRect, crop_and_resize
-from app.vision.parameters import DEFAULTS, KeypointParameters
 from app.vision.people import COCO_NAMES, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
 
@@ -75,11 +74,9 @@ class MoveNet:
         *,
         threads: int = 1,
         copies: int = 1,
-        parameters: KeypointParameters = DEFAULTS.keypoints,
     ) -> None:
         heads = [(None, None, channels) for channels in _CHANNELS]
         self._network = TfliteNetwork(path, (None, None, 3), heads, threads=threads, copies=copies)
-        self._parameters = parameters
 
     def detect(self, image: NDArray[np.uint8]) -> list[MoveNetDetection]:
         """Find the people of an image ``(H, W, 3)``, BGR, highest centre score first.
@@ -92,12 +89,14 @@ class MoveNet:
         )
         padded: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
         padded[:height, :width] = image[..., ::-1]
-        return decode_heads(self._network.run(padded), self._parameters)
+        return decode_heads(self._network.run(padded))
 
 
-def decode_heads(
-    heads: Sequence[NDArray[np.float32]], parameters: KeypointParameters = DEFAULTS.keypoints
-) -> list[MoveNetDetection]:
+_MAX_PEOPLE = 60  # Most people found in one pass of the network.
+_MIN_CENTRE_SCORE = 0.03
+
+
+def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
     """Decode the network's heads into people, highest centre score first.
 
     Parameters
@@ -109,15 +108,18 @@ def decode_heads(
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
-    is_peak = (centres >= highest - 1e-6) & (centres >= parameters.min_centre_score)
+    is_peak = (centres >= highest - 1e-6) & (centres >= _MIN_CENTRE_SCORE)
     rows, columns = np.nonzero(is_peak)
-    order = np.argsort(-centres[rows, columns], kind="stable")[: parameters.max_people]
-    found = (_decode_person(heads, int(rows[i]), int(columns[i]), parameters) for i in order)
+    order = np.argsort(-centres[rows, columns], kind="stable")[:_MAX_PEOPLE]
+    found = (_decode_person(heads, int(rows[i]), int(columns[i])) for i in order)
     return [person for person in found if person is not None]
 
 
+_MIN_BOX_CELLS = 0.25  # Sides of a box in heatmap cells; smaller ones are empty.
+
+
 def _decode_person(
-    heads: Sequence[NDArray[np.float32]], row: int, column: int, parameters: KeypointParameters
+    heads: Sequence[NDArray[np.float32]], row: int, column: int
 ) -> MoveNetDetection | None:
     """Decode the person whose centre lies in a cell; None if the box is empty."""
     centres, sizes, offsets, guesses, heatmaps, refinements = heads
@@ -125,7 +127,7 @@ def _decode_person(
     middle = np.array([row, column]) + offsets[row, column]
     half = np.maximum(sizes[row, column], 0) / 2
     low, high = np.clip(middle - half, 0, cells), np.clip(middle + half, 0, cells)
-    if (high - low < parameters.min_box_cells).any():
+    if (high - low < _MIN_BOX_CELLS).any():
         return None
     first = np.minimum(np.ceil(low).astype(int), cells - 1)
     last = np.maximum(np.ceil(high).astype(int), first + 1)
@@ -166,21 +168,21 @@ def _heatmap_peaks(
     return np.stack([first[0] + best // columns, first[1] + best % columns], axis=-1), scores
 
 
+_MIN_IOU = 0.2  # Overlap with the person's box from which a detection may be theirs.
+
+
 class KeypointReader:
     """Reads the keypoints of one person in a box; thread-safe."""
 
-    def __init__(
-        self, network: MoveNet, parameters: KeypointParameters = DEFAULTS.keypoints
-    ) -> None:
+    def __init__(self, network: MoveNet) -> None:
         self._network = network
-        self._parameters = parameters
 
     def read(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
         """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
 
         They are in pixels of the frame; None if the network finds nobody in the box.
         """
-        rect, columns, rows = keypoint_window(box, self._parameters)
+        rect, columns, rows = keypoint_window(box)
         people = self._network.detect(crop_and_resize(frame, rect, columns, rows))
         scale = rect[2] / columns
         inside = Box(box.x - rect[0], box.y - rect[1], box.width, box.height).scaled(1 / scale)
@@ -192,18 +194,22 @@ class KeypointReader:
     def _best_match(self, people: list[MoveNetDetection], box: Box) -> MoveNetDetection | None:
         """The person in a box; the window around it may show neighbours as well."""
         # A blank wall can have a centre but no keypoints; its score is then 0.
-        min_iou = self._parameters.min_iou
-        near = [one for one in people if one.score > 0 and box.iou(one.box) >= min_iou]
+        near = [one for one in people if one.score > 0 and box.iou(one.box) >= _MIN_IOU]
         return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)
 
 
-def keypoint_window(
-    box: Box, parameters: KeypointParameters = DEFAULTS.keypoints
-) -> tuple[PixelRect, int, int]:
+KEYPOINT_WINDOW_PX = (256, 160)
+"""Sides at which MoveNet sees the window of one person, the longer side along them."""
+
+KEYPOINT_WINDOW_SCALE = 1.25
+"""Size of that window relative to the person's box."""
+
+
+def keypoint_window(box: Box) -> tuple[PixelRect, int, int]:
     """Window about a box in whole pixels, and the columns and rows at which MoveNet sees it."""
-    long_px, short_px = parameters.input_px
+    long_px, short_px = KEYPOINT_WINDOW_PX
     columns, rows = (long_px, short_px) if box.width > box.height else (short_px, long_px)
-    scale = parameters.window_scale * max(box.width / columns, box.height / rows)
+    scale = KEYPOINT_WINDOW_SCALE * max(box.width / columns, box.height / rows)
     width, height = max(1, round(scale * columns)), max(1, round(scale * rows))
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)

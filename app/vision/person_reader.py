@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.geometry import Box, PersonWindow
 from app.vision.movenet import KeypointReader
-from app.vision.parameters import DEFAULTS, ReadingParameters
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
@@ -56,13 +55,21 @@ _OTHER_SIDE_LANDMARKS = [
 _NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
 
 
+# If the trunk leans by an angle between these, a window that is not turned is tried as well: in
+# windows turned to a leaning trunk, the network sometimes exchanges left and right.
+_MIN_LEAN_DEG = 15.0
+_MAX_LEAN_DEG = 60.0
+_GOOD_QUALITY = 0.85  # From this quality on, no further window is tried.
+# Below this quality, the window that the best reading points to is read.
+_DOUBTFUL_QUALITY = 0.6
+
+
 @dataclass(frozen=True)
 class PersonReader:
     """Reads people; thread-safe."""
 
     network: LandmarkNetwork
     keypoint_reader: KeypointReader
-    parameters: ReadingParameters = DEFAULTS.reading
 
     def read(
         self,
@@ -95,15 +102,15 @@ class PersonReader:
         """
         if keypoints is None:
             keypoints = self.keypoint_reader.read(frame, box)
-        beyond = window_beyond_border(keypoints, box, frame.shape, self.parameters)
-        roll_deg = trunk_roll_deg(keypoints, self.parameters) or 0.0
+        beyond = window_beyond_border(keypoints, box, frame.shape)
+        roll_deg = trunk_roll_deg(keypoints) or 0.0
         about = [PersonWindow.about_box(box, roll_deg)]
-        if self.parameters.min_lean_deg < abs(roll_deg) < self.parameters.max_lean_deg:
+        if _MIN_LEAN_DEG < abs(roll_deg) < _MAX_LEAN_DEG:
             about.append(PersonWindow.about_box(box))
         best = self._best_reading(frame, (*beyond, *windows, *about), keypoints, tracked)
         if keypoints is None or best.keypoints is not None:
             return best
-        return fuse(best, keypoints, self.parameters)
+        return fuse(best, keypoints)
 
     def _best_reading(
         self,
@@ -115,25 +122,28 @@ class PersonReader:
         """The first good reading, else the best; if it is doubtful, its next window is tried."""
 
         def quality_of(reading: PoseReading) -> float:
-            return reading_quality(reading, keypoints, self.parameters)
+            return reading_quality(reading, keypoints)
 
         known = [] if tracked is None else [tracked]
         readings = []
         for reading in chain(known, (self.network.read(frame, window) for window in windows)):
-            if quality_of(reading) >= self.parameters.good_quality:
+            if quality_of(reading) >= _GOOD_QUALITY:
                 return reading
             readings.append(reading)
         best = max(readings, key=quality_of)
-        if quality_of(best) >= self.parameters.doubtful_quality:
+        if quality_of(best) >= _DOUBTFUL_QUALITY:
             return best
         return max(best, self.network.read(frame, best.next_window), key=quality_of)
+
+
+_HIPS_TO_FEET = 1.7  # Distance from hips to feet, relative to the trunk.
+_MIN_VISIBLE_SCORE = 0.25  # Score from which a keypoint of MoveNet is visible.
 
 
 def window_beyond_border(
     keypoints: ObservedKeypoints | None,
     box: Box,
     frame_shape: tuple[int, ...],
-    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> list[PersonWindow]:
     """Window about the whole body if the border cuts off its head or its feet; else none.
 
@@ -142,7 +152,7 @@ def window_beyond_border(
     if keypoints is None or not ends_at_border(box, frame_shape):
         return []
     nose, shoulders, hips, ankles = (
-        _mean_position(keypoints, part, parameters.min_visible_score)
+        _mean_position(keypoints, part, _MIN_VISIBLE_SCORE)
         for part in ("nose", "shoulder", "hip", "ankle")
     )
     if hips is None or (nose is None) == (ankles is None):
@@ -151,37 +161,39 @@ def window_beyond_border(
         return [PersonWindow.about_circle(hips, hips + (hips - ankles))]
     top = nose if shoulders is None else shoulders
     assert top is not None
-    return [PersonWindow.about_circle(hips, hips + parameters.hips_to_feet * (top - hips))]
+    return [PersonWindow.about_circle(hips, hips + _HIPS_TO_FEET * (top - hips))]
+
+
+# Weights in the quality, beside the agreement with MoveNet.
+_PRESENCE_WEIGHT = 0.3
+_DRIFT_WEIGHT = 1.0
+AGREEMENT_DISTANCE = 0.15
+"""Distance, in sizes of the body, up to which both networks agree on a keypoint."""
+
+_UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds nobody.
 
 
 def reading_quality(
     reading: PoseReading,
     keypoints: ObservedKeypoints | None,
-    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> float:
     """Quality of a reading: agreement with MoveNet, presence, and a window that stays in place."""
-    agreement = parameters.unknown_agreement
+    agreement = _UNKNOWN_AGREEMENT
     if keypoints is not None:
-        agreement = _agreement(reading, keypoints, parameters)
-    return (
-        agreement
-        + parameters.presence_weight * reading.presence
-        - parameters.drift_weight * reading.drift
-    )
+        agreement = _agreement(reading, keypoints)
+    return agreement + _PRESENCE_WEIGHT * reading.presence - _DRIFT_WEIGHT * reading.drift
 
 
-def _agreement(
-    reading: PoseReading, keypoints: ObservedKeypoints, parameters: ReadingParameters
-) -> float:
+def _agreement(reading: PoseReading, keypoints: ObservedKeypoints) -> float:
     """Share of MoveNet's keypoints, weighted by score, that the landmarks match, 0 to 1."""
     scores = keypoints.scores[_COMPARED]
     distances = _distances(reading, keypoints)[_COMPARED]
-    agrees = np.exp(-((distances / parameters.agreement_distance) ** 2))
+    agrees = np.exp(-((distances / AGREEMENT_DISTANCE) ** 2))
     total = float(scores.sum())
     # Few keypoints are little evidence.
     known = min(1.0, total)
     share = float((scores * agrees).sum() / max(total, 1e-9))
-    return known * share + (1 - known) * parameters.unknown_agreement
+    return known * share + (1 - known) * _UNKNOWN_AGREEMENT
 
 
 def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
@@ -198,14 +210,17 @@ def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
     return bool(scores @ exchanged[_COMPARED] < scores @ _distances(reading, keypoints)[_COMPARED])
 
 
+# Weight of a keypoint of score 1, relative to the landmark with which it agrees.
+_KEYPOINT_WEIGHT = 2.0
+
+
 def fuse(
     reading: PoseReading,
     keypoints: ObservedKeypoints,
-    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> PoseReading:
     """Move landmarks towards the keypoints of MoveNet that agree with them."""
-    agrees = _distances(reading, keypoints) < parameters.agreement_distance
-    weights = parameters.keypoint_weight * keypoints.scores * agrees
+    agrees = _distances(reading, keypoints) < AGREEMENT_DISTANCE
+    weights = _KEYPOINT_WEIGHT * keypoints.scores * agrees
     positions = reading.landmarks.positions.copy()
     shares = (weights / (1 + weights))[:, None]
     positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])
@@ -213,10 +228,14 @@ def fuse(
     return replace(reading, landmarks=landmarks, keypoints=keypoints)
 
 
+# Distance from the frame's border, in sizes of the body, within which landmarks are at most as
+# visible as MoveNet's keypoints.
+_BORDER_DISTANCE = 0.3
+
+
 def attenuate_visibility_at_border(
     reading: PoseReading,
     frame_shape: tuple[int, ...],
-    parameters: ReadingParameters = DEFAULTS.reading,
 ) -> Landmarks:
     """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
 
@@ -226,23 +245,24 @@ def attenuate_visibility_at_border(
     landmarks = reading.landmarks
     if reading.keypoints is None:
         return landmarks
-    reach = parameters.border_distance * reading.body_px
+    reach = _BORDER_DISTANCE * reading.body_px
     end = np.array([frame_shape[1], frame_shape[0]]) - 1
     near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
     scores = reading.keypoints.scores[_NEAREST_KEYPOINTS]
-    factors = np.minimum(1.0, scores / parameters.min_visible_score)
+    factors = np.minimum(1.0, scores / _MIN_VISIBLE_SCORE)
     visibility = np.where(near, factors * landmarks.visibility, landmarks.visibility)
     return replace(landmarks, visibility=visibility)
 
 
-def trunk_roll_deg(
-    keypoints: ObservedKeypoints | None, parameters: ReadingParameters = DEFAULTS.reading
-) -> float | None:
+_MIN_TRUNK_SCORE = 0.15  # Score from which hips and shoulders show the direction of the trunk.
+
+
+def trunk_roll_deg(keypoints: ObservedKeypoints | None) -> float | None:
     """Direction from hips to shoulders, clockwise from up; None if either is not visible."""
     if keypoints is None:
         return None
     hips, shoulders = (
-        _mean_position(keypoints, part, parameters.min_trunk_score) for part in ("hip", "shoulder")
+        _mean_position(keypoints, part, _MIN_TRUNK_SCORE) for part in ("hip", "shoulder")
     )
     if hips is None or shoulders is None:
         return None

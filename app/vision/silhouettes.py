@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
-from app.vision.parameters import DEFAULTS, SilhouetteParameters, TruncationParameters
 from app.vision.people import (
     ObservedKeypoints,
     Silhouette,
@@ -28,7 +27,6 @@ def with_truncation(
     silhouettes: Sequence[Silhouette | None],
     boxes: Sequence[Box],
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> list[Silhouette | None]:
     """Set the flag ``truncated`` of the silhouettes of one frame.
 
@@ -45,53 +43,66 @@ def with_truncation(
     for row, silhouette in enumerate(silhouettes):
         if silhouette is not None:
             others = people[:row] + people[row + 1 :]
-            is_cut = touches_border(silhouette, frame_shape, parameters)
-            is_cut = is_cut or hidden_by_others(silhouette, others, parameters)
+            is_cut = touches_border(silhouette, frame_shape)
+            is_cut = is_cut or hidden_by_others(silhouette, others)
             silhouette = replace(silhouette, truncated=is_cut)
         result.append(silhouette)
     return result
 
 
+# A silhouette ends at an edge if it is as near as this many pixels, or this share of its longer
+# side: silhouettes are no more precise. These numbers and the ones below were chosen on
+# even-numbered photographs, see docs/history.md.
+_BORDER_PX = 1.0
+_BORDER_SHARE = 0.01
+# Share of its extent along an edge above which a silhouette is cut: a shoe that just reaches the
+# last row is not.
+_MIN_BORDER_RUN = 0.1
+
+
 def touches_border(
     silhouette: Silhouette,
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether a silhouette runs along the frame's border; a caller's mask is exact to the pixel."""
     crop = silhouette.crop
-    near = max(parameters.border_px, parameters.border_share * max(crop.shape))
+    near = max(_BORDER_PX, _BORDER_SHARE * max(crop.shape))
     if silhouette.segmenter == "mask":
         near = 0.0
     # The crop as seen from each edge; the first columns are nearest to it.
     views = (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1])
     return any(
-        gap <= near
-        and view[:, : int(near - gap) + 1].any(axis=1).mean() > parameters.min_border_run
+        gap <= near and view[:, : int(near - gap) + 1].any(axis=1).mean() > _MIN_BORDER_RUN
         for gap, view in zip(_gaps(silhouette.box, frame_shape), views, strict=True)
     )
+
+
+_MIN_KEYPOINT_SCORE = 0.3  # Score from which a keypoint is seen.
 
 
 def end_beyond_border(
     box: Box,
     keypoints: ObservedKeypoints,
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether the frame cuts off a person's head or feet, so that no keypoint of it is seen."""
     height, width = frame_shape[:2]
     inside = ((keypoints.positions > -0.5) & (keypoints.positions < [width, height])).all(axis=1)
-    seen = inside & (keypoints.scores >= parameters.min_keypoint_score)
+    seen = inside & (keypoints.scores >= _MIN_KEYPOINT_SCORE)
     is_whole = seen[_HEAD].any() and seen[_FEET].any()
-    return ends_at_border(box, frame_shape, parameters) and not is_whole
+    return ends_at_border(box, frame_shape) and not is_whole
+
+
+# Distance from the frame's edge within which it may cut a box, as a share of the longer side.
+_UNSEEN_END_SHARE = 0.05
 
 
 def ends_at_border(
     box: Box,
     frame_shape: tuple[int, ...],
-    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether a person's box ends so near the frame's edge that it may cut them."""
-    reach = parameters.unseen_end_share * max(box.width, box.height)
+    reach = _UNSEEN_END_SHARE * max(box.width, box.height)
     return min(_gaps(box, frame_shape)) <= reach
 
 
@@ -101,10 +112,13 @@ def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, 
     return box.x + 0.5, box.y + 0.5, width - 0.5 - box.right, height - 0.5 - box.bottom
 
 
+_MAX_COVER = 0.05  # Share of a whole person's box that a nearer person may cover.
+_BOX_FILL = 0.5  # Share of a box that a person without a silhouette fills.
+
+
 def hidden_by_others(
     silhouette: Silhouette,
     others: Sequence[Silhouette | Box],
-    parameters: TruncationParameters = DEFAULTS.truncation,
 ) -> bool:
     """Whether a nearer person, one whose feet are lower in the frame, covers part of this one."""
     box = silhouette.box
@@ -115,8 +129,8 @@ def hidden_by_others(
         if isinstance(other, Silhouette):
             covered = _pixels_inside(other, box)
         else:
-            covered = parameters.box_fill * box.intersection(other_box)
-        if covered > parameters.max_cover * box.area:
+            covered = _BOX_FILL * box.intersection(other_box)
+        if covered > _MAX_COVER * box.area:
             return True
     return False
 
@@ -139,7 +153,6 @@ def silhouettes_of(
     *,
     exact: bool,
     checkpoint: Callable[[], None] = lambda: None,
-    parameters: SilhouetteParameters = DEFAULTS.silhouettes,
 ) -> list[Silhouette | None]:
     """Cut people out of the masks of their readings.
 
@@ -165,9 +178,7 @@ def silhouettes_of(
     """
     height, width = frame_shape[:2]
     regions = [
-        _region(
-            box if exact else _with_landmarks(box, reading, parameters), width, height, parameters
-        )
+        _region(box if exact else _with_landmarks(box, reading), width, height)
         for box, reading in zip(boxes, readings, strict=True)
     ]
     found: list[Silhouette | None] = []
@@ -178,7 +189,7 @@ def silhouettes_of(
             for other, theirs in enumerate(regions)
             if region and theirs and other != own and region.intersection(theirs) > 0
         ]
-        found.append(_cut_out(readings[own], rivals, region, parameters) if region else None)
+        found.append(_cut_out(readings[own], rivals, region) if region else None)
     return with_truncation(found, boxes, frame_shape)
 
 
@@ -196,9 +207,16 @@ def silhouettes_from_labels(image: LabelImage) -> list[Silhouette]:
     )
 
 
-def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParameters) -> Box:
+# Landmarks of at least this visibility widen a box, by a margin that is a share of its longer side.
+_MIN_VISIBILITY = 0.5
+_LANDMARK_MARGIN = 0.04
+# Distance from the ears to the crown, relative to that from the shoulders to the ears.
+_SHOULDERS_TO_CROWN = 0.7
+
+
+def _with_landmarks(box: Box, reading: PoseReading) -> Box:
     """A box widened to the visible landmarks and, where the ears are visible, to the crown."""
-    visible = reading.landmarks.visibility >= parameters.min_visibility
+    visible = reading.landmarks.visibility >= _MIN_VISIBILITY
     if not visible.any():
         return box
     positions = reading.landmarks.positions[visible]
@@ -206,8 +224,8 @@ def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParame
         ears, shoulders = (
             reading.landmarks.positions[rows].mean(0) for rows in (_EARS, _SHOULDERS)
         )
-        positions = np.vstack([positions, ears + parameters.crown * (ears - shoulders)])
-    margin = parameters.landmark_margin * max(box.width, box.height)
+        positions = np.vstack([positions, ears + _SHOULDERS_TO_CROWN * (ears - shoulders)])
+    margin = _LANDMARK_MARGIN * max(box.width, box.height)
     left, top = (positions.min(axis=0) - margin).tolist()
     right, bottom = (positions.max(axis=0) + margin).tolist()
     return Box.from_edges(
@@ -215,7 +233,12 @@ def _with_landmarks(box: Box, reading: PoseReading, parameters: SilhouetteParame
     )
 
 
-def _region(box: Box, width: int, height: int, parameters: SilhouetteParameters) -> Box | None:
+# Boxes that end this close to the frame's edge are extended to it: the mask shows better than the
+# box whether the body continues.
+_EDGE_PX = 5.0
+
+
+def _region(box: Box, width: int, height: int) -> Box | None:
     """The part of a frame to cut a person out of: the box, extended to nearby edges."""
     inside = box.clip(width, height)
     if inside is None:
@@ -225,15 +248,22 @@ def _region(box: Box, width: int, height: int, parameters: SilhouetteParameters)
         return None  # A sliver at the edge holds no pixel.
     sides = np.array([inside.x, inside.y, inside.right, inside.bottom])
     edges = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
-    near = np.abs(sides - edges) <= parameters.edge_px
+    near = np.abs(sides - edges) <= _EDGE_PX
     return Box.from_edges(*np.where(near, edges, sides).tolist())
+
+
+_MAX_SIDE_PX = 384  # Largest size at which masks are drawn and cleaned.
+_MIN_PROBABILITY = 0.5  # Of a person's pixels; chosen on even-numbered photographs.
+_MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
+_MAX_HOLE = 0.01  # Area relative to the mask; larger holes stay.
+_MIN_COVER = 0.5  # Least share of a person's pixel that the drawn mask covers.
+_MIN_FILL = 0.12  # Filled share of the box below which the network saw nobody.
 
 
 def _cut_out(
     reading: PoseReading,
     rivals: Sequence[tuple[PoseReading, bool]],
     region: Box,
-    parameters: SilhouetteParameters,
 ) -> Silhouette | None:
     """Cut one person out of a region; None if next to nothing is left.
 
@@ -241,7 +271,7 @@ def _cut_out(
     """
     left, top, right, bottom = region.pixels()
     width, height = right - left, bottom - top
-    scale = min(1.0, parameters.max_side_px / max(width, height))
+    scale = min(1.0, _MAX_SIDE_PX / max(width, height))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     # From pixels as drawn to pixels of the frame.
     to_frame = np.array(
@@ -251,13 +281,13 @@ def _cut_out(
         ]
     )
     own = _probability(reading, to_frame, size)
-    mask = own >= parameters.min_probability
+    mask = own >= _MIN_PROBABILITY
     for rival, wins_ties in rivals:
         theirs = _probability(rival, to_frame, size)
         mask &= own > theirs if wins_ties else own >= theirs
-    mask = fill_small_holes(keep_components(mask, parameters.min_part), parameters.max_hole)
-    inside = cv2.resize(mask.astype(np.float32), (width, height)) >= parameters.min_cover
-    if np.count_nonzero(inside) < parameters.min_fill * inside.size:
+    mask = fill_small_holes(keep_components(mask, _MIN_PART), _MAX_HOLE)
+    inside = cv2.resize(mask.astype(np.float32), (width, height)) >= _MIN_COVER
+    if np.count_nonzero(inside) < _MIN_FILL * inside.size:
         return None
     return silhouette_from_mask(inside, left=left, top=top, segmenter="network")
 

@@ -21,9 +21,8 @@ from tqdm import tqdm
 from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import Detector, NetworkDetector
+from app.vision.detector import MIN_SCORE, Detector, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
-from app.vision.parameters import DEFAULTS
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
 from scripts.datasets import (
@@ -54,7 +53,7 @@ from scripts.experiments.real_poses import (
 )
 from scripts.metrics import FOUND_FROM, reliability, rightness
 
-SCORES = {"default": DEFAULTS.detector.min_score, "sure": 0.5}
+SCORES = {"default": MIN_SCORE, "sure": 0.5}
 """Minimum detection scores."""
 
 IGNORED_FROM = 0.3

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.vision import background
 from app.vision.background import BackgroundSegmenter, foreground
 from app.vision.geometry import Box
-from app.vision.parameters import BackgroundParameters
 
 
 def figure(frame: NDArray[np.uint8], left: int, colour: tuple[int, int, int]) -> np.ndarray:
@@ -53,10 +53,13 @@ def test_exposure_and_noise_are_no_change(
     assert iou(foreground(frame, empty), person) > 0.85
 
 
-def test_large_frames_are_compared_at_reduced_size(empty: np.ndarray) -> None:
+def test_large_frames_are_compared_at_reduced_size(
+    empty: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frame, person = with_person(empty)
     exact = foreground(frame, empty)
-    smaller = foreground(frame, empty, BackgroundParameters(max_px=frame[..., 0].size // 3))
+    monkeypatch.setattr(background, "MAX_PX", frame[..., 0].size // 3)
+    smaller = foreground(frame, empty)
     assert smaller.shape == exact.shape and smaller.dtype == bool
     assert (smaller != exact).any()
     assert iou(smaller, person) > 0.8

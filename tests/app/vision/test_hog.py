@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box, resize
 from app.vision.hog import hog_margin, hog_people, hog_windows
-from app.vision.parameters import DEFAULTS
 
-HOG = DEFAULTS.hog
 EMPTY = [Box(100, 200, 30, 80), Box(20, 200, 40, 100), Box(60, 30, 30, 80)]
 """Asphalt and grass of `street`."""
 
@@ -20,8 +18,8 @@ EMPTY = [Box(100, 200, 30, 80), Box(20, 200, 40, 100), Box(60, 30, 30, 80)]
 def test_people_have_higher_margins_than_asphalt(
     street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
 ) -> None:
-    people = [hog_margin(street, box, HOG) for box in (*walkers, *far_walkers)]
-    empty = [hog_margin(street, box, HOG) for box in EMPTY]
+    people = [hog_margin(street, box) for box in (*walkers, *far_walkers)]
+    empty = [hog_margin(street, box) for box in EMPTY]
     assert min(people) > max(empty) + 1
     assert min(people[:3]) > 0 > max(empty)
 
@@ -32,8 +30,8 @@ def test_margin_hardly_depends_on_the_size(
 ) -> None:
     large = resize(street, round(factor * street.shape[1]), round(factor * street.shape[0]))
     for box in walkers:
-        margin = hog_margin(large, box.scaled(factor), HOG)
-        assert margin == pytest.approx(hog_margin(street, box, HOG), abs=0.7)
+        margin = hog_margin(large, box.scaled(factor))
+        assert margin == pytest.approx(hog_margin(street, box), abs=0.7)
 
 
 @given(
@@ -42,12 +40,12 @@ def test_margin_hardly_depends_on_the_size(
 )  # fmt: skip
 def test_any_box_has_a_finite_margin(x: float, y: float, width: float, height: float) -> None:
     frame = np.random.default_rng(0).integers(0, 256, (120, 90, 3)).astype(np.uint8)
-    assert -5 <= hog_margin(frame, Box(x, y, width, height), HOG) < 20
+    assert -5 <= hog_margin(frame, Box(x, y, width, height)) < 20
 
 
 def test_higher_threshold_finds_a_subset_of_windows(street: NDArray[np.uint8]) -> None:
-    all_boxes, all_margins = hog_windows(street, 50, -0.5, HOG)
-    boxes, margins = hog_windows(street, 50, 0.5, HOG)
+    all_boxes, all_margins = hog_windows(street, 50, -0.5)
+    boxes, margins = hog_windows(street, 50, 0.5)
     assert 0 < len(boxes) < len(all_boxes)
     assert (margins >= 0.5).all() and (all_margins >= -0.5).all()
     every = {tuple(box) for box in all_boxes.round(3).tolist()}
@@ -55,7 +53,7 @@ def test_higher_threshold_finds_a_subset_of_windows(street: NDArray[np.uint8]) -
 
 
 def test_each_person_has_one_box(street: NDArray[np.uint8], walkers: list[Box]) -> None:
-    boxes, margins = hog_people(street, 50, HOG)
+    boxes, margins = hog_people(street, 50)
     assert len(boxes) == len(margins) >= len(walkers)
     assert (margins > 0).all()
     for walker in walkers:

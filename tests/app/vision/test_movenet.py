@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from app.vision.geometry import Box
 from app.vision.movenet import (
     CELL_PX,
+    KEYPOINT_WINDOW_PX,
+    KEYPOINT_WINDOW_SCALE,
     KEYPOINTS,
     MIN_KEYPOINT_SCORE,
     KeypointReader,
@@ -23,7 +25,6 @@ from app.vision.movenet import (
     decode_heads,
     keypoint_window,
 )
-from app.vision.parameters import DEFAULTS, KeypointParameters
 from app.vision.people import COCO_NAMES
 from tests.app.vision.conftest import moved
 from tests.conftest import ROOT
@@ -164,7 +165,7 @@ def test_heads_are_decoded(seed: int, count: int) -> None:
         assert_allclose(one.keypoints.positions, points, atol=1e-3)
         visible = one.keypoints.scores > MIN_KEYPOINT_SCORE
         assert one.score == pytest.approx(score * one.keypoints.scores[visible].mean(), rel=1e-4)
-    assert decode_heads(heads_of(people), KeypointParameters(min_centre_score=1.01)) == []
+    assert decode_heads(heads_of([(box, points, 0.01) for box, points, _ in people])) == []
 
 
 def test_keypoint_claimed_by_two_goes_to_the_nearer_person() -> None:
@@ -183,7 +184,7 @@ sides, places = st.floats(1, 900), st.floats(-300, 900)
 def test_person_is_in_the_middle_of_the_keypoint_window(
     x: float, y: float, width: float, height: float
 ) -> None:
-    box, parameters = Box(x, y, width, height), DEFAULTS.keypoints
+    box = Box(x, y, width, height)
     (left, top, columns, rows), *shown = keypoint_window(box)
     # Whole pixels: up to one and a half of them on each side.
     assert left - 1.5 <= box.x and box.right <= left + columns + 0.5
@@ -191,9 +192,9 @@ def test_person_is_in_the_middle_of_the_keypoint_window(
     assert abs(left - 0.5 + columns / 2 - (x + width / 2)) <= 1
     assert abs(top - 0.5 + rows / 2 - (y + height / 2)) <= 1
     share = max(width / columns, height / rows)
-    assert share == pytest.approx(1 / parameters.window_scale, rel=0.6 / min(columns, 1))
+    assert share == pytest.approx(1 / KEYPOINT_WINDOW_SCALE, rel=0.6 / min(columns, 1))
     # The long side is along the person, and nothing is squeezed.
-    assert tuple(shown) == parameters.input_px[:: 1 if width > height else -1]
+    assert tuple(shown) == KEYPOINT_WINDOW_PX[:: 1 if width > height else -1]
     assert abs(columns * shown[1] - rows * shown[0]) <= max(shown)
 
 

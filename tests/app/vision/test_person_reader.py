@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import WINDOW_SCALE, Box, PersonWindow
-from app.vision.parameters import DEFAULTS
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
@@ -22,6 +21,7 @@ from app.vision.people import (
     coco_rows,
 )
 from app.vision.person_reader import (
+    AGREEMENT_DISTANCE,
     PersonReader,
     attenuate_visibility_at_border,
     fuse,
@@ -105,9 +105,9 @@ def test_fusing_moves_landmarks_towards_agreeing_keypoints_only(
     wanted = np.array([x, y])
     share = float(change[COCO_LANDMARKS[row]] @ wanted / max(float(wanted @ wanted), 1e-12))
     assert -1e-9 <= share < 1
-    if far > DEFAULTS.reading.agreement_distance + 1e-9 or score == 0:
+    if far > AGREEMENT_DISTANCE + 1e-9 or score == 0:
         assert_allclose(change, 0, atol=1e-12)
-    elif far < DEFAULTS.reading.agreement_distance - 1e-9 and score > 0.01 and far > 1e-3:
+    elif far < AGREEMENT_DISTANCE - 1e-9 and score > 0.01 and far > 1e-3:
         assert share > 0
     assert_array_equal(after.visibility, before.visibility)
     assert_array_equal(after.metres, before.metres)

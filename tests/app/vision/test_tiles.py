@@ -8,11 +8,18 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from app.vision.detector import Tile, tiles_of
-from app.vision.parameters import DEFAULTS
-
-TILING = DEFAULTS.tiling
-OVERVIEW_PX = math.prod(TILING.overview_px)
+from app.vision.detector import (
+    MAX_ENLARGEMENT,
+    MAX_FINE_PX,
+    MAX_FINE_SIDE_PX,
+    MAX_TILE_PX,
+    MIN_GAIN,
+    MIN_PERSON_PX,
+    MIN_SIDE_PX,
+    OVERVIEW_PX,
+    Tile,
+    tiles_of,
+)
 
 people = st.integers(16, 400)
 sides = st.integers(1, 6000)
@@ -47,14 +54,14 @@ def test_overview_and_tiles_are_within_their_bounds(
     width: int, height: int, min_person_px: int
 ) -> None:
     whole, *tiles = tiles_of(width, height, min_person_px) or [Tile((0, 0, 1, 1), 1.0)]
-    long_px, short_px = TILING.overview_px
+    long_px, short_px = OVERVIEW_PX
     assert max(whole.size) <= long_px and min(whole.size) <= short_px
     for tile in tiles:
         columns, rows = tile.size
         # Tiles end on whole pixels of the frame: up to two more on each side after resizing.
         more = 2 * max(tile.factor, 1)
-        assert (columns - more) * (rows - more) <= TILING.max_tile_px
-        assert max(columns, rows) <= TILING.max_fine_side_px + more
+        assert (columns - more) * (rows - more) <= MAX_TILE_PX
+        assert max(columns, rows) <= MAX_FINE_SIDE_PX + more
 
 
 @given(width=sides, height=sides, factor=st.floats(1, 9))
@@ -64,10 +71,10 @@ def test_frame_of_more_pixels_costs_no_more_by_default(
     tiles = tiles_of(width, height)
     larger = tiles_of(round(width * factor), round(height * factor))
     assert len(tiles) <= 1 and len(larger) <= 1
-    assert seen_px(larger) <= OVERVIEW_PX
-    if tiles and tiles[0].factor < TILING.max_enlargement:
+    assert seen_px(larger) <= math.prod(OVERVIEW_PX)
+    if tiles and tiles[0].factor < MAX_ENLARGEMENT:
         # Sides are rounded to whole pixels, in the frame and after resizing.
-        slack = 3 * max(*TILING.overview_px, width, height)
+        slack = 3 * max(*OVERVIEW_PX, width, height)
         assert seen_px(larger) <= seen_px(tiles) + slack
 
 
@@ -78,16 +85,16 @@ def test_smallest_wanted_person_is_seen_large_enough(
     whole, tiles = tiles_of(width, height), tiles_of(width, height, min_person_px)
     assert tiles[:1] == whole
     assume(tiles)
-    if min_person_px * whole[0].factor >= TILING.min_person_px:
+    if min_person_px * whole[0].factor >= MIN_PERSON_PX:
         assert tiles == whole
     finest = max(tile.factor for tile in tiles)
-    assert min(width, height) * finest >= TILING.min_side_px * (1 - 1e-9)
+    assert min(width, height) * finest >= MIN_SIDE_PX * (1 - 1e-9)
     wanted = min(
-        TILING.min_person_px / min_person_px,
-        TILING.max_fine_side_px / max(width, height),
-        math.sqrt(TILING.max_fine_px / (width * height)),
+        MIN_PERSON_PX / min_person_px,
+        MAX_FINE_SIDE_PX / max(width, height),
+        math.sqrt(MAX_FINE_PX / (width * height)),
     )
-    assert finest * TILING.min_gain >= wanted * (1 - 1e-9)
+    assert finest * MIN_GAIN >= wanted * (1 - 1e-9)
     # Nor finer than that, but for the overview.
     assert finest <= max(wanted, tiles[0].factor) * (1 + 1e-9)
 
@@ -97,7 +104,7 @@ def test_frames_of_any_size_take_a_bounded_time(
     width: int, height: int, min_person_px: int
 ) -> None:
     tiles = tiles_of(width, height, min_person_px)
-    assert seen_px(tiles) <= 2 * TILING.max_fine_px + OVERVIEW_PX
+    assert seen_px(tiles) <= 2 * MAX_FINE_PX + math.prod(OVERVIEW_PX)
 
 
 @pytest.mark.parametrize("frame", [(2000, 2), (2, 2000), (10**6, 12), (1, 1), (7, 7)])
