@@ -32,11 +32,11 @@ from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
 from app.vision.detector import Detector, NetworkDetector
 from app.vision.geometry import Box
 from app.vision.hog_detector import HogDetector
+from app.vision.judgement import photograph_models
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
 from app.vision.person_reader import PersonReader
-from app.vision.rendered import photograph_models
 from index.matching import match
 from index.store import PoseIndex
 

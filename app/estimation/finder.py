@@ -17,10 +17,10 @@ from app.vision.blazepose import PoseReading
 from app.vision.detector import Detector, smallest_person_px
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
+from app.vision.judgement import photograph_models
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
-from app.vision.rendered import photograph_models
 from app.vision.silhouettes import end_beyond_border, silhouettes_from_labels, silhouettes_of
 
 
@@ -176,7 +176,7 @@ def make_observation(
 def _judged(
     person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
 ) -> ObservedPerson:
-    """Add what models trained on rendered people say: depths, posture, doubt."""
+    """Add what models trained on rendered people say: depths, posture, trust."""
     judged = photograph_models().judge(reading, camera)
     body = judged.body
     return replace(
@@ -185,13 +185,13 @@ def _judged(
             landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
         ),
         frame_posture=judged.posture,
-        doubt=judged.doubt,
+        trust=judged.trust,
     )
 
 
 def without_landmarks(person: ObservedPerson) -> ObservedPerson:
     """A person without landmarks and what is judged from them."""
-    return replace(person, landmarks=None, frame_posture=None, doubt=None)
+    return replace(person, landmarks=None, frame_posture=None, trust=None)
 
 
 def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:

@@ -2,7 +2,7 @@
 
 Each hypothesis has a posture by the rules of :mod:`index.posture` and votes with its confidence. If
 there are landmarks, a model trained on rendered people gives the probabilities of six postures
-(:mod:`app.vision.rendered`), and the votes only split those into finer ones. Without
+(:mod:`app.vision.judgement`), and the votes only split those into finer ones. Without
 landmarks, the probability of the votes is calibrated.
 """
 
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.parameters import POSTURE
+from app.vision.judgement import FramePosture
 from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
-from app.vision.rendered import FramePosture
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
 from index.skeleton import side_rows
 
@@ -123,7 +123,7 @@ _MEMBERS = [np.isin(POSTURES, members) for members in LANDMARK_GROUPS]
 _HELD = [
     np.isin(POSTURES, members) for members in (*LANDMARK_GROUPS[:-1], ("crawling",), ("lying",))
 ]
-"""For each of :data:`app.vision.rendered.FRAME_POSTURES`, the ``POSTURES`` it includes."""
+"""For each of :data:`app.vision.judgement.FRAME_POSTURES`, the ``POSTURES`` it includes."""
 
 # Share given to every posture for which no hypothesis votes.
 _MIN_VOTE = 1e-3

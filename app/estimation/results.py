@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from app.estimation.posture import EstimatedPosture, Facing
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
+from app.vision.judgement import FramePosture, Trust
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, Silhouette
-from app.vision.rendered import Doubt, FramePosture
 from index.matching import Hypothesis
 from index.store import Label
 
@@ -45,7 +45,7 @@ class ObservedPerson:
         Where the landmark network would look for the person in the next frame.
     frame_posture : FramePosture or None
         Probabilities of postures, from the landmarks; None if they were not read.
-    doubt : Doubt or None
+    trust : Trust or None
         How far to trust the landmarks; None if they were not read.
     """
 
@@ -57,7 +57,7 @@ class ObservedPerson:
     presence: float | None = None
     next_window: PersonWindow | None = None
     frame_posture: FramePosture | None = None
-    doubt: Doubt | None = None
+    trust: Trust | None = None
 
     @property
     def whole_box(self) -> Box:

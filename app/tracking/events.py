@@ -13,7 +13,7 @@ from app.estimation.posture import EstimatedPosture, likeliest_posture, posture_
 from app.tracking.parameters import DEFAULTS, EventParameters, PostureParameters
 from app.tracking.results import Event, EventName, EventState
 from app.vision.geometry import Box
-from app.vision.rendered import FramePosture
+from app.vision.judgement import FramePosture
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 

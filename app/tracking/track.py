@@ -185,10 +185,10 @@ class Track:
         elapsed, self.seen_at = timestamp - self.seen_at, timestamp
         if observed.source not in ("background", "track"):
             self.score = max(self.score, _score(observed))
-        if observed.source == "detector" and observed.doubt is not None:
+        if observed.source == "detector" and observed.trust is not None:
             self._windows += 1
             gain = 1 - math.exp(-elapsed / self._parameters.window_mean_s)
-            odds, mean = log_odds(observed.doubt.person), self._shown_odds or 0.0
+            odds, mean = log_odds(observed.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window = observed.next_window
         if self.appearance is None:
@@ -237,7 +237,7 @@ class Track:
     def _weight(self, observed: ObservedPerson) -> float:
         """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
-        right = 1.0 if observed.doubt is None else observed.doubt.right
+        right = 1.0 if observed.trust is None else observed.trust.right
         right = math.pow(right, self._parameters.reliability_exponent)
         return 1 - presence * (1 - right)
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.depth import Depths, body_of, network_depths
+from app.vision.judgement import FRAME_POSTURES, Judgement, PhotographModels, photograph_models
 from app.vision.optics import PinholeCamera
-from app.vision.rendered import FRAME_POSTURES, Judgement, PhotographModels, photograph_models
 from index.build.calibrate import expected_calibration_error
 from scripts.datasets import HIPS, about_hips
 from scripts.experiments.photograph_sources import (
@@ -191,12 +191,12 @@ def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> Figu
             places = reading.landmarks.positions[LANDMARK_LIMBS]
             apart = np.linalg.norm(places - frame.joints_2d, axis=1)
             size = max(float(trunk), 0.2 * float(np.ptp(frame.joints_2d, axis=0).max()))
-            given.append(judge(models, frame, number).doubt)
+            given.append(judge(models, frame, number).trust)
             right.append(bool((apart[frame.visible] < 0.2 * size).mean() >= 0.75))
-    stated = np.array([doubt.right for doubt in given])
+    stated = np.array([trust.right for trust in given])
     return {
         "readings": len(right),
-        "people": percent([doubt.person > 0.5 for doubt in given]),
+        "people": percent([trust.person > 0.5 for trust in given]),
         "right": percent(right),
         "stated": percent(stated),
         "ece": expected_calibration_error(stated, np.array(right)),

@@ -38,7 +38,15 @@ from app.vision.depth import (
     network_depths,
     sight_features,
 )
-from app.vision.models import MODELS
+from app.vision.judgement import (
+    FRAME_POSTURES,
+    PostureModel,
+    TrustModel,
+    posture_features,
+    sharpened,
+    trust_features,
+)
+from app.vision.models import FOLDER, MODELS
 from app.vision.odds import sigmoid
 from app.vision.optics import (
     ASSUMED_FOV_DEG,
@@ -48,18 +56,11 @@ from app.vision.optics import (
     to_line_of_sight,
 )
 from app.vision.people import landmark_rows
-from app.vision.rendered import (
-    FILE,
-    FRAME_POSTURES,
-    DoubtModel,
-    PostureModel,
-    doubt_features,
-    posture_features,
-    trusted,
-)
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import averaged, fit_dense, moved_outputs, scaled_outputs
 from scripts.training.photograph_data import WindowRows, joined, read_rows
+
+FILE = FOLDER / "photograph_models.npz"
 
 SEEN_FROM = 0.3
 """The network's presence from which a window teaches depth and posture."""
@@ -228,7 +229,7 @@ def fit_trust(
     truth = np.where(classes[:, None] < 0, 1 / count, np.eye(count)[classes])
 
     def loss(trust: NDArray[np.float64]) -> float:
-        return float(-(truth * np.log(trusted(scores, right, trust) + 1e-9)).sum(axis=1).mean())
+        return float(-(truth * np.log(sharpened(scores, right, trust) + 1e-9)).sum(axis=1).mean())
 
     grid = [np.array([a, b]) for a in np.linspace(-0.8, 1.2, 41) for b in np.linspace(0, 0.6, 25)]
     return min(grid, key=loss)
@@ -340,7 +341,7 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     doubt = _doubt(train, crossed, epochs, seed)
     doubt = _calibrated(doubt, held, found, calibrates)
     report_doubt(doubt, held, found, say)
-    right = DoubtModel(doubt).probabilities(_doubt_inputs(held, found))[:, 1]
+    right = TrustModel(doubt).probabilities(_doubt_inputs(held, found))[:, 1]
 
     seen_bodies = [
         np.hstack([posture_inputs(rows, cameras, depths), _doubt_inputs(rows, depths)])
@@ -363,7 +364,7 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     trust = fit_trust(scores[asked], right[asked], held.posture[asked])
     say(f"posture: trust {trust[0]:.2f} {trust[1]:.2f}")
     tests = seen & ~calibrates
-    report_posture(trusted(scores, right, trust)[tests], held.posture[tests], say)
+    report_posture(sharpened(scores, right, trust)[tests], held.posture[tests], say)
     arrays: dict[str, Any] = {"posture.trust": trust}
     networks = {"depth": depth, "doubt": doubt, "posture.by_body": by_body,
                 "posture.by_surroundings": by_surroundings}  # fmt: skip
@@ -389,7 +390,7 @@ def _calibrated(
 
 
 def _doubt_inputs(rows: WindowRows, depths: Depths) -> NDArray[np.float64]:
-    return doubt_features(rows.points, rows.world, rows.presence, rows.last, depths.sigmas)
+    return trust_features(rows.points, rows.world, rows.presence, rows.last, depths.sigmas)
 
 
 def _decided(rows: WindowRows) -> NDArray[np.bool_]:
@@ -444,7 +445,7 @@ def report_posture(given: NDArray[np.float64], classes: NDArray[np.int64], say: 
 def report_doubt(network: DenseNetwork, held: WindowRows, depths: Depths, say: Any) -> None:
     """How well people and right landmarks are distinguished from others."""
     decided = _decided(held) & (held.scene % 2 == 1)
-    given = DoubtModel(network).probabilities(_doubt_inputs(held, depths)[decided])
+    given = TrustModel(network).probabilities(_doubt_inputs(held, depths)[decided])
     person = (held.posture >= 0)[decided]
     _, share = right_landmarks(held)
     right = person & (share[decided] >= RIGHT_SHARE)

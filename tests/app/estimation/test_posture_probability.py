@@ -17,7 +17,7 @@ from app.estimation.posture import (
     shares_of,
     vote_posture,
 )
-from app.vision.rendered import FRAME_POSTURES, FramePosture
+from app.vision.judgement import FRAME_POSTURES, FramePosture
 from index.posture import POSTURES
 
 some_weights = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES))

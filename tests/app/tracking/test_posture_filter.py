@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.estimation.posture import vote_posture
 from app.tracking.events import PostureFilter
 from app.vision.geometry import Box
-from app.vision.rendered import FRAME_POSTURES, FramePosture
+from app.vision.judgement import FRAME_POSTURES, FramePosture
 from index.posture import ON_THE_GROUND, POSTURES, Posture
 
 UPRIGHT, LEVEL = Box(0, 0, 40, 160), Box(0, 0, 160, 40)

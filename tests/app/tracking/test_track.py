@@ -12,16 +12,16 @@ from app.tracking.results import TrackedPerson
 from app.tracking.track import BoxFilter, Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
+from app.vision.judgement import Trust
 from app.vision.people import Silhouette
-from app.vision.rendered import Doubt
 from tests.app.tracking.people import person_of, seen_from
 
 BOX = Box(100, 100, 30, 80)
 
 
 def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Sighting:
-    doubt = None if person is None else Doubt(person, right=person / 2)
-    observed = ObservedPerson(BOX, "detector", score, None, doubt=doubt)
+    trust = None if person is None else Trust(person, right=person / 2)
+    observed = ObservedPerson(BOX, "detector", score, None, trust=trust)
     return Sighting(replace(observed, **fields))  # type: ignore[arg-type]
 
 

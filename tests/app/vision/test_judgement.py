@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LandmarkNetwork, PoseReading, sample_map
 from app.vision.depth import HIPS, DenseNetwork, decode_depths, network_depths, softmax
 from app.vision.geometry import Box, PersonWindow
-from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES
-from app.vision.rendered import (
-    FILE,
+from app.vision.judgement import (
     FRAME_POSTURES,
     FramePosture,
     photograph_models,
     posture_features,
-    trusted,
+    sharpened,
 )
+from app.vision.models import network_path
+from app.vision.optics import PinholeCamera
+from app.vision.people import LANDMARK_NAMES
 from app.vision.tflite import NetworkError
 from index.build.photographs import people as rendered
 
@@ -113,7 +113,7 @@ def test_probabilities_of_a_posture_are_named() -> None:
 
 def test_a_person_who_is_hardly_seen_is_classified_less_surely() -> None:
     scores = np.repeat([[2.0, 0, 0, 0, 0, 0]], 3, axis=0)
-    given = trusted(scores, np.array([0.02, 0.5, 0.95]), np.array([0.1, 0.2]))
+    given = sharpened(scores, np.array([0.02, 0.5, 0.95]), np.array([0.1, 0.2]))
     assert (np.diff(given[:, 0]) > 0).all()
     assert_allclose(given[1], softmax(np.exp(0.1) * scores[1]))
 
@@ -137,8 +137,8 @@ def test_walkers_stand_and_are_people(
     for reading in readings:
         judged = models.judge(reading, camera)
         assert judged.posture.likeliest == "standing"
-        assert judged.doubt.person > 0.8
-        assert 0 <= judged.doubt.right <= judged.doubt.person <= 1
+        assert judged.trust.person > 0.8
+        assert 0 <= judged.trust.right <= judged.trust.person <= 1
 
 
 def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
@@ -180,11 +180,11 @@ def test_asphalt_is_nobody(landmark_network: LandmarkNetwork, street: NDArray[np
     models, camera = photograph_models(), PinholeCamera.of_frame(street.shape)
     for box in (Box(100, 200, 30, 80), Box(60, 30, 30, 80)):
         reading = landmark_network.read(street, PersonWindow.about_box(box))
-        assert models.judge(reading, camera).doubt.person < 0.5
+        assert models.judge(reading, camera).trust.person < 0.5
 
 
 def test_what_ships_is_small() -> None:
-    assert FILE.stat().st_size < 3_000_000
+    assert network_path("photograph_models").stat().st_size < 3_000_000
     posture = photograph_models().posture
     for network in (posture.by_body, posture.by_surroundings):
         assert network.biases[-1].shape == (len(FRAME_POSTURES),)

@@ -1,0 +1,376 @@
+"""What small models make of a reading: the body in space, how far to trust it, and its posture.
+
+They were trained on rendered people, by ``python -m scripts train-photographs``. Trust is the
+probability that the window shows a person, and that their landmarks are right. The posture is one
+of six that a single frame distinguishes, with a probability for each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.blazepose import LANDMARK_PX, LANDMARKS, NetworkPass, PoseReading, region_features
+from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of, softmax
+from app.vision.models import network_path
+from app.vision.odds import logit, sigmoid
+from app.vision.optics import PinholeCamera
+from app.vision.people import LANDMARK_NAMES, landmark_rows
+from app.vision.tflite import NetworkError
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How far to trust a reading.
+
+    Parameters
+    ----------
+    person : float
+        Probability that the window shows a person, 0 to 1.
+    right : float
+        Probability that it does and that at least three in four of the visible limb joints are
+        within a fifth of the trunk of their true places, 0 to 1.
+    """
+
+    person: float
+    right: float
+
+
+FramePostureName = Literal["standing", "bending", "crouching", "sitting", "all_fours", "lying"]
+
+FRAME_POSTURES: tuple[FramePostureName, ...] = get_args(FramePostureName)
+"""Standing includes walking, running and raised arms; crouching includes kneeling."""
+
+
+@dataclass(frozen=True)
+class FramePosture:
+    """Probability of each posture.
+
+    Parameters
+    ----------
+    probabilities : (6,) float64 array
+        Of :data:`FRAME_POSTURES`; they sum to 1.
+    """
+
+    probabilities: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.probabilities.shape != (len(FRAME_POSTURES),):
+            raise ValueError(f"expected six probabilities, got {self.probabilities.shape}")
+
+    @property
+    def likeliest(self) -> FramePostureName:
+        """The likeliest posture."""
+        return FRAME_POSTURES[int(self.probabilities.argmax())]
+
+    def of(self, name: FramePostureName) -> float:
+        """Probability of one posture."""
+        return float(self.probabilities[FRAME_POSTURES.index(name)])
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The models' judgement of a reading."""
+
+    body: Body3D
+    trust: Trust
+    posture: FramePosture
+
+
+@dataclass(frozen=True)
+class PhotographModels:
+    """The models of depth, trust and posture."""
+
+    depth: DepthModel
+    trust: TrustModel
+    posture: PostureModel
+
+    def body(self, reading: PoseReading, camera: PinholeCamera) -> Body3D:
+        """A reading in three dimensions; ``ValueError`` if it is not from the network."""
+        given, landmarks = _given(reading), reading.landmarks
+        depths = self.depth.correct(given, reading.window, camera)
+        return body_of(
+            given, reading.window, camera, depths, landmarks.positions, landmarks.visibility
+        )
+
+    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
+        """A reading in three dimensions, how far to trust it, and its posture.
+
+        Raises
+        ------
+        ValueError
+            If the reading is not from the network.
+        """
+        body, given, landmarks = self.body(reading, camera), _given(reading), reading.landmarks
+        evidence = trust_features(
+            given.points[None],
+            given.world[None],
+            np.array([given.presence]),
+            given.last[None],
+            body.sigmas[None],
+        )
+        trust = self.trust.estimate(evidence[0])
+        box = landmarks.box()
+        shape = posture_features(
+            body.points[None],
+            landmarks.visibility[None],
+            np.array([reading.window.roll_deg]),
+            np.array([reading.presence]),
+            np.array([box.width / box.height]),
+        )
+        posture = self.posture.estimate(
+            np.hstack([shape, evidence])[0], region_features(given.sampled[None])[0], trust.right
+        )
+        return Judgement(body, trust, posture)
+
+
+def _given(reading: PoseReading) -> NetworkPass:
+    if reading.network_pass is None:
+        raise ValueError("expected a reading with its pass of the network, got one without")
+    return reading.network_pass
+
+
+@cache
+def photograph_models(path: Path | None = None) -> PhotographModels:
+    """Load models once: those that ship, or those in another file.
+
+    Raises
+    ------
+    NetworkError
+        If the file is missing or holds something else.
+    """
+    path = network_path("photograph_models") if path is None else path
+    # The file has other names for trust and sharpness.
+    names = ("depth", "doubt", "posture.by_body", "posture.by_surroundings")
+    try:
+        with np.load(path) as stored:
+            arrays = dict(stored)
+        depth, trust, by_body, by_surroundings = (DenseNetwork.of(arrays, name) for name in names)
+        sharpness = np.asarray(arrays["posture.trust"], np.float64)
+    except (OSError, KeyError, ValueError) as error:
+        raise NetworkError(f"cannot read the models in {path}: {error}") from error
+    posture = PostureModel(by_body, by_surroundings, sharpness)
+    return PhotographModels(DepthModel(depth), TrustModel(trust), posture)
+
+
+_SHOULDERS, _KNEES, _ANKLES, _WRISTS, _EARS = (
+    landmark_rows(part) for part in ("shoulder", "knee", "ankle", "wrist", "ear")
+)
+_LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+_FACE = [LANDMARK_NAMES.index("nose"), *_EARS]
+
+
+@dataclass(frozen=True)
+class TrustModel:
+    """Estimates how far to trust readings.
+
+    Parameters
+    ----------
+    network : DenseNetwork
+        Log odds of a person, and of right landmarks where there is one.
+    """
+
+    network: DenseNetwork
+
+    def probabilities(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probabilities ``(N, 2)``: a person; a person whose landmarks are right."""
+        given = sigmoid(self.network(features).astype(np.float64))
+        return np.column_stack([given[:, 0], given[:, 0] * given[:, 1]])
+
+    def estimate(self, features: NDArray[np.float64]) -> Trust:
+        """Trust in one reading with features ``(F,)``."""
+        person, right = self.probabilities(features[None])[0].tolist()
+        return Trust(person, right)
+
+
+def trust_features(
+    points: NDArray[np.floating],
+    world: NDArray[np.floating],
+    presence: NDArray[np.floating],
+    last: NDArray[np.floating],
+    sigmas: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Inputs of the model: ``(N, F)``.
+
+    Parameters
+    ----------
+    points : (N, 39, 5) array
+    world : (N, 39, 3) array
+    presence : (N,) array
+    last : (N, 2, 2, 288) array
+        The fields of :class:`app.vision.blazepose.NetworkPass`.
+    sigmas : (N, 33) float64 array
+        Sigmas of the corrected depths.
+    """
+    points, metres = points.astype(np.float64), world[:, :LANDMARKS].astype(np.float64)
+    places = points[:, :LANDMARKS, :2] / LANDMARK_PX - 0.5
+    visibility = sigmoid(points[:, :LANDMARKS, 3])
+    odds = np.clip(points[:, :LANDMARKS, 3], -8, 8)
+    sure = np.clip(presence.astype(np.float64), 1e-5, 1 - 1e-5)
+    # The window that the network would look at next, relative to this one.
+    centre, towards = points[:, 33, :2] / LANDMARK_PX - 0.5, points[:, 34, :2] / LANDMARK_PX - 0.5
+    arm = towards - centre
+    radius = np.linalg.norm(arm, axis=1)
+    # Lengths in the picture relative to lengths in metres: for one body, the scale is the same.
+    flat = np.linalg.norm(metres[..., :2] - metres[:, HIPS, :2].mean(1, keepdims=True), axis=-1)
+    seen = np.linalg.norm(places - places[:, HIPS].mean(axis=1, keepdims=True), axis=-1)
+    scale = seen.sum(axis=1) / np.maximum(flat.sum(axis=1), 1e-3)
+    misfit = np.abs(seen - scale[:, None] * flat).mean(axis=1)
+    trunk = metres[:, _SHOULDERS].mean(axis=1) - metres[:, HIPS].mean(axis=1)
+    return np.column_stack(
+        [
+            np.log(sure / (1 - sure)),
+            np.linalg.norm(centre, axis=1),
+            np.log(np.maximum(radius, 1e-3) / 0.4),
+            arm[:, 0] / np.maximum(radius, 1e-3),
+            -arm[:, 1] / np.maximum(radius, 1e-3),
+            visibility[:, _LIMBS].mean(axis=1),
+            visibility[:, _LIMBS].min(axis=1),
+            visibility[:, _FACE].mean(axis=1),
+            odds[:, _LIMBS].mean(axis=1),
+            np.log(sigmas[:, _LIMBS]).mean(axis=1),
+            np.log(sigmas[:, _LIMBS]).max(axis=1),
+            np.ptp(places[:, _LIMBS], axis=1).max(axis=1),
+            np.linalg.norm(trunk, axis=1),
+            misfit,
+            np.clip(points[:, _LIMBS, 4], -8, 8).mean(axis=1),
+            last.reshape(len(points), 4, -1).mean(axis=1, dtype=np.float64),
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class PostureModel:
+    """Estimates postures from the mean scores of two networks.
+
+    One gets no feature maps, so surroundings unlike any rendered ones cannot determine the result
+    alone.
+
+    Parameters
+    ----------
+    by_body : DenseNetwork
+        Scores of :data:`FRAME_POSTURES`, from :func:`posture_features` and :func:`trust_features`.
+    by_surroundings : DenseNetwork
+        The same scores, from :func:`app.vision.blazepose.region_features` as well.
+    sharpness : (2,) float64 array
+        The scores are multiplied by a factor: the less of a person is seen, the less certain is the
+        posture. These are the factor's logarithm if landmarks are as likely right as wrong, and its
+        growth with the log odds of right landmarks. Both are calibrated on held-out renders.
+    """
+
+    by_body: DenseNetwork
+    by_surroundings: DenseNetwork
+    sharpness: NDArray[np.float64]
+
+    def scores(
+        self, body: NDArray[np.float64], surroundings: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Scores ``(N, 6)`` of features of bodies ``(N, F)`` and their surroundings ``(N, M)``."""
+        both = self.by_surroundings(np.hstack([body, surroundings]))
+        return np.asarray((self.by_body(body) + both) / 2, np.float32)
+
+    def estimate(
+        self, body: NDArray[np.float64], surroundings: NDArray[np.float32], right: float
+    ) -> FramePosture:
+        """Posture of a body from features ``(F,)``, ``(M,)`` and the chance of right landmarks."""
+        scores = self.scores(body[None], surroundings[None])
+        return FramePosture(sharpened(scores, np.array([right]), self.sharpness)[0])
+
+
+_MIN_RIGHT = 0.01  # The probability that landmarks are right is kept this far from 0 and 1.
+
+
+def sharpened(
+    scores: NDArray[np.floating], right: NDArray[np.float64], sharpness: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Probabilities ``(N, O)`` of scores, see :class:`PostureModel`."""
+    factors = np.exp(sharpness[0] + sharpness[1] * logit(right, _MIN_RIGHT))
+    return softmax(scores * factors[:, None])
+
+
+_EXTENT = [*_SHOULDERS, *HIPS, *_KNEES, *_ANKLES, *_EARS]
+
+
+def posture_features(
+    points: NDArray[np.float64],
+    visibility: NDArray[np.float64],
+    roll_deg: NDArray[np.float64],
+    presence: NDArray[np.float64],
+    box_aspect: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Features from which postures are estimated; they do not distinguish left from right.
+
+    Parameters
+    ----------
+    points : (N, 33, 3) float64 array
+        Landmarks, metres, camera axes: y down.
+    visibility : (N, 33) float64 array
+    roll_deg : (N,) float64 array
+        Of the windows.
+    presence : (N,) float64 array
+        As the network gives it.
+    box_aspect : (N,) float64 array
+        Width over height of the box about the landmarks.
+
+    Returns
+    -------
+    (N, F) float64 array
+    """
+
+    def middle(rows: list[int]) -> NDArray[np.float64]:
+        return np.asarray(points[:, rows].mean(axis=1))
+
+    trunk = middle(_SHOULDERS) - middle(HIPS)
+    thighs = points[:, _KNEES] - points[:, HIPS]
+    shanks = points[:, _ANKLES] - points[:, _KNEES]
+    head = middle(_EARS) - middle(_SHOULDERS)
+    hip = (_unit(thighs) * _unit(trunk)[:, None]).sum(axis=-1)
+    knee = (_unit(thighs) * _unit(shanks)).sum(axis=-1)
+    legs = np.linalg.norm(thighs, axis=-1).mean(1) + np.linalg.norm(shanks, axis=-1).mean(1)
+    legs = np.maximum(legs, 0.2)
+    slopes = [np.sort(-_unit(bones)[..., 1], axis=1) for bones in (thighs, shanks)]
+    heights = -points[..., 1]
+    lowest = heights[:, _EXTENT].min(axis=1)
+    extent = np.ptp(points[:, _EXTENT], axis=1)
+    roll = np.deg2rad(roll_deg)
+    forward = [_unit(bone)[:, 2] for bone in (trunk, thighs.mean(axis=1), shanks.mean(axis=1))]
+    return np.column_stack(
+        [
+            *_slopes(trunk),
+            *_slopes(thighs.mean(axis=1)),
+            *_slopes(shanks.mean(axis=1)),
+            *_slopes(head),
+            *(pair[:, side] for pair in slopes for side in (0, 1)),
+            *forward,
+            *(np.sort(angle, axis=1)[:, side] for angle in (hip, knee) for side in (0, 1)),
+            extent[:, 1],
+            np.log((extent[:, 1] + 0.05) / (np.hypot(extent[:, 0], extent[:, 2]) + 0.05)),
+            (heights[:, HIPS].mean(axis=1) - lowest) / legs,
+            (heights[:, _SHOULDERS].mean(axis=1) - lowest) / legs,
+            (heights[:, _WRISTS].min(axis=1) - lowest) / legs,
+            (heights[:, _KNEES].min(axis=1) - lowest) / legs,
+            np.sin(roll),
+            np.cos(roll),
+            presence,
+            np.log(np.clip(box_aspect, 0.05, 20)),
+            visibility[:, _KNEES].max(axis=1),
+            visibility[:, _ANKLES].max(axis=1),
+            visibility[:, HIPS].max(axis=1),
+        ]
+    )
+
+
+def _slopes(bones: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Sine of the elevation of bones ``(N, 3)``, and its complement."""
+    sine = -_unit(bones)[:, 1]
+    return [sine, np.sqrt(np.maximum(1 - sine**2, 0))]
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(lengths, 1e-6))
