@@ -33,7 +33,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m app",
         description="Serve on HOST:PORT, by default 127.0.0.1:8000. Environment variables "
-        "configure everything; docs/operations.md describes them.",
+        "configure everything; docs/running.md describes them.",
     )
     parser.add_argument("--version", action="version", version=VERSION)
     parser.parse_args()

@@ -252,7 +252,7 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
         if _KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
             continue
         raise SettingsError(
-            f"{spelling}: expected one of the settings in docs/operations.md"
+            f"{spelling}: expected one of the settings in docs/running.md"
             + (suggestion(name.removeprefix(PREFIX), known) or ", which has none of this name")
         )
 

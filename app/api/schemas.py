@@ -99,7 +99,7 @@ class Problem(Model):
     reason: str = Field(
         description="The same for programs: `overloaded`, `superseded` by a newer frame of the "
         "camera, `late_frame`, `deadline`, `not_ready`, `unavailable` (the index cannot be "
-        "searched), `undecodable`, `too_large`, `misfit`, `invalid`, ...: see operations.md; more "
+        "searched), `undecodable`, `too_large`, `misfit`, `invalid`, ...: see running.md; more "
         "may be added.",
         examples=["misfit"],
     )

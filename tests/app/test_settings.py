@@ -43,8 +43,8 @@ from tests.support.programs import output_of, run
         ("PORT", "0", "expected at least 1, got '0'"),
         ("WORKERS", "0", "expected at least 1, got '0'"),
         # Networks ship with the package.
-        ("POSE_MODELS", "models", "expected one of the settings in docs/operations.md"),
-        ("POSE_TYPO", "3", "expected one of the settings in docs/operations.md"),
+        ("POSE_MODELS", "models", "expected one of the settings in docs/running.md"),
+        ("POSE_TYPO", "3", "expected one of the settings in docs/running.md"),
     ],
 )
 def test_an_invalid_value_is_reported_in_one_sentence(
@@ -129,7 +129,7 @@ def test_reading_settings_loads_no_native_library() -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["--help"], 0, "docs/operations.md"),
+        (["--help"], 0, "docs/running.md"),
         (["--version"], 0, VERSION),
         (["--bogus"], 2, "unrecognized arguments: --bogus"),
         (["8000"], 2, "unrecognized arguments: 8000"),

@@ -77,12 +77,12 @@ def test_every_metric_and_label_exists(title: str, metrics: dict[str, set[str]])
 
 @pytest.mark.parametrize("title", EXPRESSIONS)
 def test_every_reason_and_route_exists(title: str) -> None:
-    operations = (ROOT / "docs" / "operations.md").read_text()
+    page = (ROOT / "docs" / "running.md").read_text()
     paths = set(json.loads((ROOT / "openapi.json").read_text())["paths"])
     for expression in EXPRESSIONS[title]:
         for _, matchers in selectors(expression):
             for reason in filter(None, matchers.get("reason", "").split("|")):
-                assert f"`{reason}`" in operations, reason
+                assert f"`{reason}`" in page, reason
             for route in filter(None, matchers.get("route", "").split("|")):
                 assert any(re.fullmatch(route, path) for path in paths), route
 

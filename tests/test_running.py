@@ -1,4 +1,4 @@
-"""``docs/operations.md`` says what the service does."""
+"""``docs/running.md`` says what the service does."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from app.settings import VARIABLES, Settings, variable
 from scripts.__main__ import COMMANDS
 from tests.conftest import ROOT
 
-OPERATIONS = ROOT / "docs" / "operations.md"
+PAGE = ROOT / "docs" / "running.md"
 
-TEXT = OPERATIONS.read_text()
+TEXT = PAGE.read_text()
+CONNECTING = (ROOT / "docs" / "connecting.md").read_text()
 
 
 def part(title: str) -> str:
@@ -59,7 +60,7 @@ def test_the_table_of_settings_is_not_stale() -> None:
     table = re.search(r"^\| variable .*(?:\n\|.*)+", part("Settings"), re.MULTILINE)
     assert table is not None
     if os.environ.get("REWRITE"):
-        OPERATIONS.write_text(TEXT.replace(table[0], settings_table()))
+        PAGE.write_text(TEXT.replace(table[0], settings_table()))
     else:
         assert table[0] == settings_table(), "run this test with REWRITE=1"
 
@@ -95,7 +96,7 @@ def test_every_field_of_a_log_line_is_described(
 
 def test_nothing_is_said_of_settings_and_scripts_that_are_gone() -> None:
     unit = (ROOT / "deploy" / "silhouette-pose.service").read_text()
-    for text in (TEXT, unit, (ROOT / "compose.yaml").read_text()):
+    for text in (TEXT, CONNECTING, unit, (ROOT / "compose.yaml").read_text()):
         for command in re.findall(r"-m scripts ([\w-]+)", text):
             assert command in COMMANDS, command
         assert "-m scripts." not in text
