@@ -126,21 +126,23 @@ class BaseMesh:
 
 
 @lru_cache(maxsize=1)
-def _model() -> Any:
+def body_model() -> Any:
+    """Return Anny's model of bodies on the CMU skeleton."""
     import anny
 
     return anny.Anny(rig="cmu_mb", topology="anny-full", skinning_method="lbs")
 
 
-@lru_cache(maxsize=1)
-def _face_regressor() -> NDArray[np.float64]:
+@lru_cache
+def keypoint_weights(names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return the weights ``(K, 19158)`` of the vertices whose sum is a COCO keypoint."""
     import anny.keypoints
 
-    regressor = anny.keypoints.KeypointsRegressor.coco(_model(), labels=list(FACE_NAMES))
+    regressor = anny.keypoints.KeypointsRegressor.coco(body_model(), labels=list(names))
     weights = {name: value.numpy() for name, value in regressor.named_buffers()}
     if "regression_indices" not in weights:
-        return np.asarray(weights["regression_weights"])
-    dense = np.zeros((len(FACE_NAMES), len(_model().template_vertices)))
+        return np.asarray(weights["regression_weights"], np.float64)
+    dense = np.zeros((len(names), len(body_model().template_vertices)))
     np.put_along_axis(dense, weights["regression_indices"], weights["regression_weights"], axis=1)
     return dense
 
@@ -149,7 +151,7 @@ def make_avatar(phenotype: Phenotype) -> tuple[Avatar, BaseMesh]:
     """Make the unclothed avatar of a phenotype, and the base mesh that garments are fitted to."""
     import torch
 
-    model = _model()
+    model = body_model()
     values = {
         name: torch.tensor([getattr(phenotype, name)], dtype=torch.float64)
         for name in model.phenotype_labels
@@ -178,7 +180,7 @@ def make_avatar(phenotype: Phenotype) -> tuple[Avatar, BaseMesh]:
         parents=tuple(model.bone_parents),
         heads=heads,
         tails=tails,
-        face=_face_regressor() @ vertices,
+        face=keypoint_weights(FACE_NAMES) @ vertices,
     )
     return compact(avatar), base
 

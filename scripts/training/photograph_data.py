@@ -25,7 +25,7 @@ class WindowRows:
     window, next_window : (N, 4) float64 array
         x, y, side, roll in degrees; next: where the network would look.
     focal, centre, frame_px : (N, 2) float64 array
-        As :class:`index.build.photographs.scene.Photograph` has them.
+        As :class:`scripts.training.render.scene.Photograph` has them.
     box : (N, 4) float64 array
         About the visible part of the subject.
     posture : (N,) int64 array

@@ -22,10 +22,10 @@ from tqdm import tqdm
 
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.geometry import PersonWindow
+from app.vision.judgement import FRAME_POSTURES
 from app.vision.models import network_path
-from index.build.photographs.posing import CLASSES
-from index.build.photographs.scene import EMPTY, Photograph, Studio
 from scripts.training.photograph_data import WindowRows, joined
+from scripts.training.render.scene import EMPTY, Photograph, Studio
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PER_FILE = 500
@@ -112,7 +112,7 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
         small = cv2.resize(image, None, fx=scale, fy=scale)
         cell = np.zeros((side, side, 3), np.uint8)
         cell[: small.shape[0], : small.shape[1]] = small[:side, :side]
-        name = "nobody" if photograph.posture == EMPTY else CLASSES[photograph.posture]
+        name = "nobody" if photograph.posture == EMPTY else FRAME_POSTURES[photograph.posture]
         cv2.putText(cell, name, (3, 12), 0, 0.4, (0, 255, 255), 1)
         cells.append(cell)
     return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])

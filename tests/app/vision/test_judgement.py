@@ -25,7 +25,6 @@ from app.vision.models import network_path
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES
 from app.vision.tflite import NetworkError
-from index.build.photographs import people as rendered
 
 SWAPPED = [
     LANDMARK_NAMES.index(n.replace("left", "?").replace("right", "left").replace("?", "right"))
@@ -123,11 +122,6 @@ def readings(
     landmark_network: LandmarkNetwork, street: NDArray[np.uint8], walkers: list[Box]
 ) -> list[PoseReading]:
     return [landmark_network.read(street, PersonWindow.about_box(box)) for box in walkers]
-
-
-def test_rendered_people_have_the_landmarks_that_the_network_reads() -> None:
-    # `index` may not import `app`, where the others are.
-    assert rendered.LANDMARK_NAMES == LANDMARK_NAMES
 
 
 def test_walkers_stand_and_are_people(

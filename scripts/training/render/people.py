@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from index.build.body import Avatar, BaseMesh, Phenotype, _model, make_avatar, strongest
+from app.vision.people import LANDMARK_NAMES
+from index.build.body import Avatar, BaseMesh, Phenotype, keypoint_weights, make_avatar, strongest
 from index.build.garments import find_garments, fit, read_garment
-from index.build.photographs.materials import (
+from index.skeleton import COCO17
+from scripts.training.render.materials import (
     HAIRS,
     PLAIN,
     PRINT,
@@ -24,20 +25,9 @@ from index.build.photographs.materials import (
     Materials,
     cloth,
 )
-from index.skeleton import COCO17
 
 PARTS = ("skin", "eyes", "mouth", "brows", "top", "bottom", "shoes", "hair", "hat")
 SKIN, EYES, MOUTH, BROWS, TOP, BOTTOM, SHOES, HAIR, HAT = range(len(PARTS))
-
-LANDMARK_NAMES = (
-    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
-    "right_eye_outer", "left_ear", "right_ear", "mouth_left", "mouth_right",
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
-    "left_pinky", "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb",
-    "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
-)  # fmt: skip
-"""The 33 landmarks that BlazePose reads, as in ``app.vision.people``, which lies above."""
 
 MIRRORED = np.array(
     [
@@ -92,20 +82,6 @@ class Outfit:
     long_legs: bool = True
     topless: bool = False
     barefoot: bool = False
-
-
-@lru_cache(maxsize=1)
-def _coco_regressor() -> NDArray[np.float64]:
-    """Weights ``(17, 19158)`` of the vertices that make a keypoint."""
-    import anny.keypoints
-
-    regressor = anny.keypoints.KeypointsRegressor.coco(_model(), labels=list(COCO17.names))
-    weights = {name: value.numpy() for name, value in regressor.named_buffers()}
-    if "regression_indices" not in weights:
-        return np.asarray(weights["regression_weights"], np.float64)
-    dense = np.zeros((len(COCO17.names), len(_model().template_vertices)))
-    np.put_along_axis(dense, weights["regression_indices"], weights["regression_weights"], axis=1)
-    return dense
 
 
 def dressed(phenotype: Phenotype, outfit: Outfit, garments: Path) -> Person:
@@ -216,7 +192,7 @@ def _landmark_weights(avatar: Avatar, base: BaseMesh) -> NDArray[np.float64]:
     """See :class:`Person`: regressed from the skin, or points that bones carry."""
     weights = np.zeros((len(LANDMARK_NAMES), len(avatar.bones), 4))
     homogeneous = np.hstack([base.vertices, np.ones((len(base.vertices), 1))])
-    regressor = _coco_regressor()
+    regressor = keypoint_weights(COCO17.names)
     for row, name in enumerate(COCO17.names):
         used = np.flatnonzero(np.abs(regressor[row]) > 1e-9)
         shares = regressor[row, used][:, None] * base.dense_weights[used]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.body import about_vertical
-from index.build.photographs.furniture import wall_colour
-from index.build.photographs.materials import (
+from scripts.training.render.furniture import wall_colour
+from scripts.training.render.materials import (
     CELLS,
     GRAIN,
     PLAIN,
@@ -38,7 +38,7 @@ class Room:
     materials : (6, 12) float32 array
         Of low x, high x, floor, ceiling, low z, high z.
     panels : (P, 18) float32 array
-        See :func:`index.build.photographs.raster.paint_room`.
+        See :func:`scripts.training.render.raster.paint_room`.
     glow : (5,) float64 array
         Lamp: place in axes of the room, share, reach.
     outdoors : bool

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.people import LANDMARK_NAMES
 from index.build.body import about_vertical
-from index.build.photographs import furniture
-from index.build.photographs.cameras import Camera
-from index.build.photographs.materials import Materials
-from index.build.photographs.meshes import Mesh
-from index.build.photographs.people import LANDMARK_NAMES
-from index.build.photographs.posing import Support
 from index.skeleton import JOINT_NAMES
+from scripts.training.render import furniture
+from scripts.training.render.cameras import Camera
+from scripts.training.render.materials import Materials
+from scripts.training.render.meshes import Mesh
+from scripts.training.render.posing import Support
 
 TABLES, WALKING_FRAMES = 0.42, 0.07
 """Shares: of people on chairs who sit at a table; of people with a walking frame at hand."""
@@ -33,7 +33,7 @@ class PosedBody:
     landmarks : (33, 3) float64 array
     joints : (19, 3) float64 array
     posture : int
-        Position in :data:`index.build.photographs.posing.CLASSES`.
+        Position in :data:`app.vision.judgement.FRAME_POSTURES`.
     seat : float
         Height of the seat.
     support : str

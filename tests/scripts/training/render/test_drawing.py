@@ -10,13 +10,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("numba")
 
-from index.build.photographs import furniture
-from index.build.photographs.cameras import aimed_at, sample_camera
-from index.build.photographs.development import develop
-from index.build.photographs.materials import Material, Materials, cloth, surface
-from index.build.photographs.meshes import box, ellipsoid, joined, sheet, tube, wheel
-from index.build.photographs.raster import NOTHING, rasterise, shadow_map, vertex_normals
-from index.build.photographs.rooms import build_room
+from scripts.training.render import furniture
+from scripts.training.render.cameras import aimed_at, sample_camera
+from scripts.training.render.development import develop
+from scripts.training.render.materials import Material, Materials, cloth, surface
+from scripts.training.render.meshes import box, ellipsoid, joined, sheet, tube, wheel
+from scripts.training.render.raster import NOTHING, rasterise, shadow_map, vertex_normals
+from scripts.training.render.rooms import build_room
 
 SEEDS = st.integers(0, 1000)
 

@@ -324,7 +324,7 @@ def shade(
         World axes; places in the pattern.
     material_of : (V,) int32 array
     materials : (M, 12) float32 array
-        See :meth:`index.build.photographs.materials.Materials.table`.
+        See :meth:`scripts.training.render.materials.Materials.table`.
     wrinkles : (K, 8) float32 array
         Waves: wave vector, phase, amplitude, direction in which they turn the normal.
     camera : (3,) float32 array

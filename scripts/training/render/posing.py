@@ -14,15 +14,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.judgement import FRAME_POSTURES
 from index.build.body import Avatar, turned_to_front
 from index.build.motion import Clip, read_manifest
 from index.build.poses import Poses, joints_of, read_poses
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
-
-CLASSES = ("standing", "bending", "crouching", "sitting", "all_fours", "lying")
-"""What the posture of a frame is learned as: crouching holds kneeling, standing holds walking and
-raised arms, which other evidence tells apart."""
 
 CLASS_OF_POSTURE = {
     "standing": "standing", "walking": "standing", "running": "standing",
@@ -37,7 +34,7 @@ SHARES = {"standing": 0.27, "bending": 0.12, "crouching": 0.11, "sitting": 0.24,
 HELD_OUT_SUBJECTS = ("13", "86", "127", "16")
 """Their clips are seen only by held-out photographs."""
 
-_CLASS_ROWS = np.array([CLASSES.index(CLASS_OF_POSTURE[posture]) for posture in POSTURES])
+_CLASS_ROWS = np.array([FRAME_POSTURES.index(CLASS_OF_POSTURE[posture]) for posture in POSTURES])
 
 
 Support = Literal["ground", "seat", "cycle"]
@@ -48,7 +45,7 @@ REACHING_DOWN_ABOVE = 0.65
 
 
 def classes_of(joints: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Positions in :data:`CLASSES` of skeletons ``(N, P, 3)`` in body axes."""
+    """Positions in :data:`FRAME_POSTURES` of skeletons ``(N, P, 3)`` in body axes."""
     classes = _CLASS_ROWS[classify_postures(joints, BODY_UP)]
     pelvis, hip, knee, ankle = (
         joints[:, JOINT_NAMES.index(name)]
@@ -56,8 +53,8 @@ def classes_of(joints: NDArray[np.floating]) -> NDArray[np.int64]:
     )
     leg = np.linalg.norm(hip - knee, axis=1) + np.linalg.norm(knee - ankle, axis=1)
     high = pelvis[:, 1] - joints[:, :JOINTS, 1].min(axis=1) > REACHING_DOWN_ABOVE * leg
-    bent = high & (classes == CLASSES.index("all_fours"))
-    return np.where(bent, CLASSES.index("bending"), classes)
+    bent = high & (classes == FRAME_POSTURES.index("all_fours"))
+    return np.where(bent, FRAME_POSTURES.index("bending"), classes)
 
 
 def about(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
@@ -215,8 +212,8 @@ class PoseSource:
 
     def draw(self, name: str, generator: np.random.Generator) -> Pose:
         """A pose that is meant to be of a class: recorded, or made."""
-        wanted = CLASSES.index(name)
-        standing = CLASSES.index("standing")
+        wanted = FRAME_POSTURES.index(name)
+        standing = FRAME_POSTURES.index("standing")
         makers = {
             "bending": bend_over, "crouching": crouch_or_kneel, "sitting": sit,
             "all_fours": go_on_all_fours, "lying": lie,
@@ -224,7 +221,9 @@ class PoseSource:
         made = name in makers and not (self.has(wanted) and generator.random() < 0.4)
         base = standing
         if name == "lying" and generator.random() < 0.5:
-            base = int(generator.choice([CLASSES.index(c) for c in ("sitting", "crouching")]))
+            base = int(
+                generator.choice([FRAME_POSTURES.index(c) for c in ("sitting", "crouching")])
+            )
         pose = self.recorded(base if made and self.has(base) else standing if made else wanted,
                              generator)  # fmt: skip
         if generator.random() < 0.4:

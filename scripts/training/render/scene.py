@@ -9,29 +9,31 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.judgement import FRAME_POSTURES
+from app.vision.people import LANDMARK_NAMES
 from index.build.body import about_vertical, pose_transforms, posed_points, retarget
 from index.build.parameters import POSES
-from index.build.photographs import furniture
-from index.build.photographs.cameras import Camera, sample_camera
-from index.build.photographs.development import develop
-from index.build.photographs.materials import Materials
-from index.build.photographs.meshes import Mesh, joined
-from index.build.photographs.people import (
-    LANDMARK_NAMES,
+from index.build.render import skin
+from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
+from scripts.training.render import furniture
+from scripts.training.render.cameras import Camera, sample_camera
+from scripts.training.render.development import develop
+from scripts.training.render.materials import Materials
+from scripts.training.render.meshes import Mesh, joined
+from scripts.training.render.people import (
     MIRRORED,
     Person,
     cast,
     person_materials,
     posed_landmarks,
 )
-from index.build.photographs.posing import (
-    CLASSES,
+from scripts.training.render.posing import (
     SHARES,
     PoseSource,
     classes_of,
     read_pose_source,
 )
-from index.build.photographs.raster import (
+from scripts.training.render.raster import (
     NOTHING,
     paint_room,
     rasterise,
@@ -39,15 +41,13 @@ from index.build.photographs.raster import (
     shadow_map,
     vertex_normals,
 )
-from index.build.photographs.rooms import Room, build_room
-from index.build.photographs.surroundings import (
+from scripts.training.render.rooms import Room, build_room
+from scripts.training.render.surroundings import (
     PosedBody,
     clutter_about,
     level_direction,
     support_of,
 )
-from index.build.render import skin
-from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
 
 HEIGHTS_PX = (30.0, 400.0)
 """Longest extent of the body in the picture."""
@@ -98,7 +98,7 @@ class Photograph:
     box : (4,) float64 array
         Left, top, width, height of what is seen of the subject.
     posture : int
-        Position in :data:`index.build.photographs.posing.CLASSES`; :data:`EMPTY` without people.
+        Position in :data:`app.vision.judgement.FRAME_POSTURES`; :data:`EMPTY` without people.
     landmarks : (33, 3) float64 array
         Camera axes, metres from the camera; NaN without people.
     places : (33, 2) float64 array
@@ -168,14 +168,14 @@ class Studio:
     def _portrait(
         self, wanted: str, materials: Materials, generator: np.random.Generator
     ) -> Photograph | None:
-        body = self._body(wanted, materials, generator)
+        body = self.body(wanted, materials, generator)
         if body is None:
             return None
         floor, around = support_of(wanted, body, materials, generator)
         things = list(around)
         if generator.random() < COMPANIONS:
             posture = str(generator.choice(["standing", "bending", "crouching"], p=[0.6, 0.2, 0.2]))
-            other = self._body(posture, materials, generator)
+            other = self.body(posture, materials, generator)
             if other is not None:
                 turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
                 away = generator.uniform(0.45, 2.5) * level_direction(generator)
@@ -193,7 +193,7 @@ class Studio:
         subject = subject.placed(turn, [0.0, raised, 0.0])
         return _photograph(subject, None, [], 0.0, materials, generator)
 
-    def _body(
+    def body(
         self, wanted: str, materials: Materials, generator: np.random.Generator
     ) -> PosedBody | None:
         """A body in a pose of a class; None where the pose came out as another."""
@@ -204,10 +204,10 @@ class Studio:
         )
         joints = posed_points(person.avatar, turned)[0]
         posture = int(classes_of(joints[None])[0])
-        leans = pose.support == "seat" and CLASSES[posture] in ("bending", "crouching")
+        leans = pose.support == "seat" and FRAME_POSTURES[posture] in ("bending", "crouching")
         if leans or pose.support == "cycle":
-            posture = CLASSES.index("sitting")
-        if CLASSES[posture] != wanted or (wanted == "lying" and not _rests(joints)):
+            posture = FRAME_POSTURES.index("sitting")
+        if FRAME_POSTURES[posture] != wanted or (wanted == "lying" and not _rests(joints)):
             return None
         moved = np.ascontiguousarray(turned[0], np.float32)
         vertices = skin(person.vertices, person.influences, person.weights, moved)
@@ -232,7 +232,7 @@ def _rests(joints: NDArray[np.float64]) -> bool:
 
 
 def _light(room: Room, generator: np.random.Generator) -> NDArray[np.float32]:
-    """Directions, colours and softness, see :func:`index.build.photographs.raster.shade`."""
+    """Directions, colours and softness, see :func:`scripts.training.render.raster.shade`."""
     first, second = generator.normal(size=3), generator.normal(size=3)
     first[1] = abs(first[1]) + 0.4
     first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.photographs.materials import Materials
-from index.build.photographs.people import LANDMARK_NAMES, MIRRORED, split_of
-from index.build.photographs.posing import CLASSES, HELD_OUT_SUBJECTS, classes_of
-from index.build.photographs.scene import EMPTY, Photograph, Studio
+from app.vision.judgement import FRAME_POSTURES
+from app.vision.people import LANDMARK_NAMES
 from index.skeleton import JOINT_NAMES
+from scripts.training.render.materials import Materials
+from scripts.training.render.people import MIRRORED, split_of
+from scripts.training.render.posing import HELD_OUT_SUBJECTS, classes_of
+from scripts.training.render.scene import EMPTY, Photograph, Studio
 from tests.conftest import ROOT
 
 SHARED = ROOT.parent / "shared"
@@ -57,12 +59,12 @@ def test_the_class_is_that_of_the_joints(photographs: list[Photograph]) -> None:
         aside = np.cross(up, [0, 0, 1])
         aside /= np.linalg.norm(aside)
         axes = np.stack([aside, up, np.cross(aside, up)])
-        by_joints = CLASSES[classes_of((photograph.joints @ axes.T)[None])[0]]
-        if CLASSES[photograph.posture] == "sitting":
+        by_joints = FRAME_POSTURES[classes_of((photograph.joints @ axes.T)[None])[0]]
+        if FRAME_POSTURES[photograph.posture] == "sitting":
             # People on a seat sit however far they lean, and on a cycle with straight legs too.
             assert by_joints in ("sitting", "bending", "crouching", "standing")
         else:
-            assert by_joints == CLASSES[photograph.posture]
+            assert by_joints == FRAME_POSTURES[photograph.posture]
 
 
 def test_bodies_are_of_human_size(photographs: list[Photograph]) -> None:
@@ -86,11 +88,11 @@ def test_pictures_of_things_show_nobody(studio: Studio) -> None:
 
 def test_postures_that_are_asked_for_can_be_made(studio: Studio) -> None:
     generator = np.random.default_rng(2)
-    for name in CLASSES:
-        made = [studio._body(name, Materials(), generator) for _ in range(40)]
+    for name in FRAME_POSTURES:
+        made = [studio.body(name, Materials(), generator) for _ in range(40)]
         bodies = [body for body in made if body is not None]
         assert bodies, name
-        assert {CLASSES[body.posture] for body in bodies} == {name}
+        assert {FRAME_POSTURES[body.posture] for body in bodies} == {name}
 
 
 def test_riders_sit_with_their_hands_before_them(studio: Studio) -> None:
@@ -99,9 +101,9 @@ def test_riders_sit_with_their_hands_before_them(studio: Studio) -> None:
     shoulders = [LANDMARK_NAMES.index(f"{side}_shoulder") for side in ("left", "right")]
     reach = []
     while len(reach) < 8:
-        body = studio._body("sitting", Materials(), generator)
+        body = studio.body("sitting", Materials(), generator)
         if body is not None and body.support == "cycle":
-            assert CLASSES[body.posture] == "sitting"
+            assert FRAME_POSTURES[body.posture] == "sitting"
             reach.append(body.landmarks[hands, 2].mean() - body.landmarks[shoulders, 2].mean())
     assert np.median(reach) > 0.1
 

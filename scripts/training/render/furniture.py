@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.photographs.materials import Materials, any_colour, cloth, surface
-from index.build.photographs.meshes import Mesh, box, ellipsoid, joined, sheet, tube, wheel
+from scripts.training.render.materials import Materials, any_colour, cloth, surface
+from scripts.training.render.meshes import Mesh, box, ellipsoid, joined, sheet, tube, wheel
 
 Generator = np.random.Generator
 
