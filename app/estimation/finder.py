@@ -165,7 +165,7 @@ def make_observation(
     if reading is None:
         return ObservedPerson(box, source, score, silhouette)
     landmarks = attenuate_visibility_at_border(reading, frame.shape)
-    if silhouette is not None and end_beyond_border(box, landmarks.keypoints(), frame.shape):
+    if silhouette is not None and end_beyond_border(box, landmarks, frame.shape):
         silhouette = replace(silhouette, truncated=True)
     seen = ObservedPerson(
         box, source, score, silhouette, landmarks, reading.presence, reading.next_window

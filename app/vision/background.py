@@ -32,12 +32,7 @@ class BackgroundSegmenter:
         Height of the smallest person wanted, in pixels.
     """
 
-    def __init__(
-        self,
-        background: NDArray[np.uint8],
-        *,
-        min_person_px: float = 50,
-    ) -> None:
+    def __init__(self, background: NDArray[np.uint8], *, min_person_px: float = 50) -> None:
         self._background = background
         self._min_person_px = min_person_px
         self._compared: tuple[NDArray[np.uint8], NDArray[np.bool_]] | None = None
@@ -123,10 +118,7 @@ _CERTAIN_DISTANCE = 8.0
 _POSSIBLE_DISTANCE = 4.0
 
 
-def foreground(
-    frame: NDArray[np.uint8],
-    background: NDArray[np.uint8],
-) -> NDArray[np.bool_]:
+def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Pixels that differ from the background by more than exposure, noise and shadow explain.
 
     Exposure is a gain and an offset for each channel, fitted to the pixels that agree; the noise is
@@ -255,7 +247,7 @@ def _shadow(now: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[
     mean = cv2.blur(light, (5, 5))
     unevenness = np.sqrt(np.maximum(cv2.blur(light**2, (5, 5)) - mean**2, 0))
     darkest, brightest = _SHADOW_LIGHT
-    return np.asarray(
+    return (
         (light > darkest)
         & (light < brightest)
         & (tint < _MAX_SHADOW_TINT)
@@ -268,7 +260,7 @@ def _hysteresis(possible: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDAr
     count, labels = cv2.connectedComponents(possible.astype(np.uint8))
     chosen = np.bincount(labels[certain & possible], minlength=count) > 0
     chosen[0] = False
-    return np.asarray(chosen[labels])
+    return chosen[labels]
 
 
 _MIN_COVER = 0.45  # Share of the nearby difference that half a pixel of a person shows.
@@ -282,7 +274,7 @@ def _without_halo(mask: NDArray[np.bool_], difference: NDArray[np.float32]) -> N
     kernel: NDArray[np.uint8] = np.ones((5, 5), np.uint8)
     inside = cv2.erode(mask.astype(np.uint8), kernel, borderValue=1) > 0
     strongest = cv2.dilate(np.where(mask, difference, 0).astype(np.float32), kernel)
-    return np.asarray(inside | (mask & (difference > _MIN_COVER * strongest)))
+    return inside | (mask & (difference > _MIN_COVER * strongest))
 
 
 # Scores of a region, as a standing or walking body: by its width over height, 0 outside the range,
@@ -311,4 +303,4 @@ def _nearer_to_other(box: Box, other: Box, shape: tuple[int, ...]) -> NDArray[np
     inside_y = (y >= other.y) & (y <= other.bottom)
     own = np.abs(x - box.x - box.width / 2) / box.width
     theirs = np.abs(x - other.x - other.width / 2) / other.width
-    return np.asarray(inside_y[:, None] & (inside_x & (theirs < own))[None, :])
+    return inside_y[:, None] & (inside_x & (theirs < own))[None, :]

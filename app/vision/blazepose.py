@@ -31,116 +31,13 @@ from app.vision.geometry import (
     transform_points,
 )
 from app.vision.odds import sigmoid
-from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints, landmark_rows
+from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
 
-LANDMARKS = 33
-_WINDOW_PX = 256
-_TRUNK, _LEGS = landmark_rows("shoulder", "hip"), landmark_rows("knee", "ankle")
-
-
-def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Interpolate feature maps linearly at the landmarks.
-
-    Parameters
-    ----------
-    maps : (N, S, S, C) float32 array
-    points : (N, 39, 5) array
-        Pixels of the window in the first two columns, see
-        :class:`app.vision.blazepose.NetworkPass`.
-
-    Returns
-    -------
-    (N, 33, C) float32 array
-        Beyond the map's outermost cells, their values are repeated.
-    """
-    count, size = maps.shape[:2]
-    places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / _WINDOW_PX) - 0.5
-    places = np.clip(places, 0.0, size - 1.0)
-    first = np.minimum(places.astype(int), size - 2)
-    share = (places - first).astype(np.float32)
-    rows = np.arange(count)[:, None]
-    x, y = first[..., 0], first[..., 1]
-    across, down = share[..., :1], share[..., 1:]
-    top = (1 - across) * maps[rows, y, x] + across * maps[rows, y, x + 1]
-    bottom = (1 - across) * maps[rows, y + 1, x] + across * maps[rows, y + 1, x + 1]
-    return np.asarray((1 - down) * top + down * bottom, np.float32)
-
-
-def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Means over the trunk and over the legs ``(N, 2 C)`` of a map at the landmarks ``(N, 33, C)``.
-
-    They show what surrounds a body, such as a seat, a blanket, or a table in front of the legs.
-    """
-    parts = [sampled[:, rows].astype(np.float32).mean(axis=1) for rows in (_TRUNK, _LEGS)]
-    return np.hstack(parts)
-
-
-POINTS = 39
-"""33 landmarks, and 6 points of the circle about the body."""
-
-MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
-"""Rows, columns and channels of the feature maps: middle and last."""
-
-
-@dataclass(frozen=True)
-class NetworkPass:
-    """The output of one pass.
-
-    Parameters
-    ----------
-    points : (39, 5) float32 array
-        x and y in pixels of the window from the corner of its first pixel, depth in the same
-        pixels, log odds of visibility and of presence.
-    world : (39, 3) float32 array
-        Metres about the middle of the hips: x and y along the window's sides, z along its line
-        of sight.
-    presence : float
-        The network's probability that a person is in the window.
-    middle : (8, 8, 144) float32 array
-        Feature map.
-    last : (2, 2, 288) float32 array
-        Feature map.
-    """
-
-    points: NDArray[np.float32]
-    world: NDArray[np.float32]
-    presence: float
-    middle: NDArray[np.float32]
-    last: NDArray[np.float32]
-
-    def __post_init__(self) -> None:
-        shapes = (self.points.shape, self.world.shape)
-        maps = (self.middle.shape, self.last.shape)
-        if shapes != ((POINTS, 5), (POINTS, 3)) or maps != MAP_SHAPES:
-            raise ValueError(
-                f"expected points (39, 5), world (39, 3) and maps {MAP_SHAPES}, "
-                f"got {shapes} and {maps}"
-            )
-
-    @cached_property
-    def sampled(self) -> NDArray[np.float32]:
-        """The middle map at the landmarks ``(33, 144)``."""
-        return np.asarray(sample_map(self.middle[None], self.points[None])[0])
-
+LANDMARKS = len(LANDMARK_NAMES)
 
 LANDMARK_PX = 256
 """Side of the landmark network's input and mask."""
-
-# Points of the landmark network: the landmarks, the centre of the circle about the body, its point
-# in the direction of the head, and others. Each has x, y, z, visibility and presence.
-_POINT_VALUES = 5
-_CIRCLE_CENTRE, _CIRCLE_TOP = 33, 34
-_LANDMARKS = len(LANDMARK_NAMES)
-
-DETECTOR_PX = 224
-"""Side of the detector's input."""
-
-ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
-"""Stride of each grid in pixels, and anchors per cell."""
-
-_ANCHORS, _ANCHOR_VALUES = 2254, 12
-_NMS_IOU = 0.3
 
 
 @dataclass(frozen=True)
@@ -183,6 +80,83 @@ class PoseReading:
         return self.window.drift(self.next_window)
 
 
+MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
+"""Rows, columns and channels of the feature maps: middle and last."""
+
+# Points of the landmark network: the landmarks, the centre of the circle about the body, its point
+# in the direction of the head, and others. Each has x, y, z, visibility and presence.
+_POINTS, _POINT_VALUES = 39, 5
+_CIRCLE_CENTRE, _CIRCLE_TOP = 33, 34
+
+
+@dataclass(frozen=True)
+class NetworkPass:
+    """The raw output of one pass of the landmark network.
+
+    Parameters
+    ----------
+    points : (39, 5) float32 array
+        x and y in pixels of the window from the corner of its first pixel, depth in the same
+        pixels, log odds of visibility and of presence.
+    world : (39, 3) float32 array
+        Metres about the middle of the hips: x and y along the window's sides, z along its line
+        of sight.
+    presence : float
+        The network's probability that a person is in the window.
+    middle : (8, 8, 144) float32 array
+        Feature map.
+    last : (2, 2, 288) float32 array
+        Feature map.
+    """
+
+    points: NDArray[np.float32]
+    world: NDArray[np.float32]
+    presence: float
+    middle: NDArray[np.float32]
+    last: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        shapes = (self.points.shape, self.world.shape)
+        maps = (self.middle.shape, self.last.shape)
+        if shapes != ((_POINTS, 5), (_POINTS, 3)) or maps != MAP_SHAPES:
+            raise ValueError(
+                f"expected points (39, 5), world (39, 3) and maps {MAP_SHAPES}, "
+                f"got {shapes} and {maps}"
+            )
+
+    @cached_property
+    def sampled(self) -> NDArray[np.float32]:
+        """The middle map at the landmarks ``(33, 144)``."""
+        return sample_map(self.middle[None], self.points[None])[0]
+
+
+def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Interpolate feature maps linearly at the landmarks.
+
+    Parameters
+    ----------
+    maps : (N, S, S, C) float32 array
+    points : (N, 39, 5) array
+        Pixels of the window in the first two columns, see :class:`NetworkPass`.
+
+    Returns
+    -------
+    (N, 33, C) float32 array
+        Beyond the map's outermost cells, their values are repeated.
+    """
+    count, size = maps.shape[:2]
+    places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / LANDMARK_PX) - 0.5
+    places = np.clip(places, 0.0, size - 1.0)
+    first = np.minimum(places.astype(int), size - 2)
+    share = (places - first).astype(np.float32)
+    rows = np.arange(count)[:, None]
+    x, y = first[..., 0], first[..., 1]
+    across, down = share[..., :1], share[..., 1:]
+    top = (1 - across) * maps[rows, y, x] + across * maps[rows, y, x + 1]
+    bottom = (1 - across) * maps[rows, y + 1, x] + across * maps[rows, y + 1, x + 1]
+    return np.asarray((1 - down) * top + down * bottom, np.float32)
+
+
 class LandmarkNetwork:
     """BlazePose's landmark network; thread-safe.
 
@@ -194,10 +168,10 @@ class LandmarkNetwork:
             path,
             (LANDMARK_PX, LANDMARK_PX, 3),
             [
-                (_POINT_VALUES * POINTS,),
+                (_POINT_VALUES * _POINTS,),
                 (1,),
                 (LANDMARK_PX, LANDMARK_PX, 1),
-                (3 * POINTS,),
+                (3 * _POINTS,),
                 *MAP_SHAPES,
             ],
             threads=threads,
@@ -208,18 +182,18 @@ class LandmarkNetwork:
         """Read the person in a window of a frame ``(H, W, 3)``, BGR."""
         image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
         values, presence, log_odds, world, *maps = self._network.run(image * np.float32(1 / 255))
-        raw_points, raw_world = values.reshape(POINTS, _POINT_VALUES), world.reshape(POINTS, 3)
+        raw_points, raw_world = values.reshape(_POINTS, _POINT_VALUES), world.reshape(_POINTS, 3)
         points = raw_points.astype(np.float64)
         to_frame = window.to_frame(LANDMARK_PX)
         # The network counts pixels from the corner of the first one.
         positions = transform_points(to_frame, points[:, :2] - 0.5)
-        visibility = sigmoid(points[:_LANDMARKS, 3])
-        metres = raw_world[:_LANDMARKS].astype(np.float64)
+        visibility = sigmoid(points[:LANDMARKS, 3])
+        metres = raw_world[:LANDMARKS].astype(np.float64)
         rotation = to_frame[:, :2] / (window.side / LANDMARK_PX)
         metres = np.hstack([metres[:, :2] @ rotation.T, metres[:, 2:]])
         return PoseReading(
             window,
-            Landmarks(positions[:_LANDMARKS], visibility, metres),
+            Landmarks(positions[:LANDMARKS], visibility, metres),
             float(presence[0]),
             sigmoid(log_odds[..., 0]),
             PersonWindow.about_circle(positions[_CIRCLE_CENTRE], positions[_CIRCLE_TOP]),
@@ -241,6 +215,16 @@ class BlazePoseDetection:
 
     window: PersonWindow
     score: float
+
+
+DETECTOR_PX = 224
+"""Side of the detector's input."""
+
+ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
+"""Stride of each grid in pixels, and anchors per cell."""
+
+_ANCHORS, _ANCHOR_VALUES = 2254, 12
+_NMS_IOU = 0.3
 
 
 class BlazePoseDetector:

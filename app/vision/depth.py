@@ -1,7 +1,8 @@
-"""Depth of landmarks, corrected by a network trained on rendered people, with its uncertainty.
+"""Landmarks in space: their depths, corrected by a network trained on rendered people.
 
 The landmark network's depth errs by 0.1 m and more. A small network reads its feature map at the
-landmarks and predicts these errors, with the scale of a Laplace distribution for each.
+landmarks and predicts these errors, with the scale of a Laplace distribution for each. The
+landmarks are then placed on their lines of sight.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LANDMARKS, NetworkPass
+from app.vision.blazepose import LANDMARK_PX, LANDMARKS, NetworkPass
 from app.vision.geometry import PersonWindow
 from app.vision.odds import sigmoid
 from app.vision.optics import (
@@ -23,6 +24,211 @@ from app.vision.optics import (
     window_axes,
 )
 from app.vision.people import LANDMARK_NAMES, Landmarks, landmark_rows
+
+HIPS = landmark_rows("hip")
+
+
+@dataclass(frozen=True)
+class Body3D:
+    """Landmarks in three dimensions.
+
+    Parameters
+    ----------
+    points : (33, 3) float64 array
+        Metres about the middle of the hips, camera axes: x right, y down, z forward.
+    sigmas : (33,) float64 array
+        Expected absolute error along the line of sight, metres.
+    origin : (3,) float64 array
+        The middle of the hips, metres from the camera, estimated from the body's size.
+    sight : (3, 3) float64 array
+        Rotation from camera axes to those of the window's line of sight (without its roll).
+    """
+
+    points: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    sight: NDArray[np.float64]
+
+    @property
+    def depth_sd(self) -> NDArray[np.float64]:
+        """Standard deviations ``(33,)`` of the depths, those of Laplace distributions, metres."""
+        return np.sqrt(2) * self.sigmas
+
+    def along_sight(self, camera: PinholeCamera, landmarks: Landmarks) -> NDArray[np.float64]:
+        """The points ``(33, 3)`` in the axes of the line of sight to the hips."""
+        hips = landmarks.positions[HIPS].mean(axis=0)
+        return self.points @ to_line_of_sight(camera.rays(hips)).T
+
+
+_MIN_WEIGHT = 0.05  # Of unseen landmarks when a body is placed.
+
+
+def body_of(
+    given: NetworkPass,
+    window: PersonWindow,
+    camera: PinholeCamera,
+    depths: Depths,
+    places: NDArray[np.float64],
+    visibility: NDArray[np.float64],
+) -> Body3D:
+    """Put the landmarks of a pass onto their lines of sight at corrected depths.
+
+    Parameters
+    ----------
+    given : NetworkPass
+    window : PersonWindow
+        The window that was read.
+    camera : PinholeCamera
+        Camera that took the frame.
+    depths : Depths
+    places : (33, 2) float64 array
+        The landmarks in the frame, pixels.
+    visibility : (33,) float64 array
+        Probability that each landmark is seen; its weight when the body is placed.
+    """
+    axes = window_axes(camera, window)
+    metres = given.world[:LANDMARKS].astype(np.float64)
+    metres = metres - metres[HIPS].mean(axis=0)
+    metres[:, 2] = depths.metres
+    weights = np.maximum(visibility, _MIN_WEIGHT)
+    placed = place_on_sight_lines(metres, camera.rays(places), axes, weights)
+    hips = placed.points[HIPS].mean(axis=0)
+    sight = roll_rotation(-window.roll_deg) @ axes
+    return Body3D(placed.points - hips, depths.sigmas, hips, sight)
+
+
+@dataclass(frozen=True)
+class Depths:
+    """Depths of landmarks.
+
+    Parameters
+    ----------
+    metres : (33,) float64 array
+        Along the window's line of sight, about the middle of the hips.
+    sigmas : (33,) float64 array
+        Expected absolute error of each depth, metres.
+    """
+
+    metres: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DepthModel:
+    """Corrects depths.
+
+    Parameters
+    ----------
+    network : DenseNetwork
+    """
+
+    network: DenseNetwork
+
+    def correct(self, given: NetworkPass, window: PersonWindow, camera: PinholeCamera) -> Depths:
+        """Correct the depths of one pass over a window."""
+        places = np.array([[window.x, window.y, window.side, window.roll_deg]])
+        sight = sight_features(places, camera.focal[None], camera.centre[None])
+        features = depth_features(given.points[None], given.world[None], given.sampled[None], sight)
+        metres, sigmas = decode_depths(self.network(features), network_depths(given.world[None]))
+        return Depths(metres[0], sigmas[0])
+
+
+def network_depths(world: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The landmark network's own depths ``(N, 33)``, about the middle of the hips."""
+    depths = world[:, :LANDMARKS, 2].astype(np.float64)
+    return depths - depths[:, HIPS].mean(axis=1, keepdims=True)
+
+
+def sight_features(
+    windows: NDArray[np.float64], focal: NDArray[np.float64], centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Directions and sizes in which windows are seen: ``(N, 5)``.
+
+    Parameters
+    ----------
+    windows : (N, 4) float64 array
+        x, y, side, roll in degrees.
+    focal, centre : (N, 2) float64 array
+        Focal lengths and principal points of the cameras, pixels.
+
+    Returns
+    -------
+    (N, 5) float64 array
+        The ray to the middle along the window's sides, the window's angular size, cosine and sine
+        of its roll.
+    """
+    ray = (windows[:, :2] - centre) / focal
+    turned = np.einsum("nij,nj->ni", roll_rotation(windows[:, 3])[:, :2, :2], ray)
+    size = windows[:, 2] / focal[:, 0] / np.sqrt(1 + (ray**2).sum(axis=1))
+    roll = np.deg2rad(windows[:, 3])
+    return np.column_stack([turned, size, np.cos(roll), np.sin(roll)])
+
+
+# Landmarks at which the network reads the feature map.
+_MAP_ROWS = [
+    LANDMARK_NAMES.index("nose"),
+    *landmark_rows("ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index"),
+]
+
+
+def depth_features(
+    points: NDArray[np.floating],
+    world: NDArray[np.floating],
+    sampled: NDArray[np.floating],
+    sight: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Inputs of the network: ``(N, F)``.
+
+    Parameters
+    ----------
+    points : (N, 39, 5) array
+    world : (N, 39, 3) array
+        See :class:`app.vision.blazepose.NetworkPass`.
+    sampled : (N, 33, 144) array
+        The middle map at the landmarks.
+    sight : (N, 5) float64 array
+        See :func:`sight_features`.
+    """
+    count = len(points)
+    places = points[:, :LANDMARKS].astype(np.float64)
+    odds = np.clip(places[..., 3], -12, 12)
+    metres = world[:, :LANDMARKS].astype(np.float64)
+    return np.concatenate(
+        [
+            (places[..., :2] / (LANDMARK_PX / 2) - 1).reshape(count, -1),
+            places[..., 2] / (LANDMARK_PX / 2),
+            sigmoid(odds),
+            metres.reshape(count, -1),
+            sight,
+            sampled[:, _MAP_ROWS].reshape(count, -1),
+        ],
+        axis=1,
+    ).astype(np.float32)
+
+
+RESIDUAL_M = 0.1
+"""Unit of the network's outputs."""
+
+_SIGMA_M = (0.005, 1.0)  # Limits of sigmas.
+
+
+def decode_depths(
+    outputs: NDArray[np.floating], own: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corrected depths and their sigmas, ``(N, 33)`` each, about the middle of the hips.
+
+    Parameters
+    ----------
+    outputs : (N, 66) array
+        Residuals in :data:`RESIDUAL_M`, then logarithms of sigmas in the same unit.
+    own : (N, 33) float64 array
+        See :func:`network_depths`.
+    """
+    residuals, logarithms = outputs[:, :LANDMARKS], outputs[:, LANDMARKS:]
+    depths = own + RESIDUAL_M * residuals.astype(np.float64)
+    depths -= depths[:, HIPS].mean(axis=1, keepdims=True)
+    sigmas = RESIDUAL_M * np.exp(np.clip(logarithms.astype(np.float64), -6, 6))
+    return depths, np.clip(sigmas, *_SIGMA_M)
 
 
 @dataclass(frozen=True)
@@ -85,217 +291,3 @@ class DenseNetwork:
             tuple(array(f"weights.{number}") for number in range(layers)),
             tuple(array(f"biases.{number}") for number in range(layers)),
         )
-
-
-def softmax(scores: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Probabilities along the last axis."""
-    shifted = np.exp(scores - scores.max(axis=-1, keepdims=True), dtype=np.float64)
-    return np.asarray(shifted / shifted.sum(axis=-1, keepdims=True))
-
-
-MAP_ROWS = [
-    LANDMARK_NAMES.index("nose"),
-    *landmark_rows("ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index"),
-]
-"""Landmarks at which the feature map is sampled."""
-
-HIPS = landmark_rows("hip")
-
-RESIDUAL_M = 0.1
-"""Unit of the network's outputs."""
-
-SIGMA_M = (0.005, 1.0)
-"""Limits of sigmas."""
-
-_WINDOW_PX = 256
-
-
-@dataclass(frozen=True)
-class Depths:
-    """Depths of landmarks.
-
-    Parameters
-    ----------
-    metres : (33,) float64 array
-        Along the window's line of sight, about the middle of the hips.
-    sigmas : (33,) float64 array
-        Expected absolute error of each depth, metres.
-    """
-
-    metres: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
-
-
-def network_depths(world: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The landmark network's own depths ``(N, 33)``, about the middle of the hips."""
-    depths = world[:, :LANDMARKS, 2].astype(np.float64)
-    return np.asarray(depths - depths[:, HIPS].mean(axis=1, keepdims=True))
-
-
-def sight_features(
-    windows: NDArray[np.float64], focal: NDArray[np.float64], centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Directions and sizes in which windows are seen: ``(N, 5)``.
-
-    Parameters
-    ----------
-    windows : (N, 4) float64 array
-        x, y, side, roll in degrees.
-    focal, centre : (N, 2) float64 array
-        Focal lengths and principal points of the cameras, pixels.
-
-    Returns
-    -------
-    (N, 5) float64 array
-        The ray to the middle along the window's sides, the window's angular size, cosine and sine
-        of its roll.
-    """
-    ray = (windows[:, :2] - centre) / focal
-    turned = np.einsum("nij,nj->ni", roll_rotation(windows[:, 3])[:, :2, :2], ray)
-    size = windows[:, 2] / focal[:, 0] / np.sqrt(1 + (ray**2).sum(axis=1))
-    roll = np.deg2rad(windows[:, 3])
-    return np.column_stack([turned, size, np.cos(roll), np.sin(roll)])
-
-
-def depth_features(
-    points: NDArray[np.floating],
-    world: NDArray[np.floating],
-    sampled: NDArray[np.floating],
-    sight: NDArray[np.float64],
-) -> NDArray[np.float32]:
-    """Inputs of the network: ``(N, F)``.
-
-    Parameters
-    ----------
-    points : (N, 39, 5) array
-    world : (N, 39, 3) array
-        See :class:`app.vision.blazepose.NetworkPass`.
-    sampled : (N, 33, 144) array
-        The middle map at the landmarks.
-    sight : (N, 5) float64 array
-        See :func:`sight_features`.
-    """
-    count = len(points)
-    places = points[:, :LANDMARKS].astype(np.float64)
-    odds = np.clip(places[..., 3], -12, 12)
-    metres = world[:, :LANDMARKS].astype(np.float64)
-    return np.concatenate(
-        [
-            (places[..., :2] / (_WINDOW_PX / 2) - 1).reshape(count, -1),
-            places[..., 2] / (_WINDOW_PX / 2),
-            sigmoid(odds),
-            metres.reshape(count, -1),
-            sight,
-            sampled[:, MAP_ROWS].reshape(count, -1),
-        ],
-        axis=1,
-    ).astype(np.float32)
-
-
-def decode_depths(
-    outputs: NDArray[np.floating], own: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corrected depths and their sigmas, ``(N, 33)`` each, about the middle of the hips.
-
-    Parameters
-    ----------
-    outputs : (N, 66) array
-        Residuals in :data:`RESIDUAL_M`, then logarithms of sigmas in the same unit.
-    own : (N, 33) float64 array
-        See :func:`network_depths`.
-    """
-    residuals, logarithms = outputs[:, :LANDMARKS], outputs[:, LANDMARKS:]
-    depths = own + RESIDUAL_M * residuals.astype(np.float64)
-    depths -= depths[:, HIPS].mean(axis=1, keepdims=True)
-    sigmas = RESIDUAL_M * np.exp(np.clip(logarithms.astype(np.float64), -6, 6))
-    return depths, np.clip(sigmas, *SIGMA_M)
-
-
-@dataclass(frozen=True)
-class DepthModel:
-    """Corrects depths.
-
-    Parameters
-    ----------
-    network : DenseNetwork
-    """
-
-    network: DenseNetwork
-
-    def correct(self, given: NetworkPass, window: PersonWindow, camera: PinholeCamera) -> Depths:
-        """Correct the depths of one pass over a window."""
-        places = np.array([[window.x, window.y, window.side, window.roll_deg]])
-        sight = sight_features(places, camera.focal[None], camera.centre[None])
-        features = depth_features(given.points[None], given.world[None], given.sampled[None], sight)
-        metres, sigmas = decode_depths(self.network(features), network_depths(given.world[None]))
-        return Depths(metres[0], sigmas[0])
-
-
-MIN_WEIGHT = 0.05
-"""Weight of unseen landmarks when a body is placed."""
-
-
-@dataclass(frozen=True)
-class Body3D:
-    """Landmarks in three dimensions.
-
-    Parameters
-    ----------
-    points : (33, 3) float64 array
-        Metres about the middle of the hips, camera axes: x right, y down, z forward.
-    sigmas : (33,) float64 array
-        Expected absolute error along the line of sight, metres.
-    origin : (3,) float64 array
-        The middle of the hips, metres from the camera, estimated from the body's size.
-    sight : (3, 3) float64 array
-        Rotation from camera axes to those of the window's line of sight (without its roll).
-    """
-
-    points: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
-    origin: NDArray[np.float64]
-    sight: NDArray[np.float64]
-
-    @property
-    def depth_sd(self) -> NDArray[np.float64]:
-        """Standard deviations ``(33,)`` of the depths, those of Laplace distributions, metres."""
-        return np.asarray(np.sqrt(2) * self.sigmas)
-
-    def along_sight(self, camera: PinholeCamera, landmarks: Landmarks) -> NDArray[np.float64]:
-        """The points ``(33, 3)`` in the axes of the line of sight to the hips."""
-        hips = landmarks.positions[HIPS].mean(axis=0)
-        return np.asarray(self.points @ to_line_of_sight(camera.rays(hips)).T)
-
-
-def body_of(
-    given: NetworkPass,
-    window: PersonWindow,
-    camera: PinholeCamera,
-    depths: Depths,
-    places: NDArray[np.float64],
-    visibility: NDArray[np.float64],
-) -> Body3D:
-    """Put the landmarks of a pass onto their lines of sight at corrected depths.
-
-    Parameters
-    ----------
-    given : NetworkPass
-    window : PersonWindow
-        The window that was read.
-    camera : PinholeCamera
-        Camera that took the frame.
-    depths : Depths
-    places : (33, 2) float64 array
-        The landmarks in the frame, pixels.
-    visibility : (33,) float64 array
-        Probability that each landmark is seen; its weight when the body is placed.
-    """
-    axes = window_axes(camera, window)
-    metres = given.world[:LANDMARKS].astype(np.float64)
-    metres = metres - metres[HIPS].mean(axis=0)
-    metres[:, 2] = depths.metres
-    weights = np.maximum(visibility, MIN_WEIGHT)
-    placed = place_on_sight_lines(metres, camera.rays(places), axes, weights)
-    hips = placed.points[HIPS].mean(axis=0)
-    sight = roll_rotation(-window.roll_deg) @ axes
-    return Body3D(placed.points - hips, depths.sigmas, hips, np.asarray(sight))

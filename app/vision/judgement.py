@@ -15,10 +15,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LANDMARK_PX, LANDMARKS, NetworkPass, PoseReading, region_features
-from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of, softmax
+from app.vision.blazepose import LANDMARK_PX, LANDMARKS, NetworkPass, PoseReading
+from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of
 from app.vision.models import network_path
-from app.vision.odds import logit, sigmoid
+from app.vision.odds import logit, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
 from app.vision.tflite import NetworkError
@@ -256,7 +256,7 @@ class PostureModel:
     by_body : DenseNetwork
         Scores of :data:`FRAME_POSTURES`, from :func:`posture_features` and :func:`trust_features`.
     by_surroundings : DenseNetwork
-        The same scores, from :func:`app.vision.blazepose.region_features` as well.
+        The same scores, from :func:`region_features` as well.
     sharpness : (2,) float64 array
         The scores are multiplied by a factor: the less of a person is seen, the less certain is the
         posture. These are the factor's logarithm if landmarks are as likely right as wrong, and its
@@ -293,6 +293,18 @@ def sharpened(
     return softmax(scores * factors[:, None])
 
 
+_TRUNK, _LEGS = landmark_rows("shoulder", "hip"), landmark_rows("knee", "ankle")
+
+
+def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Means over the trunk and over the legs ``(N, 2 C)`` of a map at the landmarks ``(N, 33, C)``.
+
+    They show what surrounds a body, such as a seat, a blanket, or a table in front of the legs.
+    """
+    parts = [sampled[:, rows].astype(np.float32).mean(axis=1) for rows in (_TRUNK, _LEGS)]
+    return np.hstack(parts)
+
+
 _EXTENT = [*_SHOULDERS, *HIPS, *_KNEES, *_ANKLES, *_EARS]
 
 
@@ -323,7 +335,7 @@ def posture_features(
     """
 
     def middle(rows: list[int]) -> NDArray[np.float64]:
-        return np.asarray(points[:, rows].mean(axis=1))
+        return points[:, rows].mean(axis=1)
 
     trunk = middle(_SHOULDERS) - middle(HIPS)
     thighs = points[:, _KNEES] - points[:, HIPS]
@@ -373,4 +385,4 @@ def _slopes(bones: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(lengths, 1e-6))
+    return vectors / np.maximum(lengths, 1e-6)

@@ -24,21 +24,7 @@ from app.vision.geometry import Box, PixelRect, crop_and_resize
 from app.vision.people import COCO_NAMES, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
 
-CELL_PX = 4
-"""Pixels of the input per heatmap cell, each way."""
-
-KEYPOINTS = len(COCO_NAMES)
-
-MIN_KEYPOINT_SCORE = 0.127
-"""Score below which keypoints are left out of a person's score, as in Google's graph."""
-
-# The sides of the input are multiples of this.
-_INPUT_MULTIPLE_PX = 32
-# Channels of the network's heads, in the order of `decode_heads`.
-_CHANNELS = (1, 2, 2, 2 * KEYPOINTS, KEYPOINTS, 2 * KEYPOINTS)
-# Variance of the Gaussian that weights a heatmap about the first guess, relative to the heatmap's
-# shorter side; from Google's graph.
-_GUESS_SPREAD = 0.3
+_KEYPOINTS = len(COCO_NAMES)
 
 
 @dataclass(frozen=True)
@@ -60,6 +46,12 @@ class MoveNetDetection:
     score: float
     centre_score: float
     keypoints: ObservedKeypoints
+
+
+# The sides of the input are multiples of this.
+_INPUT_MULTIPLE_PX = 32
+# Channels of the network's heads, in the order of `decode_heads`.
+_CHANNELS = (1, 2, 2, 2 * _KEYPOINTS, _KEYPOINTS, 2 * _KEYPOINTS)
 
 
 class MoveNet:
@@ -90,82 +82,6 @@ class MoveNet:
         padded: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
         padded[:height, :width] = image[..., ::-1]
         return decode_heads(self._network.run(padded))
-
-
-_MAX_PEOPLE = 60  # Most people found in one pass of the network.
-_MIN_CENTRE_SCORE = 0.03
-
-
-def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
-    """Decode the network's heads into people, highest centre score first.
-
-    Parameters
-    ----------
-    heads : sequence of (h, w, C) float32 arrays
-        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
-        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
-        cell (34); rows before columns, in cells.
-    """
-    centres = heads[0][..., 0]
-    highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
-    is_peak = (centres >= highest - 1e-6) & (centres >= _MIN_CENTRE_SCORE)
-    rows, columns = np.nonzero(is_peak)
-    order = np.argsort(-centres[rows, columns], kind="stable")[:_MAX_PEOPLE]
-    found = (_decode_person(heads, int(rows[i]), int(columns[i])) for i in order)
-    return [person for person in found if person is not None]
-
-
-_MIN_BOX_CELLS = 0.25  # Sides of a box in heatmap cells; smaller ones are empty.
-
-
-def _decode_person(
-    heads: Sequence[NDArray[np.float32]], row: int, column: int
-) -> MoveNetDetection | None:
-    """Decode the person whose centre lies in a cell; None if the box is empty."""
-    centres, sizes, offsets, guesses, heatmaps, refinements = heads
-    cells = np.array(centres.shape[:2])
-    middle = np.array([row, column]) + offsets[row, column]
-    half = np.maximum(sizes[row, column], 0) / 2
-    low, high = np.clip(middle - half, 0, cells), np.clip(middle + half, 0, cells)
-    if (high - low < _MIN_BOX_CELLS).any():
-        return None
-    first = np.minimum(np.ceil(low).astype(int), cells - 1)
-    last = np.maximum(np.ceil(high).astype(int), first + 1)
-    guess = guesses[row, column].reshape(KEYPOINTS, 2) + np.array([row, column])
-    inside = heatmaps[first[0] : last[0], first[1] : last[1]]
-    at, scores = _heatmap_peaks(inside, first, guess, _GUESS_SPREAD * cells.min())
-    which = np.arange(KEYPOINTS)
-    refined = at + refinements[at[:, 0], at[:, 1]].reshape(KEYPOINTS, KEYPOINTS, 2)[which, which]
-    visible = scores > MIN_KEYPOINT_SCORE
-    mean = float(scores[visible].mean()) if visible.any() else 0.0
-    centre = float(centres[row, column, 0])
-    top, left, bottom, right = (float(CELL_PX * edge - 0.5) for edge in (*low, *high))
-    return MoveNetDetection(
-        Box.from_edges(left, top, right, bottom),
-        centre * mean,
-        centre,
-        ObservedKeypoints(CELL_PX * refined[:, ::-1].astype(np.float64) - 0.5, scores),
-    )
-
-
-def _heatmap_peaks(
-    heatmaps: NDArray[np.float32],
-    first: NDArray[np.int_],
-    guess: NDArray[np.float32],
-    variance: float,
-) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
-    """Cells ``(17, 2)`` and scores ``(17,)`` of the keypoints in a part of the heatmaps.
-
-    ``first`` is the part's first cell. Heatmaps are weighted about the guesses ``(17, 2)``.
-    """
-    rows, columns = heatmaps.shape[:2]
-    down = np.arange(first[0], first[0] + rows)[:, None] - guess[:, 0]
-    across = np.arange(first[1], first[1] + columns)[:, None] - guess[:, 1]
-    near = np.exp(-(down**2) / variance)[:, None] * np.exp(-(across**2) / variance)[None]
-    weighted = (heatmaps * near).reshape(-1, KEYPOINTS)
-    best = weighted.argmax(axis=0)
-    scores = np.clip(weighted[best, np.arange(KEYPOINTS)], 0, 1).astype(np.float64)
-    return np.stack([first[0] + best // columns, first[1] + best % columns], axis=-1), scores
 
 
 _MIN_IOU = 0.2  # Overlap with the person's box from which a detection may be theirs.
@@ -214,3 +130,88 @@ def keypoint_window(box: Box) -> tuple[PixelRect, int, int]:
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)
     return (left, top, width, height), columns, rows
+
+
+CELL_PX = 4
+"""Pixels of the input per heatmap cell, each way."""
+
+MIN_KEYPOINT_SCORE = 0.127
+"""Score below which keypoints are left out of a person's score, as in Google's graph."""
+
+_MAX_PEOPLE = 60  # Most people found in one pass of the network.
+_MIN_CENTRE_SCORE = 0.03
+
+
+def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
+    """Decode the network's heads into people, highest centre score first.
+
+    Parameters
+    ----------
+    heads : sequence of (h, w, C) float32 arrays
+        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
+        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
+        cell (34); rows before columns, in cells.
+    """
+    centres = heads[0][..., 0]
+    highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
+    is_peak = (centres >= highest - 1e-6) & (centres >= _MIN_CENTRE_SCORE)
+    rows, columns = np.nonzero(is_peak)
+    order = np.argsort(-centres[rows, columns], kind="stable")[:_MAX_PEOPLE]
+    found = (_decode_person(heads, int(rows[i]), int(columns[i])) for i in order)
+    return [person for person in found if person is not None]
+
+
+_MIN_BOX_CELLS = 0.25  # Sides of a box in heatmap cells; smaller ones are empty.
+# Variance of the Gaussian that weights a heatmap about the first guess, relative to the heatmap's
+# shorter side; from Google's graph.
+_GUESS_SPREAD = 0.3
+
+
+def _decode_person(
+    heads: Sequence[NDArray[np.float32]], row: int, column: int
+) -> MoveNetDetection | None:
+    """Decode the person whose centre lies in a cell; None if the box is empty."""
+    centres, sizes, offsets, guesses, heatmaps, refinements = heads
+    cells = np.array(centres.shape[:2])
+    middle = np.array([row, column]) + offsets[row, column]
+    half = np.maximum(sizes[row, column], 0) / 2
+    low, high = np.clip(middle - half, 0, cells), np.clip(middle + half, 0, cells)
+    if (high - low < _MIN_BOX_CELLS).any():
+        return None
+    first = np.minimum(np.ceil(low).astype(int), cells - 1)
+    last = np.maximum(np.ceil(high).astype(int), first + 1)
+    guess = guesses[row, column].reshape(_KEYPOINTS, 2) + np.array([row, column])
+    inside = heatmaps[first[0] : last[0], first[1] : last[1]]
+    at, scores = _heatmap_peaks(inside, first, guess, _GUESS_SPREAD * cells.min())
+    which = np.arange(_KEYPOINTS)
+    refined = at + refinements[at[:, 0], at[:, 1]].reshape(_KEYPOINTS, _KEYPOINTS, 2)[which, which]
+    visible = scores > MIN_KEYPOINT_SCORE
+    mean = float(scores[visible].mean()) if visible.any() else 0.0
+    centre = float(centres[row, column, 0])
+    top, left, bottom, right = (float(CELL_PX * edge - 0.5) for edge in (*low, *high))
+    return MoveNetDetection(
+        Box.from_edges(left, top, right, bottom),
+        centre * mean,
+        centre,
+        ObservedKeypoints(CELL_PX * refined[:, ::-1].astype(np.float64) - 0.5, scores),
+    )
+
+
+def _heatmap_peaks(
+    heatmaps: NDArray[np.float32],
+    first: NDArray[np.int_],
+    guess: NDArray[np.float32],
+    variance: float,
+) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    """Cells ``(17, 2)`` and scores ``(17,)`` of the keypoints in a part of the heatmaps.
+
+    ``first`` is the part's first cell. Heatmaps are weighted about the guesses ``(17, 2)``.
+    """
+    rows, columns = heatmaps.shape[:2]
+    down = np.arange(first[0], first[0] + rows)[:, None] - guess[:, 0]
+    across = np.arange(first[1], first[1] + columns)[:, None] - guess[:, 1]
+    near = np.exp(-(down**2) / variance)[:, None] * np.exp(-(across**2) / variance)[None]
+    weighted = (heatmaps * near).reshape(-1, _KEYPOINTS)
+    best = weighted.argmax(axis=0)
+    scores = np.clip(weighted[best, np.arange(_KEYPOINTS)], 0, 1).astype(np.float64)
+    return np.stack([first[0] + best // columns, first[1] + best % columns], axis=-1), scores

@@ -1,4 +1,4 @@
-"""Probabilities and their log odds."""
+"""Probabilities, from log odds and scores, and back."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Scalar = TypeVar("Scalar", np.float32, np.float64)
+_Float = TypeVar("_Float", np.float32, np.float64)
 
 
-def sigmoid(odds: NDArray[Scalar]) -> NDArray[Scalar]:
+def sigmoid(odds: NDArray[_Float]) -> NDArray[_Float]:
     """Probabilities of log odds, of the same type; never 0 or 1, however large the odds."""
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
@@ -29,3 +29,9 @@ def logit(probabilities: NDArray[np.float64], min_probability: float) -> NDArray
 def log_odds(probability: float, min_probability: float = 1e-3) -> float:
     """The finite log odds of one probability; see :func:`logit`."""
     return float(logit(np.array(probability, np.float64), min_probability))
+
+
+def softmax(scores: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Probabilities along the last axis."""
+    shifted = np.exp(scores - scores.max(axis=-1, keepdims=True), dtype=np.float64)
+    return shifted / shifted.sum(axis=-1, keepdims=True)

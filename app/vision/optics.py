@@ -90,7 +90,7 @@ class PinholeCamera:
     def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Places ``(..., 2)`` in pixels of points ``(..., 3)`` in front of the camera."""
         points = np.asarray(points, np.float64)
-        return np.asarray(points[..., :2] / points[..., 2:] * self.focal + self.centre)
+        return points[..., :2] / points[..., 2:] * self.focal + self.centre
 
 
 def to_line_of_sight(rays: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -128,7 +128,7 @@ def roll_rotation(roll_deg: NDArray[np.float64] | float) -> NDArray[np.float64]:
 def window_axes(camera: PinholeCamera, window: PersonWindow) -> NDArray[np.float64]:
     """Rotation ``(3, 3)`` from camera axes to those of a window: z along its line of sight."""
     line = to_line_of_sight(camera.rays(np.array([window.x, window.y])))
-    return np.asarray(roll_rotation(window.roll_deg) @ line)
+    return roll_rotation(window.roll_deg) @ line
 
 
 @dataclass(frozen=True)

@@ -125,10 +125,6 @@ class Landmarks:
         width, height = np.maximum(1.0, np.ptp(self.positions, axis=0)).tolist()
         return Box(left, top, width, height)
 
-    def keypoints(self) -> ObservedKeypoints:
-        """The 17 COCO keypoints among the landmarks."""
-        return ObservedKeypoints(self.positions[COCO_LANDMARKS], self.visibility[COCO_LANDMARKS])
-
 
 @dataclass(frozen=True)
 class Detection:
@@ -200,7 +196,7 @@ class Silhouette:
         """Mean position ``(2,)`` of the pixels on the person, in the frame."""
         moments = cv2.moments(self.crop.view(np.uint8), binaryImage=True)
         first = np.array([self.left, self.top])
-        return np.asarray(first + np.array([moments["m10"], moments["m01"]]) / moments["m00"])
+        return first + np.array([moments["m10"], moments["m01"]]) / moments["m00"]
 
     @property
     def box(self) -> Box:

@@ -54,7 +54,6 @@ _OTHER_SIDE_LANDMARKS = [
 
 _NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
 
-
 # If the trunk leans by an angle between these, a window that is not turned is tried as well: in
 # windows turned to a leaning trunk, the network sometimes exchanges left and right.
 _MIN_LEAN_DEG = 15.0
@@ -168,15 +167,12 @@ def window_beyond_border(
 _PRESENCE_WEIGHT = 0.3
 _DRIFT_WEIGHT = 1.0
 AGREEMENT_DISTANCE = 0.15
-"""Distance, in sizes of the body, up to which both networks agree on a keypoint."""
+"""Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
 
 _UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds nobody.
 
 
-def reading_quality(
-    reading: PoseReading,
-    keypoints: ObservedKeypoints | None,
-) -> float:
+def reading_quality(reading: PoseReading, keypoints: ObservedKeypoints | None) -> float:
     """Quality of a reading: agreement with MoveNet, presence, and a window that stays in place."""
     agreement = _UNKNOWN_AGREEMENT
     if keypoints is not None:
@@ -197,9 +193,9 @@ def _agreement(reading: PoseReading, keypoints: ObservedKeypoints) -> float:
 
 
 def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
-    """Distances ``(17,)`` between both networks' keypoints, in sizes of the body."""
+    """Distances ``(17,)`` of keypoints from the landmarks of their names, in sizes of the body."""
     offsets = keypoints.positions - reading.landmarks.positions[COCO_LANDMARKS]
-    return np.asarray(np.linalg.norm(offsets, axis=1) / reading.body_px)
+    return np.linalg.norm(offsets, axis=1) / reading.body_px
 
 
 def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
@@ -214,10 +210,7 @@ def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
 _KEYPOINT_WEIGHT = 2.0
 
 
-def fuse(
-    reading: PoseReading,
-    keypoints: ObservedKeypoints,
-) -> PoseReading:
+def fuse(reading: PoseReading, keypoints: ObservedKeypoints) -> PoseReading:
     """Move landmarks towards the keypoints of MoveNet that agree with them."""
     agrees = _distances(reading, keypoints) < AGREEMENT_DISTANCE
     weights = _KEYPOINT_WEIGHT * keypoints.scores * agrees
@@ -233,10 +226,7 @@ def fuse(
 _BORDER_DISTANCE = 0.3
 
 
-def attenuate_visibility_at_border(
-    reading: PoseReading,
-    frame_shape: tuple[int, ...],
-) -> Landmarks:
+def attenuate_visibility_at_border(reading: PoseReading, frame_shape: tuple[int, ...]) -> Landmarks:
     """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
 
     If the border cuts off part of a body, the landmark network squeezes the whole body into the
@@ -278,4 +268,4 @@ def _mean_position(
     scores = keypoints.scores[rows]
     if scores.max() < min_score:
         return None
-    return np.asarray(scores @ keypoints.positions[rows] / scores.sum())
+    return scores @ keypoints.positions[rows] / scores.sum()

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import roc_auc_score
 
-from app.vision.blazepose import LANDMARKS, region_features
+from app.vision.blazepose import LANDMARKS
 from app.vision.depth import (
     HIPS,
     RESIDUAL_M,
@@ -43,6 +43,7 @@ from app.vision.judgement import (
     PostureModel,
     TrustModel,
     posture_features,
+    region_features,
     sharpened,
     trust_features,
 )

@@ -17,6 +17,7 @@ from app.vision.blazepose import (
     BlazePoseDetector,
     LandmarkNetwork,
     decode_anchors,
+    sample_map,
 )
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
@@ -170,3 +171,12 @@ def test_bodies_come_best_first_down_to_the_minimum(
     )
     assert every == sorted(every, reverse=True)
     assert sure == [score for score in every if score >= 0.3]
+
+
+def test_maps_are_seen_in_the_middle_of_their_cells() -> None:
+    maps = np.random.default_rng(0).normal(size=(2, 8, 8, 3)).astype(np.float32)
+    points = np.zeros((2, 39, 5), np.float32)
+    points[:, :33, 0], points[:, :33, 1] = 32 * 5 + 16, 32 * 2 + 16
+    assert_allclose(sample_map(maps, points), np.repeat(maps[:, None, 2, 5], 33, 1), atol=1e-6)
+    points[:, :33, :2] = [-500, 9999]
+    assert_allclose(sample_map(maps, points), np.repeat(maps[:, None, 7, 0], 33, 1), atol=1e-6)

@@ -1,9 +1,8 @@
-"""The models that rendered people teach: what must hold whatever they were taught."""
+"""Bodies, trust and postures of readings: what must hold whatever the models were taught."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, PoseReading, sample_map
-from app.vision.depth import HIPS, DenseNetwork, decode_depths, network_depths, softmax
+from app.vision.blazepose import LandmarkNetwork, PoseReading
+from app.vision.depth import HIPS
 from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import (
     FRAME_POSTURES,
@@ -22,6 +21,7 @@ from app.vision.judgement import (
     sharpened,
 )
 from app.vision.models import network_path
+from app.vision.odds import softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES
 from app.vision.tflite import NetworkError
@@ -30,62 +30,6 @@ SWAPPED = [
     LANDMARK_NAMES.index(n.replace("left", "?").replace("right", "left").replace("?", "right"))
     for n in LANDMARK_NAMES
 ]
-
-
-def dense(seed: int, sizes: tuple[int, ...]) -> DenseNetwork:
-    generator = np.random.default_rng(seed)
-    pairs = list(pairwise(sizes))
-    return DenseNetwork(
-        generator.normal(size=sizes[0]).astype(np.float32),
-        generator.uniform(0.5, 2, sizes[0]).astype(np.float32),
-        tuple(generator.normal(size=pair).astype(np.float32) for pair in pairs),
-        tuple(generator.normal(size=pair[1]).astype(np.float32) for pair in pairs),
-    )
-
-
-def test_a_network_comes_back_from_its_arrays() -> None:
-    network = dense(1, (7, 5, 3))
-    arrays = network.arrays("one") | dense(2, (4, 2)).arrays("other")
-    features = np.random.default_rng(3).normal(size=(6, 7))
-    again = DenseNetwork.of(arrays, "one")
-    assert_allclose(again(features), network(features), atol=0.05)
-    assert again(features).shape == (6, 3)
-
-
-def test_without_hidden_layers_a_network_is_linear() -> None:
-    network = dense(1, (4, 2))
-    one, other = np.random.default_rng(3).normal(size=(2, 1, 4))
-    middle = network((one + other) / 2)
-    assert_allclose(middle, (network(one) + network(other)) / 2, rtol=1e-4, atol=1e-5)
-
-
-def test_layers_that_do_not_fit_are_refused() -> None:
-    one, other = dense(1, (7, 5)), dense(1, (4, 3))
-    with pytest.raises(ValueError, match="expected weights of shape"):
-        DenseNetwork(one.means, one.scales, one.weights + other.weights, one.biases + other.biases)
-
-
-def test_probabilities_sum_to_one_however_large_the_scores() -> None:
-    given = softmax(np.array([[1e4, 0.0, -1e4], [1.0, 1.0, 1.0]]))
-    assert_allclose(given.sum(axis=1), 1)
-    assert_allclose(given[1], 1 / 3)
-
-
-def test_maps_are_seen_in_the_middle_of_their_cells() -> None:
-    maps = np.random.default_rng(0).normal(size=(2, 8, 8, 3)).astype(np.float32)
-    points = np.zeros((2, 39, 5), np.float32)
-    points[:, :33, 0], points[:, :33, 1] = 32 * 5 + 16, 32 * 2 + 16
-    assert_allclose(sample_map(maps, points), np.repeat(maps[:, None, 2, 5], 33, 1), atol=1e-6)
-    points[:, :33, :2] = [-500, 9999]
-    assert_allclose(sample_map(maps, points), np.repeat(maps[:, None, 7, 0], 33, 1), atol=1e-6)
-
-
-def test_no_residual_leaves_the_networks_depth() -> None:
-    own = network_depths(np.random.default_rng(0).normal(size=(4, 39, 3)))
-    depths, sigmas = decode_depths(np.zeros((4, 66)), own)
-    assert_allclose(depths, own, atol=1e-12)
-    assert_allclose(depths[:, HIPS].mean(axis=1), 0, atol=1e-12)
-    assert_allclose(sigmas, 0.1)
 
 
 def posture_numbers(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,7 +17,6 @@ from app.vision.movenet import (
     CELL_PX,
     KEYPOINT_WINDOW_PX,
     KEYPOINT_WINDOW_SCALE,
-    KEYPOINTS,
     MIN_KEYPOINT_SCORE,
     KeypointReader,
     MoveNet,
@@ -67,7 +66,7 @@ def test_people_are_those_of_the_published_graph(
     for number, (row, person) in enumerate(zip(published, ours, strict=False)):
         top, left, bottom, right = SIZE * row[51:55] - 0.5
         assert_allclose(corners(person.box), [left, top, right, bottom], atol=0.1)
-        y, x, scores = row[:51].reshape(KEYPOINTS, 3).T
+        y, x, scores = row[:51].reshape(17, 3).T
         positions = SIZE * np.stack([x, y], axis=-1) - 0.5
         assert_allclose(person.keypoints.positions, positions, atol=0.1)
         # Where two people claim one keypoint, Google's graph gives both the higher score.
@@ -150,7 +149,7 @@ def test_heads_are_decoded(seed: int, count: int) -> None:
         size = rng.uniform(20, 40, 2)
         box = Box(left + 3, top + 3, *size)
         # As in the published graph, the first cell that a box cuts is not searched.
-        points = np.array([left + 3, top + 3]) + rng.uniform(CELL_PX, size - 1, (KEYPOINTS, 2))
+        points = np.array([left + 3, top + 3]) + rng.uniform(CELL_PX, size - 1, (17, 2))
         people.append((box, points, float(rng.uniform(0.1, 1))))
     found = decode_heads(heads_of(people))
     assert [one.centre_score for one in found] == sorted(

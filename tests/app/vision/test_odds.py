@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
-from app.vision.odds import log_odds, probability_of, sigmoid
+from app.vision.odds import log_odds, probability_of, sigmoid, softmax
 
 
 @given(st.floats(1e-3, 1 - 1e-3))
@@ -20,3 +21,9 @@ def test_certainty_stays_finite() -> None:
     assert log_odds(0.0) == pytest.approx(-log_odds(1.0)) == pytest.approx(-6.9068, abs=1e-4)
     assert 0 < probability_of(-1e9) < probability_of(1e9) < 1
     assert sigmoid(np.zeros(3, np.float32)).dtype == np.float32
+
+
+def test_probabilities_sum_to_one_however_large_the_scores() -> None:
+    given = softmax(np.array([[1e4, 0.0, -1e4], [1.0, 1.0, 1.0]]))
+    assert_allclose(given.sum(axis=1), 1)
+    assert_allclose(given[1], 1 / 3)

@@ -73,15 +73,15 @@ def test_good_reading_in_the_window_of_a_track_suffices(
 
 def test_agreement_presence_and_little_drift_are_good(readings: list[PoseReading]) -> None:
     reading = readings[2]
-    same = reading.landmarks.keypoints()
-    sure = ObservedKeypoints(same.positions, np.ones(17))
+    same = reading.landmarks.positions[COCO_LANDMARKS]
+    sure = ObservedKeypoints(same, np.ones(17))
     assert reading_quality(reading, sure) > reading_quality(moved(reading, 10, 0), sure)
     assert reading_quality(reading, sure) > reading_quality(replace(reading, presence=0.1), sure)
     window = reading.window
     drifting = replace(reading, window=PersonWindow(window.x + 50, window.y, window.side))
     assert reading_quality(reading, sure) > reading_quality(drifting, sure)
     # Keypoints without a score count neither for it nor against it.
-    unsure = ObservedKeypoints(same.positions + 500, np.zeros(17))
+    unsure = ObservedKeypoints(same + 500, np.zeros(17))
     assert reading_quality(reading, unsure) == pytest.approx(reading_quality(reading, None))
 
 
@@ -94,7 +94,7 @@ def test_fusing_moves_landmarks_towards_agreeing_keypoints_only(
 ) -> None:
     reading = readings[seed % len(readings)]
     before = reading.landmarks
-    keypoints = ObservedKeypoints(before.keypoints().positions.copy(), np.full(17, score))
+    keypoints = ObservedKeypoints(before.positions[COCO_LANDMARKS], np.full(17, score))
     keypoints.positions[row] += (x, y)
     after = fuse(reading, keypoints).landmarks
     change = after.positions - before.positions

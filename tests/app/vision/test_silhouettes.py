@@ -1,4 +1,4 @@
-"""Silhouettes of the people of a frame: each pixel is one person's, where it was marked."""
+"""Silhouettes: each pixel is one person's; bodies that the frame or a nearer person cuts."""
 
 from __future__ import annotations
 
@@ -19,11 +19,16 @@ from app.vision.images import LabelImage
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.silhouettes import (
+    end_beyond_border,
     fill_small_holes,
+    hidden_by_others,
     keep_components,
     silhouettes_from_labels,
     silhouettes_of,
+    touches_border,
+    with_truncation,
 )
+from tests.support.rotation import rotate_box, rotate_points
 
 SHAPE = (240, 320, 3)
 
@@ -248,3 +253,77 @@ def test_filling_only_adds_and_keeping_only_drops(mask: NDArray[np.bool_], share
     edge = np.ones_like(mask)
     edge[1:-1, 1:-1] = False
     assert (filled[edge] == mask[edge]).all()
+
+
+def block(left: int, top: int, width: int, height: int) -> Silhouette:
+    return Silhouette(np.ones((height, width), bool), left, top, "mask", False)
+
+
+def landmarks_but(*unseen: str) -> Landmarks:
+    """Landmarks that are seen, except those of some parts."""
+    missing = [any(part in name for part in unseen) for name in LANDMARK_NAMES]
+    return Landmarks(np.full((33, 2), 50.0), np.where(missing, 0.05, 0.8), np.zeros((33, 3)))
+
+
+HEAD, FEET = ("nose", "eye", "ear"), ("ankle",)
+
+
+def test_silhouette_at_the_border_is_cut() -> None:
+    assert touches_border(block(0, 5, 10, 20), (40, 40))
+    assert touches_border(block(5, 20, 10, 20), (40, 40))
+    assert not touches_border(block(5, 5, 10, 20), (40, 40))
+
+
+@pytest.mark.parametrize(("left", "top"), [(1, 100), (100, 1), (259, 100), (100, 199)], ids=str)
+def test_silhouette_just_short_of_the_edge_is_cut_unless_from_a_mask(left: int, top: int) -> None:
+    person = replace(block(left, top, 40, 100), segmenter="network")
+    assert touches_border(person, (300, 300))
+    assert not touches_border(replace(person, segmenter="mask"), (300, 300))
+    inwards = np.clip([left, top], 10, [250, 190]).tolist()
+    assert not touches_border(replace(person, left=inwards[0], top=inwards[1]), (300, 300))
+
+
+@given(left=st.integers(0, 260), top=st.integers(0, 200), name=st.sampled_from(["mask", "network"]))
+def test_mirrored_silhouette_is_cut_alike(left: int, top: int, name: str) -> None:
+    one = replace(block(left, top, 40, 100), segmenter=name)  # type: ignore[arg-type]
+    mirrored = [replace(one, left=260 - left), replace(one, top=200 - top)]
+    assert {touches_border(other, (300, 300)) for other in mirrored} == {
+        touches_border(one, (300, 300))
+    }
+
+
+def test_unseen_head_or_feet_lie_beyond_the_edge() -> None:
+    above, below, inside = (Box(50, y, 40, 100) for y in (3, 198, 100))
+    for box, gone in ((above, HEAD), (below, FEET)):
+        assert end_beyond_border(box, landmarks_but(*gone), (300, 300))
+        assert not end_beyond_border(box, landmarks_but(), (300, 300))
+        assert not end_beyond_border(inside, landmarks_but(*gone), (300, 300))
+
+
+def test_landmarks_beyond_the_edge_are_not_seen() -> None:
+    """Whatever their score."""
+    landmarks = landmarks_but()
+    for i, name in enumerate(LANDMARK_NAMES):
+        if name.endswith(FEET):
+            landmarks.positions[i, 1] = 310
+    assert end_beyond_border(Box(50, 198, 40, 100), landmarks, (300, 300))
+    assert not end_beyond_border(Box(50, 198, 40, 100), landmarks, (400, 300))
+
+
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
+@pytest.mark.parametrize("gone", [HEAD, FEET], ids=["head", "feet"])
+def test_rotated_person_ends_at_the_rotated_edge(quarter_turns: int, gone: tuple[str, ...]) -> None:
+    shape, landmarks = (300, 400), landmarks_but(*gone)
+    for box in (Box(50, 3, 40, 100), Box(50, 198, 40, 100), Box(2, 100, 40, 100)):
+        positions = rotate_points(landmarks.positions, shape, -quarter_turns)
+        lying = rotate_box(box, shape, -quarter_turns), replace(landmarks, positions=positions)
+        its_shape = np.rot90(np.empty(shape), quarter_turns).shape
+        assert end_beyond_border(*lying, its_shape) == end_beyond_border(box, landmarks, shape)
+
+
+def test_nearer_person_hides_the_farther() -> None:
+    near, far = block(14, 10, 10, 30), block(5, 5, 12, 30)
+    both = with_truncation([near, far], [near.box, far.box], (80, 80))
+    assert [one is not None and one.truncated for one in both] == [False, True]
+    assert hidden_by_others(far, [near.box])
+    assert with_truncation([None], [near.box], (80, 80)) == [None]
