@@ -22,7 +22,7 @@ from app.tracking.track import Sighting, Track, appearance_histogram, associate
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from app.vision.silhouettes import ends_at_border
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 110_000
 """Memory of a track that is a few seconds long; a test measures it."""

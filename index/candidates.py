@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import INSIDE, averaged, normalise, principal_axis_deg
-from index.parameters import ROTATIONS, RotationParameters
 from index.search import NearestEntries
 from index.skeleton import mirror_3d, mirror_normalised, rotate_clockwise, wrap_degrees
 from index.store import PoseIndex
@@ -122,6 +121,18 @@ MAX_SOURCE_PX = 1024
 """Longest side of a mask that is rotated pixel by pixel; larger ones are rotated as the means of
 blocks."""
 
+# Ratio of width to height from which a silhouette is searched both as it is and rotated.
+_NEARLY_SQUARE = 0.75
+
+ROTATION_STEP_DEG = 15.0
+"""With landmarks, rotations are searched in multiples of this."""
+
+MAX_ROTATIONS = 2
+"""Most rotations that are searched with landmarks."""
+
+MIN_ROTATION_SHARE = 0.2
+"""Smallest share of the entries near the landmarks for which a rotation is searched."""
+
 
 @dataclass(frozen=True)
 class RotatedQuery:
@@ -191,9 +202,7 @@ def find_rotated_candidates(
     return candidates.in_order()
 
 
-def silhouette_rotations(
-    silhouette: NDArray[np.uint8], roll_deg: float, parameters: RotationParameters = ROTATIONS
-) -> tuple[float, ...]:
+def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
     """Rotations in degrees that the silhouette by itself suggests.
 
     Parameters
@@ -205,20 +214,14 @@ def silhouette_rotations(
     if roll_deg:
         both_ends: tuple[float, ...] = (0.0, -180.0)
         unrolled, _ = rotate_silhouette(silhouette, -roll_deg)
-        return (
-            (*both_ends, roll_deg) if _ratio(unrolled) < 1 / parameters.nearly_square else both_ends
-        )
-    if _ratio(silhouette) < parameters.nearly_square:
+        return (*both_ends, roll_deg) if _ratio(unrolled) < 1 / _NEARLY_SQUARE else both_ends
+    if _ratio(silhouette) < _NEARLY_SQUARE:
         return (0.0,)
     axis_deg = principal_axis_deg(silhouette)
     return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
 
 
-def landmark_rotations(
-    usual: Sequence[float],
-    roll_deg: NDArray[np.float64],
-    parameters: RotationParameters = ROTATIONS,
-) -> list[float]:
+def landmark_rotations(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
     """Rotations in degrees that the entries near the landmarks suggest.
 
     Parameters
@@ -231,16 +234,15 @@ def landmark_rotations(
     Returns
     -------
     list of float
-        Usual ones or multiples of ``step_deg``, the most frequent first.
+        Usual ones or multiples of :data:`ROTATION_STEP_DEG`, the most frequent first.
     """
-    step_deg = parameters.step_deg
-    rounded = wrap_degrees(np.rint(roll_deg / step_deg) * step_deg)
+    rounded = wrap_degrees(np.rint(roll_deg / ROTATION_STEP_DEG) * ROTATION_STEP_DEG)
     apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
     nearest = np.array(usual)[apart.argmin(axis=1)]
-    rounded = np.where(apart.min(axis=1) <= step_deg / 2, nearest, rounded)
+    rounded = np.where(apart.min(axis=1) <= ROTATION_STEP_DEG / 2, nearest, rounded)
     rotations, counts = np.unique(rounded, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[: parameters.max_rotations]
-    likely = rotations[order][counts[order] >= parameters.min_share * len(rounded)]
+    order = np.argsort(-counts, kind="stable")[:MAX_ROTATIONS]
+    likely = rotations[order][counts[order] >= MIN_ROTATION_SHARE * len(rounded)]
     return [float(one) for one in (likely if len(likely) else rotations[order[:1]])]
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from index.parameters import KEYPOINTS, KeypointParameters
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_ROWS,
@@ -28,6 +27,27 @@ from index.skeleton import (
     side_rows,
     with_bone_lengths,
 )
+
+# Standard deviation of a point about its keypoint, pixels of the normalised frame.
+_SIGMA_PX = 8.0
+# Standard deviation of a point about its landmark in three dimensions, metres.
+_SIGMA_M = 0.15
+# Weight of the landmarks in three dimensions beside their places in the picture, which are more
+# certain.
+_LIMB_WEIGHT = 0.25
+
+OUTLIER_WEIGHT = 0.05
+"""Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
+
+# Likelihoods below this are set to zero, since arithmetic on denormal numbers is slow.
+_MIN_MASS = 1e-6
+# Factors by which a body may differ in size from its landmarks.
+_SIZE_RANGE = (0.8, 1.25)
+# Stages of the fit: standard deviation in pixels, share of the way that a point moves in an
+# iteration, and iterations. Chosen on the street people of even-numbered photographs.
+_FIT_STAGES = ((14.0, 0.7, 4), (7.0, 0.7, 10))
+# Total share of the way to the landmarks' depths by which the fit moves joints.
+_DEPTH_SHARE = 0.6
 
 _HIP_POINTS = side_rows("hip")
 
@@ -79,6 +99,8 @@ class Keypoints:
         Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
     limb_scores : (12,) float64 array, optional
         Confidence of each limb joint, from 0 to 1.
+    sigma_px : float
+        Standard deviation of a point about its keypoint.
     """
 
     rows: tuple[int, ...]
@@ -86,7 +108,7 @@ class Keypoints:
     scores: NDArray[np.float64]
     limbs_3d: NDArray[np.float64] | None = None
     limb_scores: NDArray[np.float64] | None = None
-    parameters: KeypointParameters = KEYPOINTS
+    sigma_px: float = _SIGMA_PX
 
     def __post_init__(self) -> None:
         count = len(self.rows)
@@ -129,8 +151,8 @@ class Keypoints:
         if self.limb_scores is not None:
             limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
             squares = _squares(self._offsets_of_limbs(limbs))
-            near = self.limb_scores * np.exp(-squares / (2 * self.parameters.sigma_m**2))
-            likelihood += self.parameters.limb_weight * self._log_likelihoods(near)
+            near = self.limb_scores * np.exp(-squares / (2 * _SIGMA_M**2))
+            likelihood += _LIMB_WEIGHT * self._log_likelihoods(near)
         likelier = likelihood.argmax(axis=1)
         each = np.arange(len(points))
         return Agreement(
@@ -157,22 +179,21 @@ class Keypoints:
         weighted = self.limb_scores[:, None] * self.limbs_3d
         inner = limbs.reshape(*limbs.shape[:-2], -1) @ weighted.ravel()
         size = inner / max(float((weighted * self.limbs_3d).sum()), 1e-9)
-        size = np.clip(size, *self.parameters.size_range)[..., None, None]
+        size = np.clip(size, *_SIZE_RANGE)[..., None, None]
         return np.asarray(size * self.limbs_3d - limbs)
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Likelihoods ``(..., P)`` of keypoints at offsets ``(..., P, 2)`` if not outliers."""
-        mass = self.scores * np.exp(_squares(offsets) / (-2 * self.parameters.sigma_px**2))
-        mass[mass < self.parameters.min_mass] = 0
+        mass = self.scores * np.exp(_squares(offsets) / (-2 * self.sigma_px**2))
+        mass[mass < _MIN_MASS] = 0
         return np.asarray(mass)
 
     def _inlier_share(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(mass / (mass + self.parameters.outlier_weight))
+        return np.asarray(mass / (mass + OUTLIER_WEIGHT))
 
     def _log_likelihoods(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sums ``(...)`` of the log likelihoods of points, each an inlier or an outlier."""
-        outlier_weight = self.parameters.outlier_weight
-        return np.asarray(np.log((mass + outlier_weight) / (1 + outlier_weight)).sum(axis=-1))
+        return np.asarray(np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=-1))
 
 
 def fit_to_keypoints(
@@ -199,8 +220,8 @@ def fit_to_keypoints(
     if keypoints.limbs_3d is not None:
         fitted = with_bone_lengths(_move_to_landmark_depth(keypoints, points_3d), lengths)
         placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
-    for sigma_px, share, iterations in keypoints.parameters.fit_stages:
-        blurred = replace(keypoints, parameters=replace(keypoints.parameters, sigma_px=sigma_px))
+    for sigma_px, share, iterations in _FIT_STAGES:
+        blurred = replace(keypoints, sigma_px=sigma_px)
         rows = _match_sides(blurred, blurred.compare(placed, fitted).side_log_odds < 0)
         for _ in range(iterations):
             moves = share * _residuals(blurred, placed, rows)
@@ -219,9 +240,9 @@ def _move_to_landmark_depth(
 ) -> NDArray[np.float64]:
     """Move skeletons ``(M, 24, 3)`` towards the landmarks in three dimensions."""
     assert keypoints.limb_scores is not None
-    parameters, offsets = keypoints.parameters, keypoints.limb_offsets(points_3d)
-    shares = np.repeat(parameters.depth_share * keypoints.limb_scores[None], len(points_3d), axis=0)
-    near = np.exp(-_squares(offsets) / (2 * parameters.sigma_m**2))
+    offsets = keypoints.limb_offsets(points_3d)
+    shares = np.repeat(_DEPTH_SHARE * keypoints.limb_scores[None], len(points_3d), axis=0)
+    near = np.exp(-_squares(offsets) / (2 * _SIGMA_M**2))
     shares[1:] *= near[1:]
     moved = points_3d.copy()
     moved[:, LIMB_ROWS] += shares[..., None] * offsets

@@ -23,7 +23,6 @@ from index.candidates import (
 from index.confidence import RIGHT_BELOW_PX
 from index.landmarks import Agreement, Keypoints, fit_to_keypoints
 from index.modes import Modes, candidate_weights, find_modes, mode_weights
-from index.parameters import MATCHING, MatchParameters
 from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
 from index.ranking import NetworkRanking, fused_distances
 from index.search import NearestEntries
@@ -43,6 +42,40 @@ AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
 
 AGREEMENT_FALL_OFFS = (0.15, 0.5)
 """Fall-offs of the candidates' weights, as in :func:`index.modes.candidate_weights`."""
+
+DEFAULT_HYPOTHESES = 7
+"""Hypotheses returned unless a caller asks for another number; the confidence is fitted for them,
+and this many decide posture and facing however many are requested. They are the first batch; the
+next one is twice as large, and so on, so that the first k of n are those found when k are
+requested."""
+
+# If a batch of this many times the number requested adds nothing, it is the last: few distinct
+# poses may fit a person who is hardly seen, and looking for 50 took seconds.
+_MAX_BATCH_GROWTH = 4
+
+MIN_NEW_POSE_M = 0.055
+"""Mean joint distance from all earlier hypotheses that makes one of a later batch new."""
+
+# Number of nearest entries without keypoints; more add few useful modes. A network that ranks the
+# modes can use a few more.
+_CANDIDATES, _RANKED_CANDIDATES = 160, 200
+# With keypoints: number of entries nearest to each rotation of the silhouette, number of entries
+# nearest to the landmarks, and number of the best of both, from which the modes are made.
+_SILHOUETTE_CANDIDATES, _LANDMARK_CANDIDATES, _KEPT_CANDIDATES = 150, 50, 200
+# Fewest candidates of one kind for each hypothesis requested.
+_CANDIDATES_PER_HYPOTHESIS = 20
+# Factor by which the candidates may grow if they hold too few distinct poses.
+_MAX_CANDIDATE_GROWTH = 16
+
+SPARE_MODES = 4
+"""Modes computed beyond those requested: a sparse mode may fit best."""
+
+# A person tilted by more than this in the picture is lying rather than standing.
+_MAX_STANDING_TILT_DEG = 30.0
+# Landmarks whose trunk is tilted by less are searched only as they are.
+_MAX_UPRIGHT_TRUNK_DEG = 12.0
+# Smallest scale at which candidates are placed by keypoints.
+_MIN_PX_PER_METRE = 5.0
 
 
 def match_features(
@@ -235,7 +268,6 @@ def match(
     *,
     roll_deg: float = 0.0,
     whole: bool = True,
-    parameters: MatchParameters = MATCHING,
 ) -> Match:
     """Find distinct poses that fit a silhouette, and landmarks if there are any.
 
@@ -261,8 +293,8 @@ def match(
     Match
         The first ``k`` hypotheses do not depend on ``n``.
     """
-    query = _Query(index, silhouette, keypoints, roll_deg, whole, parameters)
-    size = parameters.first_batch
+    query = _Query(index, silhouette, keypoints, roll_deg, whole)
+    size = DEFAULT_HYPOTHESES
     found = query.batch(size)
     while len(found.hypotheses) < n or size < n:
         size *= 2
@@ -271,10 +303,9 @@ def match(
         new = [
             row
             for row, hypothesis in enumerate(more.hypotheses)
-            if mean_joint_distance(hypothesis.points_3d[None], known).min()
-            >= parameters.min_new_pose_m
+            if mean_joint_distance(hypothesis.points_3d[None], known).min() >= MIN_NEW_POSE_M
         ]
-        if not new and size >= parameters.max_batch_growth * n:
+        if not new and size >= _MAX_BATCH_GROWTH * n:
             break
         farthest = found.hypotheses[-1].distance
         later = (more.hypotheses[row] for row in new)
@@ -296,7 +327,6 @@ class _Query:
     keypoints: Keypoints | None
     roll_deg: float
     whole: bool
-    parameters: MatchParameters
 
     @cached_property
     def ranking(self) -> NetworkRanking | None:
@@ -367,25 +397,21 @@ class _Query:
 
     def _modes_of_silhouette(self, n: int) -> tuple[list[RotatedQuery], Candidates, Modes]:
         """Take more and more candidates until they have ``n`` modes or the index has no more."""
-        parameters, ranking = self.parameters, self.ranking
+        ranking = self.ranking
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
-        usual = parameters.candidates if ranking is None else parameters.ranked_candidates
-        k = max(usual, parameters.candidates_per_hypothesis * n)
+        usual = _CANDIDATES if ranking is None else _RANKED_CANDIDATES
+        k = max(usual, _CANDIDATES_PER_HYPOTHESIS * n)
         while True:
             candidates = find_rotated_candidates(self.index, queries, k)
-            count = n + parameters.spare_modes
+            count = n + SPARE_MODES
             if ranking is None:
                 modes = find_modes(candidates, count)
             else:
                 support = ranking.support(candidates)
                 modes = find_modes(candidates, count, support=support, fit=ranking.fit)
             exhausted = len(candidates) < k
-            if (
-                len(modes) >= n
-                or exhausted
-                or k >= parameters.max_candidate_growth * parameters.candidates
-            ):
+            if len(modes) >= n or exhausted or k >= _MAX_CANDIDATE_GROWTH * _CANDIDATES:
                 return queries, candidates, modes
             k *= 2
 
@@ -393,9 +419,7 @@ class _Query:
         self, n: int, keypoints: Keypoints
     ) -> tuple[list[RotatedQuery], Candidates, Modes]:
         """Modes of candidates near the silhouette and the landmarks, weighted by agreement."""
-        parameters = self.parameters
-        wanted = parameters.candidates_per_hypothesis * n
-        growth = max(1, math.ceil(wanted / parameters.silhouette_candidates))
+        growth = max(1, math.ceil(_CANDIDATES_PER_HYPOTHESIS * n / _SILHOUETTE_CANDIDATES))
         nearest = self._near_landmarks(keypoints, growth)
         rotations: Sequence[float] = silhouette_rotations(self.silhouette, self.roll_deg)
         if nearest is not None:
@@ -406,10 +430,10 @@ class _Query:
             candidates = self._candidates(queries, nearest, growth)
             exhausted, known = len(candidates) <= known, len(candidates)
             candidates, agreement = self._likeliest(
-                candidates, keypoints, growth * parameters.kept_candidates
+                candidates, keypoints, growth * _KEPT_CANDIDATES
             )
-            modes = find_modes(candidates, n + parameters.spare_modes, agreement=agreement)
-            if len(modes) >= n or exhausted or growth >= parameters.max_candidate_growth:
+            modes = find_modes(candidates, n + SPARE_MODES, agreement=agreement)
+            if len(modes) >= n or exhausted or growth >= _MAX_CANDIDATE_GROWTH:
                 return queries, candidates, modes
             growth *= 2
             nearest = self._near_landmarks(keypoints, growth)
@@ -419,9 +443,8 @@ class _Query:
         if keypoints.limbs_3d is None:
             return None
         limbs_3d = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
-        rolls_deg = likely_rolls(limbs_3d, self.parameters.max_upright_trunk_deg)
         nearest = self.index.landmark_search.nearest(
-            limbs_3d, rolls_deg, growth * self.parameters.landmark_candidates
+            limbs_3d, _likely_rolls(limbs_3d), growth * _LANDMARK_CANDIDATES
         )
         return seen_from(self.index, nearest, self.roll_deg)
 
@@ -430,7 +453,7 @@ class _Query:
     ) -> Candidates:
         """Entries near the landmarks, and near the silhouette unless it is not whole."""
         searched = self.whole or nearest is None
-        k = growth * self.parameters.silhouette_candidates if searched else 0
+        k = growth * _SILHOUETTE_CANDIDATES if searched else 0
         return find_rotated_candidates(self.index, queries, k, nearest)
 
     def _likeliest(
@@ -438,9 +461,7 @@ class _Query:
     ) -> tuple[Candidates, Agreement]:
         """Candidates with the largest weights, ordered by distance, with their agreement."""
         if not self.whole:
-            candidates = _placed_by_keypoints(
-                candidates, keypoints, self.parameters.min_px_per_metre
-            )
+            candidates = _placed_by_keypoints(candidates, keypoints)
         agreement = keypoints.compare(candidates.points_normalised, candidates.points_3d)
         distances = candidates.distances if self.whole else np.ones(len(candidates))
         kept = np.argsort(-mode_weights(distances, agreement), kind="stable")[:count]
@@ -455,7 +476,7 @@ class _Query:
     ) -> list[Posture]:
         """Postures of skeletons interpolated about entries, in a camera that is not rolled."""
         entries = self.index.entries[entry_ids]
-        tilted = np.abs(tilt_deg) > self.parameters.max_standing_tilt_deg
+        tilted = np.abs(tilt_deg) > _MAX_STANDING_TILT_DEG
         elevation_deg = np.where(tilted, lying_elevation_deg(points_3d), entries["elevation_deg"])
         speeds = self.index.skeleton_labels["speed"][entries["skeleton"]]
         return [
@@ -463,17 +484,15 @@ class _Query:
         ]
 
 
-def likely_rolls(limbs_3d: NDArray[np.float64], max_upright_trunk_deg: float) -> tuple[float, ...]:
+def _likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
     """Rolls of the camera that limbs ``(12, 3)`` suggest: 0, and the tilt of the trunk."""
     hips, shoulders = (limbs_3d[pair].mean(axis=0) for pair in (LIMB_HIPS, LIMB_SHOULDERS))
     right, down, _ = (shoulders - hips).tolist()
     roll_deg = float(np.rad2deg(np.arctan2(right, -down)))
-    return (0.0,) if abs(roll_deg) < max_upright_trunk_deg else (0.0, roll_deg)
+    return (0.0,) if abs(roll_deg) < _MAX_UPRIGHT_TRUNK_DEG else (0.0, roll_deg)
 
 
-def _placed_by_keypoints(
-    candidates: Candidates, keypoints: Keypoints, min_px_per_metre: float
-) -> Candidates:
+def _placed_by_keypoints(candidates: Candidates, keypoints: Keypoints) -> Candidates:
     """Candidates placed in the picture by the keypoints, by weighted least squares."""
     rows = list(keypoints.rows)
     weights = (keypoints.scores / keypoints.scores.sum())[None, :, None]
@@ -485,7 +504,7 @@ def _placed_by_keypoints(
     scale = (weights * from_middle * to_keypoints).sum(axis=(1, 2)) / np.maximum(
         (weights * from_middle**2).sum(axis=(1, 2)), 1e-9
     )
-    placed = (plane - middle) * np.maximum(scale, min_px_per_metre)[:, None, None] + target
+    placed = (plane - middle) * np.maximum(scale, _MIN_PX_PER_METRE)[:, None, None] + target
     return replace(candidates, points_normalised=placed)
 
 

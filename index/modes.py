@@ -23,8 +23,34 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.landmarks import Agreement
-from index.parameters import MODES, ModeParameters
 from index.skeleton import JOINTS, POINTS, with_bone_lengths_of
+
+DISTINCT_M = 0.11
+"""Smallest root mean square joint distance between the centres of two modes; half of it is enough
+after interpolation."""
+
+BANDWIDTH_M = 0.08
+"""Bandwidth of the density's Gaussian kernel, a root mean square joint distance."""
+
+# Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the density.
+_SUPPRESSION = 1.5
+# Fall-off of the candidates' weights with distance; see :func:`candidate_weights`. Keypoints
+# distinguish near candidates better than descriptors do.
+_FALL_OFF, _FALL_OFF_WITH_KEYPOINTS = 0.3, 0.6
+# Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off:
+# otherwise an entry that equals the query would outweigh all others.
+_MIN_NEAREST_SHARE = 0.02
+# Exponent of the keypoints' likelihood in the weights: their errors are correlated (left for
+# right).
+_LIKELIHOOD_EXPONENT = 0.5
+# Descriptor distance equivalent to a pixel between a point and its keypoint.
+_RESIDUAL_WEIGHT = 0.5
+# Ridge of the regression, relative to the variance of a mode's descriptors.
+_RIDGE = 0.45
+# Candidates below this share of the largest weight in a mode do not belong to it.
+_MIN_MEMBER_WEIGHT = 1e-3
+# Decimals to which densities are rounded, so that rounding errors do not break ties.
+_DENSITY_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -82,7 +108,7 @@ def find_modes(
     agreement: Agreement | None = None,
     support: NDArray[np.float64] | None = None,
     fit: Callable[[Modes], Modes] = lambda modes: modes,
-    parameters: ModeParameters = MODES,
+    bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
     """Find up to ``count`` distinct modes, densest first.
 
@@ -95,28 +121,30 @@ def find_modes(
         Factors of the candidates' weights.
     fit : callable, optional
         Moves interpolated modes towards other evidence; modes that then coincide are kept once.
+    bandwidth_m : float
+        Smaller for an index that covers few motions densely, as in the paper's experiments.
 
     Returns
     -------
     Modes
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
-    weights = mode_weights(candidates.distances, agreement, parameters)
+    weights = mode_weights(candidates.distances, agreement)
     offsets = candidates.offsets.astype(np.float64)
     if support is not None:
         weights = weights * support
     if agreement is not None:
-        residuals = parameters.residual_weight * agreement.residuals.reshape(len(candidates), -1)
+        residuals = _RESIDUAL_WEIGHT * agreement.residuals.reshape(len(candidates), -1)
         offsets = np.concatenate([offsets, -residuals], axis=1)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    densest = _densest(weights, apart, parameters)
-    modes = fit(_interpolate(candidates, offsets, list(islice(densest, count)), parameters))
-    while len(distinct := _distinct(modes, parameters.distinct_m / 2)[:count]) < count:
+    densest = _densest(weights, apart, bandwidth_m)
+    modes = fit(_interpolate(candidates, offsets, list(islice(densest, count))))
+    while len(distinct := _distinct(modes, DISTINCT_M / 2)[:count]) < count:
         # Interpolation or the fit made modes coincide: take enough others to replace them.
         missing = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
         if not (next_densest := list(islice(densest, missing))):
             break
-        modes = modes.append(fit(_interpolate(candidates, offsets, next_densest, parameters)))
+        modes = modes.append(fit(_interpolate(candidates, offsets, next_densest)))
     return modes.take(distinct)
 
 
@@ -131,46 +159,39 @@ def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
 
 
 def _densest(
-    weights: NDArray[np.float64], apart: NDArray[np.float64], parameters: ModeParameters
+    weights: NDArray[np.float64], apart: NDArray[np.float64], bandwidth_m: float
 ) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Centres of modes, densest first, each with its share ``(K,)`` of the candidates' weights."""
-    kernel = np.exp(apart**2 / (-2 * parameters.bandwidth_m**2))
+    kernel = np.exp(apart**2 / (-2 * bandwidth_m**2))
     remaining = weights / weights.sum()
     penalty = np.zeros(len(weights))  # It is minus infinity near the centres taken.
     while True:
-        density = (kernel @ remaining).round(parameters.density_digits) + penalty
+        density = (kernel @ remaining).round(_DENSITY_DIGITS) + penalty
         centre = int(density.argmax())
         if density[centre] == -np.inf:
             return
         yield centre, remaining * kernel[centre]
-        remaining = remaining * (1 - kernel[centre] ** (1 / parameters.suppression**2))
-        penalty[apart[centre] < parameters.distinct_m] = -np.inf
+        remaining = remaining * (1 - kernel[centre] ** (1 / _SUPPRESSION**2))
+        penalty[apart[centre] < DISTINCT_M] = -np.inf
 
 
 def mode_weights(
-    distances: NDArray[np.float64],
-    agreement: Agreement | None,
-    parameters: ModeParameters = MODES,
+    distances: NDArray[np.float64], agreement: Agreement | None
 ) -> NDArray[np.float64]:
     """Weights ``(K,)`` in the density of candidates at ascending distances ``(K,)``."""
     if agreement is None:
-        return candidate_weights(distances, parameters.fall_off, parameters.min_nearest_share)
-    return candidate_weights(
-        distances, parameters.fall_off_with_keypoints, parameters.min_nearest_share
-    ) * agreement.weights(parameters.likelihood_exponent)
+        return candidate_weights(distances, _FALL_OFF)
+    weights = candidate_weights(distances, _FALL_OFF_WITH_KEYPOINTS)
+    return weights * agreement.weights(_LIKELIHOOD_EXPONENT)
 
 
-def candidate_weights(
-    distances: NDArray[np.float64],
-    fall_off: float,
-    min_nearest_share: float = MODES.min_nearest_share,
-) -> NDArray[np.float64]:
+def candidate_weights(distances: NDArray[np.float64], fall_off: float) -> NDArray[np.float64]:
     """Weights ``(K,)`` of candidates at ascending distances ``(K,)``: 1 for the nearest.
 
     A candidate farther than the nearest by twice ``fall_off`` times the nearest's distance weighs
     1/e.
     """
-    nearest = max(distances[0], min_nearest_share * distances[-1])
+    nearest = max(distances[0], _MIN_NEAREST_SHARE * distances[-1])
     return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
 
 
@@ -186,13 +207,12 @@ def _interpolate(
     candidates: Candidates,
     offsets: NDArray[np.float64],
     weighted_centres: Sequence[tuple[int, NDArray[np.float64]]],
-    parameters: ModeParameters,
 ) -> Modes:
     """Interpolate modes, each a centre and weights ``(K,)``, to where offsets ``(K, E)`` vanish."""
     centres = [centre for centre, _ in weighted_centres]
     weights = np.stack([weights for _, weights in weighted_centres])
     # Modes are computed one by one, so that none depends on how many others there are.
-    combinations = np.stack([_combination(own, offsets, parameters) for own in weights])
+    combinations = np.stack([_combination(own, offsets) for own in weights])
     return Modes(
         np.array(centres),
         weights.sum(axis=1),
@@ -204,18 +224,16 @@ def _interpolate(
     )
 
 
-def _combination(
-    weights: NDArray[np.float64], offsets: NDArray[np.float64], parameters: ModeParameters
-) -> NDArray[np.float64]:
+def _combination(weights: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shares ``(K,)``, summing to 1, by which a mode's members make up the interpolated pose."""
-    members = np.flatnonzero(weights > parameters.min_member_weight * weights.max())
+    members = np.flatnonzero(weights > _MIN_MEMBER_WEIGHT * weights.max())
     shares = weights[members] / weights[members].sum()
     mean = shares @ offsets[members]
     centred = offsets[members] - mean
     scatter = (shares[:, None] * centred).T @ centred
     # The fewer effective members, the worse the estimate of the scatter and the larger the ridge.
     diagonal = np.einsum("dd->d", scatter)
-    diagonal += parameters.ridge * diagonal.sum() * (shares**2).sum() + 1e-9
+    diagonal += _RIDGE * diagonal.sum() * (shares**2).sum() + 1e-9
     combination = np.zeros(len(weights))
     combination[members] = shares * (1 - centred @ np.linalg.solve(scatter, mean))
     return combination

@@ -13,7 +13,6 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from index.parameters import POSTURE_RULES, PostureRules
 from index.skeleton import JOINT_NAMES, JOINTS, SIDES, rows
 
 Posture = Literal[
@@ -31,6 +30,37 @@ ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
 
 LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
 """Postures of a person who does not stand on straight legs."""
+
+MIN_WALKING_SPEED_M_S, MIN_RUNNING_SPEED_M_S = 0.5, 2.2
+"""Least horizontal speeds of people who walk and run."""
+
+MAX_ELEVATION_DEG = 70.0
+"""Steepest elevation of a camera."""
+
+# Smallest tilt of the trunk of a person lying or on all fours.
+_MIN_HORIZONTAL_DEG = 55.0
+# Largest height of the pelvis and the chest of a person lying.
+_MAX_LYING_HEIGHT = 0.5
+# Largest height of the lowest hand or elbow of a person on all fours.
+_MAX_HAND_HEIGHT = 0.3
+# Largest height of the pelvis of a person on all fours.
+_MAX_CRAWLING_HEIGHT = 0.85
+# Height of the pelvis below which the legs are not standing.
+_MAX_LOWERED_HEIGHT = 0.8
+# Largest height of a pelvis that rests on the floor.
+_MAX_FLOOR_HEIGHT = 0.3
+# Largest height of a knee on the floor.
+_MAX_KNEE_HEIGHT = 0.2
+# Largest height of a knee on the floor above its ankle.
+_MAX_SHANK_RISE = 0.2
+# Horizontal distance of the centre of mass from the feet beyond which something else carries the
+# body.
+_MIN_UNSUPPORTED = 0.15
+# A person whose thighs are this level, with the trunk this upright and the pelvis at the height of
+# a seat, sits even if the feet could carry the body.
+_MAX_LEVEL_THIGH_DEG, _MAX_SEATED_TRUNK_DEG, _MIN_SEAT_HEIGHT = 25.0, 20.0, 0.5
+# Least tilt of a trunk that is bent over standing legs, and over lowered legs.
+_MIN_BENT_DEG, _MIN_BENT_LOW_DEG = 45.0, 60.0
 
 # Shares of the body's mass, lumped at joints.
 _MASSES = {
@@ -63,7 +93,6 @@ def classify_postures(
     points_3d: NDArray[np.floating],
     up: ArrayLike,
     speed: ArrayLike = 0.0,
-    rules: PostureRules = POSTURE_RULES,
 ) -> NDArray[np.int64]:
     """Classify the postures of skeletons.
 
@@ -99,32 +128,28 @@ def classify_postures(
     lower = knees.argmin(axis=1)
     every = np.arange(len(joints))
     shank_rise = np.abs(bodies.along_up(shanks)[every, lower]) / leg
-    on_knee = (knees[every, lower] < rules.max_knee_height) & (shank_rise < rules.max_shank_rise)
+    on_knee = (knees[every, lower] < _MAX_KNEE_HEIGHT) & (shank_rise < _MAX_SHANK_RISE)
     thigh_deg = np.abs(_degrees((bodies.along_up(thighs) / thigh_lengths).mean(axis=1), np.arcsin))
     seated = (
-        (thigh_deg < rules.max_level_thigh_deg)
-        & (tilt_deg < rules.max_seated_trunk_deg)
-        & (pelvis > rules.min_seat_height)
+        (thigh_deg < _MAX_LEVEL_THIGH_DEG)
+        & (tilt_deg < _MAX_SEATED_TRUNK_DEG)
+        & (pelvis > _MIN_SEAT_HEIGHT)
     )
 
-    horizontal = tilt_deg >= rules.min_horizontal_deg
-    lowered, on_floor = pelvis < rules.max_lowered_height, pelvis < rules.max_floor_height
-    unsupported = _distance_from_feet(bodies) / leg > rules.min_unsupported
+    horizontal = tilt_deg >= _MIN_HORIZONTAL_DEG
+    lowered, on_floor = pelvis < _MAX_LOWERED_HEIGHT, pelvis < _MAX_FLOOR_HEIGHT
+    unsupported = _distance_from_feet(bodies) / leg > _MIN_UNSUPPORTED
     conditions: dict[Posture, NDArray[np.bool_]] = {
-        "lying": horizontal
-        & (pelvis < rules.max_lying_height)
-        & (height["chest"] < rules.max_lying_height),
-        "crawling": horizontal
-        & (hand < rules.max_hand_height)
-        & (pelvis < rules.max_crawling_height),
+        "lying": horizontal & (pelvis < _MAX_LYING_HEIGHT) & (height["chest"] < _MAX_LYING_HEIGHT),
+        "crawling": horizontal & (hand < _MAX_HAND_HEIGHT) & (pelvis < _MAX_CRAWLING_HEIGHT),
         "kneeling": lowered & on_knee & ~on_floor,
         "sitting": lowered & (on_floor | unsupported | seated),
-        "bending": (tilt_deg >= np.where(lowered, rules.min_bent_low_deg, rules.min_bent_deg)),
+        "bending": (tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
         "crouching": lowered,
         "arms_raised": (height["left_wrist"] > height["head"])
         & (height["right_wrist"] > height["head"]),
-        "running": speed >= rules.min_running_speed,
-        "walking": speed >= rules.min_walking_speed,
+        "running": speed >= MIN_RUNNING_SPEED_M_S,
+        "walking": speed >= MIN_WALKING_SPEED_M_S,
     }
     return np.select(
         list(conditions.values()),
@@ -159,7 +184,7 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     # Head or hips may be the nearer end, so an angle and its opposite describe the same trunk.
     elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
     elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
-    return np.clip(elevation_deg, 0.0, POSTURE_RULES.max_elevation_deg)
+    return np.clip(elevation_deg, 0.0, MAX_ELEVATION_DEG)
 
 
 def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[np.float64]:

@@ -16,12 +16,23 @@ from index.candidates import Candidates
 from index.landmarks import Agreement
 from index.modes import Modes
 from index.network import Distributions, joint_positions
-from index.parameters import RANKING, RankingParameters
 from index.reranker import RankingModel
 from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
 (_PELVIS,) = rows("pelvis")
 (_HEAD,) = rows("head")
+
+# Hypotheses share the probability by the inverse of their distances to this power.
+_SHARE_POWER = 4.0
+
+DISTANCE_WEIGHT = 4.0
+"""Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood of
+the landmarks. Like the weight of sides, it was chosen on people in even-numbered photographs."""
+
+# Weight of the log odds of a hypothesis's sides.
+_SIDE_WEIGHT = 0.3
+# Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
+_TILT_SCALE_DEG = 60.0
 
 
 @dataclass(frozen=True)
@@ -84,11 +95,7 @@ class NetworkRanking:
         return np.asarray(modes.distances * np.exp(self.model.order_weight * lacking))
 
     def features(
-        self,
-        features: NDArray[np.float64],
-        modes: Modes,
-        distances: NDArray[np.float64],
-        parameters: RankingParameters = RANKING,
+        self, features: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Compute :data:`index.reranker.RERANKING_FEATURES` ``(M, F)``.
 
@@ -102,7 +109,7 @@ class NetworkRanking:
         positions = joint_positions(modes.points_3d, modes.points_normalised)
         likelihood = self.joints.log_likelihood(positions)
         error = np.log(self.joints.expected_errors(positions))
-        odds = -parameters.share_power * np.log(distances + 1e-6)
+        odds = -_SHARE_POWER * np.log(distances + 1e-6)
         odds -= odds.max()
         return np.column_stack(
             [
@@ -118,10 +125,7 @@ class NetworkRanking:
 
 
 def fused_distances(
-    distances: NDArray[np.float64],
-    agreement: Agreement,
-    tilt_deg: NDArray[np.float64],
-    parameters: RankingParameters = RANKING,
+    distances: NDArray[np.float64], agreement: Agreement, tilt_deg: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
 
@@ -136,7 +140,7 @@ def fused_distances(
     """
     likelihood = (
         agreement.log_likelihood
-        + parameters.side_weight * agreement.side_log_odds
-        - np.abs(tilt_deg) / parameters.tilt_scale_deg
+        + _SIDE_WEIGHT * agreement.side_log_odds
+        - np.abs(tilt_deg) / _TILT_SCALE_DEG
     )
-    return np.asarray(distances * np.exp(-likelihood / parameters.distance_weight))
+    return np.asarray(distances * np.exp(-likelihood / DISTANCE_WEIGHT))

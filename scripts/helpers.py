@@ -22,8 +22,7 @@ from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette
 from index.candidates import RotatedQuery
-from index.matching import Hypothesis
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES, Hypothesis
 from index.store import PoseIndex
 
 

@@ -1,13 +1,13 @@
 """Hand-set numbers of the estimation, each with its unit and its reason.
 
-Fitted ones are in ``app/vision/models/fitted.json``; those of matching in :mod:`index.parameters`.
+Fitted ones are in ``app/vision/models/fitted.json``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.candidates import rotate_silhouette
 from index.landmarks import Keypoints
 from index.matching import Hypothesis
-from index.parameters import RANKING
+from index.ranking import DISTANCE_WEIGHT
 from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
 
 # Points of the index and their landmarks. The eyes and ears of the index are in other places, so
@@ -184,7 +184,7 @@ def fused_confidences(
         Mean joint distances by which the fit moved the hypotheses from their entries.
     """
     constants = fitted_constants("confidence")
-    agreement = -RANKING.distance_weight * np.log(np.maximum(distances, 1e-9))
+    agreement = -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
     odds = (
         constants["slope"] * agreement + constants["adjusted_m"] * adjusted_m + constants["offset"]
     )

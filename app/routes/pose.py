@@ -16,7 +16,7 @@ from app.routes.queries import GivenOnce, NoQuery, OverlayQuery, PoseQuery
 from app.routes.uploads import DOCUMENTED_UPLOAD, UploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 router = APIRouter(

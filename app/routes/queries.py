@@ -24,7 +24,7 @@ from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import ProblemError
 from app.messages import NUMBER, WHOLE_NUMBER, suggestion
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 _MAX_NAME_CHARACTERS = 60

@@ -22,8 +22,7 @@ from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFi
 from app.tracking.parameters import DEFAULTS, SmoothingParameters, TrackingParameters
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
-from index.parameters import POSTURE_RULES
-from index.posture import UPRIGHT, Posture
+from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, UPRIGHT, Posture
 from index.skeleton import (
     POINT_NAMES,
     POINTS,
@@ -369,9 +368,9 @@ def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
     """The posture of a state, using the measured speed rather than that of its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture
-    if velocity.reliable_speed >= POSTURE_RULES.min_running_speed:
+    if velocity.reliable_speed >= MIN_RUNNING_SPEED_M_S:
         return "running"
-    return "walking" if velocity.reliable_speed >= POSTURE_RULES.min_walking_speed else "standing"
+    return "walking" if velocity.reliable_speed >= MIN_WALKING_SPEED_M_S else "standing"
 
 
 def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:

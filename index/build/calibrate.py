@@ -15,8 +15,7 @@ from index.build.noise import degrade_all
 from index.build.parameters import VIEWS
 from index.build.simulate import Simulation
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
-from index.matching import match
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES, match
 from index.posture import POSTURES
 from index.reranker import RERANKING_FEATURES
 from index.skeleton import JOINTS, exchange_sides, rotate_clockwise

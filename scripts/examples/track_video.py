@@ -26,7 +26,7 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from index import DEFAULT_PATH
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
 from scripts.datasets import read_frames
 from scripts.helpers import check_outputs

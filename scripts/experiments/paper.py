@@ -8,7 +8,6 @@ poses, each interpolated to the query.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,8 @@ from index.build.descriptor_learning import Recipe, learn_descriptor, view_joint
 from index.build.simulate import Simulation
 from index.candidates import Candidates, find_candidates
 from index.confidence import Calibration
+from index.matching import SPARE_MODES
 from index.modes import Modes, find_modes
-from index.parameters import MATCHING, MODES
 from index.skeleton import JOINTS, POINTS
 from scripts.experiments.outline_noise import disturb_all, outline_faults
 from scripts.experiments.paper_data import (
@@ -136,6 +135,5 @@ def first_poses(
 
 def ranked_modes(candidates: Candidates, count: int) -> Modes:
     """Return distinct poses, best first, as :func:`index.matching.match` ranks them."""
-    parameters = replace(MODES, bandwidth_m=BANDWIDTH_M)
-    found = find_modes(candidates, count + MATCHING.spare_modes, parameters=parameters)
+    found = find_modes(candidates, count + SPARE_MODES, bandwidth_m=BANDWIDTH_M)
     return found.nearest(count)

@@ -22,7 +22,7 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
 from app.vision.silhouettes import silhouettes_of
 from descriptor.silhouette import normalise
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import LIMB_ROWS, LIMBS, wrap_degrees
 from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
 

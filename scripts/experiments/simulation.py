@@ -29,7 +29,7 @@ from index.build.motion import read_manifest
 from index.build.simulate import Simulation
 from index.candidates import RotatedQuery, find_rotated_candidates, silhouette_rotations
 from index.confidence import FEATURES, RIGHT_BELOW_PX
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 from index.posture import LOW, POSTURES, classify_postures
 from index.reranker import RankingModel
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise

@@ -25,7 +25,7 @@ from app.scheduling.process import available_cores
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from index import DEFAULT_PATH
-from index.parameters import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES
 from scripts.experiments import pages
 from scripts.load.bench_cases import FILM, Street
 from scripts.load.scenes import encode

@@ -27,7 +27,7 @@ from app.vision.geometry import Box, Boxes, iou_matrix
 from app.vision.hog_detector import HogDetector
 from app.vision.models import write_fitted
 from index.confidence import RIGHT_BELOW_PX
-from index.parameters import RANKING
+from index.ranking import DISTANCE_WEIGHT
 from index.skeleton import LIMB_ROWS, LIMBS
 from scripts.datasets import (
     Marks,
@@ -170,7 +170,7 @@ def confidence_samples(
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
             errors = np.linalg.norm(placed.points_2d[LIMB_ROWS] - joints, axis=1)[seen]
-            agreement = -RANKING.distance_weight * float(np.log(max(placed.distance, 1e-9)))
+            agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))
             features.append((agreement, placed.adjusted_m))
             right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.landmarks import Keypoints, fit_to_keypoints
-from index.parameters import KEYPOINTS
+from index.landmarks import OUTLIER_WEIGHT, Keypoints, fit_to_keypoints
 from index.skeleton import (
     JOINTS,
     LIMB_HIPS,
@@ -101,8 +100,7 @@ def test_single_wrong_keypoint_rules_no_skeleton_out(seed: int, row: int) -> Non
         shown(points).compare(points[None], NO_DEPTH).log_likelihood
         - keypoints.compare(points[None], NO_DEPTH).log_likelihood
     )
-    outlier_weight = KEYPOINTS.outlier_weight
-    assert 0 < lost[0] <= np.log((1 + outlier_weight) / outlier_weight) + 1e-9
+    assert 0 < lost[0] <= np.log((1 + OUTLIER_WEIGHT) / OUTLIER_WEIGHT) + 1e-9
 
 
 @given(seed=seeds)

@@ -14,8 +14,7 @@ from index.build.simulate import Simulation, simulate
 from index.candidates import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
 from index.landmarks import Keypoints
-from index.matching import Hypothesis, Match, match
-from index.parameters import DEFAULT_HYPOTHESES, MATCHING
+from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Hypothesis, Match, match
 from index.posture import Posture
 from index.skeleton import (
     JOINTS,
@@ -86,7 +85,7 @@ def assert_later_poses_are_new(found: list[Hypothesis]) -> None:
     poses = np.array([one.points_3d for one in found])
     for later in poses[2 * DEFAULT_HYPOTHESES :]:
         apart = mean_joint_distance(later[None], poses[:DEFAULT_HYPOTHESES])
-        assert apart.min() >= MATCHING.min_new_pose_m
+        assert apart.min() >= MIN_NEW_POSE_M
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 20])

@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
-from index.modes import Modes, find_modes
-from index.parameters import MODES
+from index.modes import DISTINCT_M, Modes, find_modes
 from index.skeleton import JOINTS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
 
@@ -61,12 +60,12 @@ def test_modes_are_distinct_and_keep_bone_lengths(
     assert 1 <= len(modes) <= count
     centres = found.points_3d[modes.centres, :JOINTS]
     apart = np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=-1).mean(axis=-1))
-    assert (apart[~np.eye(len(modes), dtype=bool)] >= MODES.distinct_m - 1e-6).all()
+    assert (apart[~np.eye(len(modes), dtype=bool)] >= DISTINCT_M - 1e-6).all()
     if len(modes) < count and spread in (0.0, 1.0):
         # None was left out: every candidate is near some centre.
         joints = found.points_3d[:, None, :JOINTS]
         nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
-        assert (nearest < MODES.distinct_m + 1e-6).all()
+        assert (nearest < DISTINCT_M + 1e-6).all()
     assert (modes.votes > 0).all()
     assert (modes.votes <= 1 + 1e-6).all()
     assert (modes.distances >= 0).all()

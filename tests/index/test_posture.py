@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.parameters import POSTURE_RULES
 from index.posture import (
     LOW,
+    MAX_ELEVATION_DEG,
+    MIN_RUNNING_SPEED_M_S,
+    MIN_WALKING_SPEED_M_S,
     POSTURES,
     Posture,
     camera_up,
@@ -145,10 +147,10 @@ def test_lying_on_the_side(side: float) -> None:
     ("speed", "posture"),
     [
         (0.0, "standing"),
-        (POSTURE_RULES.min_walking_speed - 0.01, "standing"),
-        (POSTURE_RULES.min_walking_speed, "walking"),
-        (POSTURE_RULES.min_running_speed - 0.01, "walking"),
-        (POSTURE_RULES.min_running_speed, "running"),
+        (MIN_WALKING_SPEED_M_S - 0.01, "standing"),
+        (MIN_WALKING_SPEED_M_S, "walking"),
+        (MIN_RUNNING_SPEED_M_S - 0.01, "walking"),
+        (MIN_RUNNING_SPEED_M_S, "running"),
     ],
 )
 def test_speed_separates_walking_and_running(speed: float, posture: str) -> None:
@@ -197,7 +199,7 @@ def test_camera_up_is_up_in_camera_axes(elevation: float, azimuth: float) -> Non
 
 @given(
     azimuth=st.floats(0, 360),
-    elevation=st.floats(0, POSTURE_RULES.max_elevation_deg),
+    elevation=st.floats(0, MAX_ELEVATION_DEG),
     side=st.floats(0, 360),
     tail_first=st.booleans(),
 )
@@ -215,4 +217,4 @@ def test_elevation_of_a_level_trunk_is_the_cameras(
 @given(azimuth=st.floats(0, 360), elevation=st.floats(-90, 90))
 def test_elevation_is_limited_to_that_of_cameras(azimuth: float, elevation: float) -> None:
     found = lying_elevation_deg(SKELETONS @ camera_rotation(azimuth, elevation).T)
-    assert ((found >= 0) & (found <= POSTURE_RULES.max_elevation_deg)).all()
+    assert ((found >= 0) & (found <= MAX_ELEVATION_DEG)).all()

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise, principal_axis_deg
 from index.candidates import (
+    MAX_ROTATIONS,
+    MIN_ROTATION_SHARE,
+    ROTATION_STEP_DEG,
     RotatedQuery,
     find_rotated_candidates,
     landmark_rotations,
     rotate_silhouette,
     silhouette_rotations,
 )
-from index.parameters import ROTATIONS
 from index.search import NearestEntries
 from index.store import PoseIndex
 
@@ -112,21 +114,21 @@ def test_landmark_rotations_are_few_and_the_most_frequent(
     rolls: list[float], usual: tuple[float, ...]
 ) -> None:
     found = landmark_rotations(usual, np.array(rolls))
-    assert 1 <= len(found) == len(set(found)) <= ROTATIONS.max_rotations
+    assert 1 <= len(found) == len(set(found)) <= MAX_ROTATIONS
 
     def apart(one: float, other: float) -> float:
         return abs((one - other + 180) % 360 - 180)
 
     # Each is a usual one or a multiple of a step, within one and a half steps of half a step.
     for rotation in found:
-        assert rotation in usual or rotation % ROTATIONS.step_deg == 0
-        assert min(apart(rotation, roll) for roll in rolls) <= ROTATIONS.step_deg + 1e-6
+        assert rotation in usual or rotation % ROTATION_STEP_DEG == 0
+        assert min(apart(rotation, roll) for roll in rolls) <= ROTATION_STEP_DEG + 1e-6
     near = [
-        sum(apart(rotation, roll) <= ROTATIONS.step_deg + 1e-6 for roll in rolls)
+        sum(apart(rotation, roll) <= ROTATION_STEP_DEG + 1e-6 for roll in rolls)
         for rotation in found
     ]
     if len(found) > 1:
-        assert all(count >= ROTATIONS.min_share * len(rolls) for count in near)
+        assert all(count >= MIN_ROTATION_SHARE * len(rolls) for count in near)
 
 
 @pytest.mark.parametrize("lean", [-150.0, -90.0, -45.0, 0.0, 30.0, 60.0, 165.0])
