@@ -27,11 +27,9 @@ from app.estimation.results import (
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.vision import DetectorName
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import Detector, NetworkDetector
+from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box
-from app.vision.hog_detector import HogDetector
 from app.vision.judgement import photograph_models
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
@@ -54,14 +52,12 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
 
 
 def load_networks(
-    detector: DetectorName, concurrency: int, min_person_px: float | None
-) -> tuple[Detector, PersonReader]:
+    concurrency: int, min_person_px: float | None
+) -> tuple[NetworkDetector, PersonReader]:
     """Load the networks that detect people and locate their landmarks.
 
     Parameters
     ----------
-    detector : str
-        ``network`` (the networks, with HOG beside them) or ``hog`` (HOG only).
     concurrency : int
         Frames processed at once, which share the cores.
     min_person_px : float or None
@@ -81,8 +77,6 @@ def load_networks(
     readers = min(concurrency, cores)
     landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
     reader = PersonReader(landmarks, KeypointReader(movenet))
-    if detector == "hog":
-        return HogDetector(min_person_px=min_person_px), reader
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     return NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px), reader
 
@@ -162,7 +156,7 @@ class Estimator:
     def __init__(
         self,
         index: PoseIndex,
-        detector: Detector,
+        detector: NetworkDetector,
         reader: PersonReader,
         *,
         min_person_px: float | None,

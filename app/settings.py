@@ -14,7 +14,6 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.messages import expected_and_got, shortened, suggestion
 from app.scheduling.process import available_cores
-from app.vision import DetectorName
 from index import DEFAULT_PATH
 from index.milvus_address import SCHEME, MilvusAddress
 
@@ -58,11 +57,6 @@ class Settings(BaseSettings):
     )
     search_timeout_s: float = Field(
         default=2.0, gt=0, allow_inf_nan=False, description="Seconds for a search in Milvus."
-    )
-    detector: DetectorName = Field(
-        default="network",
-        description="How people are found: by `network` (MoveNet, supported by HOG) or by "
-        "`hog` alone.",
     )
     min_person_px: int | None = Field(
         default=None,

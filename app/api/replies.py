@@ -19,7 +19,6 @@ from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.film import TrackSummary, VideoEnd, VideoSummary
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.zones import Zone
-from app.vision import DetectorName
 from app.vision.optics import PinholeCamera
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
@@ -163,9 +162,7 @@ def frame_fields(
     }
 
 
-def index_reply(
-    index: PoseIndex, version: str, revision: str, detector: DetectorName
-) -> schemas.IndexResponse:
+def index_reply(index: PoseIndex, version: str, revision: str) -> schemas.IndexResponse:
     """Describe an index."""
     parameters = dict(index.parameters)
     return schemas.IndexResponse(
@@ -181,7 +178,7 @@ def index_reply(
         subjects=list(index.subjects),
         attribution=str(parameters.pop("attribution", "")),
         parameters=parameters,
-        service=schemas.ServiceVersion(version=version, revision=revision, detector=detector),
+        service=schemas.ServiceVersion(version=version, revision=revision, detector="network"),
     )
 
 

@@ -9,7 +9,6 @@ from typing_extensions import TypedDict
 
 from app.estimation.posture import FacingSource
 from app.estimation.results import Source
-from app.vision import DetectorName
 from app.vision.images import ImageWarning
 from index.posture import Posture as PostureLabel
 
@@ -490,8 +489,8 @@ class ServiceVersion(Model):
 
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
-    detector: DetectorName = Field(
-        description="Person detector: MoveNet with HOG beside it, or HOG alone.",
+    detector: Literal["network"] = Field(
+        description="Person detector: MoveNet and BlazePose's, with HOG beside them.",
         examples=["network"],
     )
 

@@ -14,7 +14,7 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
-from app.vision.detector import Detector, smallest_person_px
+from app.vision.detector import NetworkDetector, smallest_person_px
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
 from app.vision.judgement import photograph_models
@@ -37,7 +37,7 @@ class PeopleFinder:
         first.
     """
 
-    detector: Detector
+    detector: NetworkDetector
     reader: PersonReader
     min_person_px: float | None
     max_persons: int

@@ -37,12 +37,7 @@ EntryNumber = Annotated[
 )
 async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
     """Describe the index: its content, how it was built, and the source of its data."""
-    return index_reply(
-        estimator.index,
-        VERSION,
-        runtime_of(request).settings.revision,
-        estimator.detector.name,
-    )
+    return index_reply(estimator.index, VERSION, runtime_of(request).settings.revision)
 
 
 @router.get(

@@ -94,7 +94,7 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
         index = load_index(settings.index)
     return Estimator(
         index,
-        *load_networks(settings.detector, settings.concurrency, settings.min_person_px),
+        *load_networks(settings.concurrency, settings.min_person_px),
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
         max_persons=settings.max_persons,
@@ -120,12 +120,11 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     runtime.estimator = estimator
     runtime.sessions.end_others(estimator)
     log.info(
-        "ready: version %s (%s), index %s with %d entries, detector %s",
+        "ready: version %s (%s), index %s with %d entries",
         VERSION,
         runtime.settings.revision,
         estimator.index.version,
         len(estimator.index),
-        estimator.detector.name,
     )
 
 

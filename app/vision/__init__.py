@@ -5,9 +5,6 @@ the top-left one, x points right, y down. Nothing of the service is imported.
 """
 
 import os
-from typing import Literal
-
-DetectorName = Literal["network", "hog"]
 
 # OpenCV reads this when it is imported: a second line of defence behind the size check of
 # `app.vision.images`, for images whose decoder disagrees with their header.

@@ -7,14 +7,12 @@ sees the frame again at a higher resolution, in tiles.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision import DetectorName
 from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
 from app.vision.geometry import (
     Box,
@@ -30,35 +28,6 @@ from app.vision.models import fitted_constants
 from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
-
-
-class Detector(Protocol):
-    """Finds the people in a frame; implementations are thread-safe."""
-
-    name: DetectorName
-
-    def detect(
-        self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
-    ) -> list[Detection]:
-        """Find the people of a frame ``(H, W, 3)``, BGR; best first.
-
-        ``expected_boxes`` surround people who were there a moment ago and were not seen to leave.
-        """
-        ...
-
-
-def best_first(detections: Iterable[Detection], min_score: float) -> list[Detection]:
-    """Return the detections that reach ``min_score``, best first."""
-    kept = [detection for detection in detections if detection.score >= min_score]
-    return sorted(kept, key=lambda detection: -detection.score)
-
-
-def check_limits(min_person_px: float | None, min_score: float) -> None:
-    """Raise a ValueError for limits that no person can satisfy."""
-    if min_person_px is not None and not min_person_px > 0:
-        raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
-    if not 0 <= min_score <= 1:
-        raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")
 
 
 @dataclass(frozen=True)
@@ -235,7 +204,7 @@ _MIN_PRESENCE = 0.5
 
 
 class NetworkDetector:
-    """Find people with MoveNet and BlazePose's detector.
+    """Find people with MoveNet and BlazePose's detector; thread-safe.
 
     MoveNet finds people of any size, BlazePose's detector large people in any pose and orientation.
     HOG may raise a score but never lowers it, since it recognises only standing people.
@@ -252,8 +221,6 @@ class NetworkDetector:
         Probability from which a person is reported.
     """
 
-    name: DetectorName = "network"
-
     def __init__(
         self,
         movenet: MoveNet,
@@ -268,23 +235,30 @@ class NetworkDetector:
         self._landmarks = landmarks
         self._min_score = MIN_SCORE if min_score is None else min_score
         self._min_person_px = min_person_px
-        check_limits(min_person_px, self._min_score)
+        if min_person_px is not None and not min_person_px > 0:
+            raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
+        if not 0 <= self._min_score <= 1:
+            raise ValueError(f"expected a min_score from 0 to 1, got {self._min_score}")
 
     def detect(
         self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
     ) -> list[Detection]:
-        """Find the people; see :class:`Detector`."""
+        """Find the people of a frame ``(H, W, 3)``, BGR; best first.
+
+        ``expected_boxes`` surround people who were there a moment ago and were not seen to leave.
+        """
         detections, scores = self.candidates(frame)
         odds = detection_odds(scores)
         for box in expected_boxes:
             near = [i for i, one in enumerate(detections) if self._may_be(one.box, box)]
             if near:
                 odds[max(near, key=lambda i: odds[i])] += _EXPECTED_LOG_ODDS
-        found = (
+        found = [
             replace(detection, score=probability)
             for detection, probability in zip(detections, sigmoid(odds).tolist(), strict=True)
-        )
-        return best_first(found, self._min_score)
+            if probability >= self._min_score
+        ]
+        return sorted(found, key=lambda detection: -detection.score)
 
     def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
         """Find all candidates of both networks, however low their score.

@@ -118,18 +118,13 @@ def box_array(boxes: Iterable[Box]) -> Boxes:
     return np.array(rows, np.float64).reshape(-1, 4)
 
 
-def intersections(first: Boxes, second: Boxes) -> NDArray[np.float64]:
-    """Shared area ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
+def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
+    """Intersection over union ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
     low = np.maximum(first[:, None, :2], second[None, :, :2])
     high = np.minimum(
         first[:, None, :2] + first[:, None, 2:], second[None, :, :2] + second[None, :, 2:]
     )
-    return np.asarray(np.clip(high - low, 0, None).prod(axis=2))
-
-
-def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
-    """Intersection over union ``(N, M)`` of every pair of boxes ``(N, 4)`` and ``(M, 4)``."""
-    shared = intersections(first, second)
+    shared = np.clip(high - low, 0, None).prod(axis=2)
     areas = (first[:, 2] * first[:, 3])[:, None] + (second[:, 2] * second[:, 3])[None, :]
     return np.asarray(shared / (areas - shared))
 

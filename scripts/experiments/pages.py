@@ -33,7 +33,6 @@ RELIABILITY = ("cameras", "overload", "fuzz", "soak", "clients")
 NAMES = {
     "both_networks_and_hog": "both networks and HOG",
     "movenet_alone": "MoveNet alone",
-    "hog_alone": "HOG alone",
     "low": f"low: {', '.join(LOW)}",
     "paper": "paper's descriptor",
     "paper_nearest": "paper's descriptor",

@@ -248,9 +248,7 @@ def read_sources(real: Path, names: Sequence[str], cache: Path | None) -> list[R
 
 def _read(frames: Iterator[Shown], name: str) -> list[ReadFrame]:
     settings = Settings()
-    detector, reader = load_networks(
-        settings.detector, settings.concurrency, settings.min_person_px
-    )
+    detector, reader = load_networks(settings.concurrency, settings.min_person_px)
     read = []
     for shown in tqdm(frames, desc=name, unit="frame"):
         frame, scale = shown.frame, min(1.0, LONGEST_PX / max(shown.frame.shape))

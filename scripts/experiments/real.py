@@ -21,7 +21,7 @@ from tqdm import tqdm
 from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import MIN_SCORE, Detector, NetworkDetector
+from app.vision.detector import MIN_SCORE, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
@@ -73,7 +73,6 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     cv2.setNumThreads(1)
     estimator = load_estimator(Settings(index=options.index))
     detector = estimator.detector
-    assert isinstance(detector, NetworkDetector)
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
@@ -162,7 +161,7 @@ def measure_silhouettes(photographs: Sequence[Photograph], estimator: Estimator)
 def measure_vtest(
     frames: Sequence[tuple[int, NDArray[np.uint8]]],
     marks: Sequence[Marks],
-    detector: Detector,
+    detector: NetworkDetector,
     min_score: float,
 ) -> Figures:
     """Return the percentage of marked walkers found in numbered frames, and false boxes."""

@@ -20,7 +20,6 @@ from app.estimation.results import ObservedPerson
 from app.photograph import Estimator
 from app.vision.detector import NetworkDetector, detection_features
 from app.vision.geometry import Boxes
-from app.vision.hog_detector import HogDetector
 from app.vision.odds import sigmoid
 from index.skeleton import wrap_degrees
 from scripts.datasets import Photograph, as_array, rotate_box
@@ -78,21 +77,10 @@ def measure_detection(
     """Return the figures of the detectors; what is fitted is cross-validated by photograph."""
     truths = [as_array(photograph.boxes) for photograph in photographs]
     spent = float(np.median([one.milliseconds for one in candidates]))
-    found = {
+    return {
         name: {**_cross_validated(candidates, truths, columns), "milliseconds": spent}
         for name, columns in DETECTORS.items()
     }
-    alone = HogDetector(min_score=0.0)
-    by_hog, spent_by_hog = [], []
-    for photograph in tqdm(photographs, desc="HOG alone", unit="photograph"):
-        started = time.perf_counter()
-        people = alone.detect(photograph.frame)
-        spent_by_hog.append(1000 * (time.perf_counter() - started))
-        scores = np.array([one.score for one in people])
-        by_hog.append((as_array([one.box for one in people]), scores))
-    median = float(np.median(spent_by_hog))
-    found["hog_alone"] = {**detection_figures(by_hog, truths), "milliseconds": median}
-    return found
 
 
 def _cross_validated(

@@ -24,14 +24,12 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
-from app.vision.hog_detector import HogDetector
 from app.vision.models import write_fitted
 from index.confidence import RIGHT_BELOW_PX
 from index.ranking import DISTANCE_WEIGHT
 from index.skeleton import LIMB_ROWS, LIMBS
 from scripts.datasets import (
     Marks,
-    Photograph,
     as_array,
     read_lsp,
     read_marks,
@@ -40,7 +38,6 @@ from scripts.datasets import (
     read_vtest,
 )
 from scripts.helpers import estimate
-from scripts.metrics import rightness
 from scripts.results import SHARED
 
 COMMAND = "python -m scripts fit-people"
@@ -106,7 +103,6 @@ def walker(marks: Marks) -> Callable[[Box], bool | None]:
 def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
     """Collect the candidates of every source that has boxes or joints."""
     detector = estimator.detector
-    assert isinstance(detector, NetworkDetector)
     sources = {name: Samples() for name in ("pennfudan", "vtest", "lsp")}
     street = read_pennfudan(shared / "real" / "pennfudan")
     for one in tqdm(street, desc="street photographs"):
@@ -135,21 +131,6 @@ def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
     constants = {name: max(0.0, weight) for name, weight in weights}
     constants["offset"] = float(model.intercept_[0])
     return {name: round(value, 4) for name, value in constants.items()}
-
-
-def fit_hog(street: Sequence[Photograph]) -> dict[str, float]:
-    """Fit the constants that turn HOG's margins alone into probabilities."""
-    right, margins = [], []
-    alone = HogDetector(min_score=0.0)
-    for photograph in street:
-        boxes, found = alone.people(photograph.frame)
-        right.append(rightness((boxes, found), as_array(photograph.boxes)))
-        margins.append(found)
-    model = LogisticRegression().fit(np.concatenate(margins)[:, None], np.concatenate(right))
-    return {
-        "hog_alone": round(float(model.coef_[0, 0]), 4),
-        "hog_alone_offset": round(float(model.intercept_[0]), 4),
-    }
 
 
 def confidence_samples(
@@ -216,8 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     estimator = load_estimator(Settings())
     detection = detection_samples(estimator, shared)
     data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items())
-    street = read_pennfudan(shared / "real" / "pennfudan")
-    write_fitted("detection", COMMAND, data, {**fit_detection(detection), **fit_hog(street)})
+    write_fitted("detection", COMMAND, data, fit_detection(detection))
     features, right = confidence_samples(estimator, shared)
     data = (
         f"{len(right)} hypotheses of people in sport and in the street, "

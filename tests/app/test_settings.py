@@ -22,8 +22,6 @@ from tests.support.programs import output_of, run
         ("POSE_REQUEST_TIMEOUT_S", "soon", "expected a number, got 'soon'"),
         ("POSE_REQUEST_TIMEOUT_S", "inf", "expected a finite number, got 'inf'"),
         ("POSE_LOG_LEVEL", "loud", "expected 'debug', 'info', 'warning' or 'error', got 'loud'"),
-        ("POSE_DETECTOR", "network,hog", "expected 'network' or 'hog', got 'network,hog'"),
-        ("POSE_DETECTOR", "yolo", "expected 'network' or 'hog', got 'yolo'"),
         ("POSE_API_KEYS", ",", "expected values separated by commas, got an empty one"),
         ("POSE_API_KEYS", "secret,", "expected values separated by commas, got an empty one"),
         ("POSE_API_KEYS", " ", "expected values separated by commas, got an empty one"),
@@ -90,7 +88,6 @@ def test_valid_values_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
         "PORT": "8080",
         "WORKERS": "2",
         "POSE_MAX_CAMERAS": "0",
-        "POSE_DETECTOR": "hog",
         "POSE_API_KEYS": "first, second",
         "POSE_CORS_ORIGINS": "https://yard.example,http://127.0.0.1:8000",
         "POSE_MAX_PIXELS": "",  # As compose.yaml passes on what is not set.
@@ -98,7 +95,6 @@ def test_valid_values_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
     settings = read_settings()
     assert (settings.host, settings.port, settings.workers) == ("0.0.0.0", 8080, 2)
-    assert settings.detector == "hog"
     assert [key.get_secret_value() for key in settings.api_keys] == ["first", "second"]
     assert settings.cors_origins == ("https://yard.example", "http://127.0.0.1:8000")
     assert settings.max_pixels == Settings.model_fields["max_pixels"].default

@@ -12,8 +12,6 @@ from app.estimation.results import ObservedPerson, Person, Scene
 from app.estimation.upload import Upload
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
-from app.serving.loading import load_estimator
-from app.settings import Settings
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, silhouette_from_mask
@@ -193,18 +191,6 @@ def test_box_without_a_silhouette_has_no_poses(
     assert (person.facing, person.hypotheses) == (None, ())
     # What the detector finds without one was hardly a person.
     assert persons(estimator, Upload(png(street))) == []
-
-
-@pytest.mark.parametrize("name", ["network", "hog"])
-def test_detector_of_the_settings_is_used(
-    settings: Settings, street: NDArray[np.uint8], name: str
-) -> None:
-    chosen = load_estimator(settings.model_copy(update={"detector": name}))
-    assert chosen.detector.name == name
-    chosen.warm_up()
-    found = chosen.estimate(Upload(png(street)), 1, Job()).persons
-    assert any(person.observed.box.iou(WALKER) > 0.5 for person in found)
-    assert {person.observed.source for person in found} == {"detector"}
 
 
 def test_cancelled_job_stops(estimator: Estimator, photo: Photo) -> None:

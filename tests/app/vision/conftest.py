@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import Detector, NetworkDetector
+from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
@@ -26,12 +26,14 @@ def moved(box: Box, x: float, y: float) -> Box:
     return Box(box.x + x, box.y + y, box.width, box.height)
 
 
-def found_share(detector: Detector, frame: NDArray[np.uint8], people: list[Box]) -> float:
+def found_share(detector: NetworkDetector, frame: NDArray[np.uint8], people: list[Box]) -> float:
     boxes = [one.box for one in detector.detect(frame)]
     return float(np.mean([max([p.iou(b) for b in boxes], default=0) >= 0.5 for p in people]))
 
 
-def scores_of(detector: Detector, frame: NDArray[np.uint8], *expected: Box) -> dict[Box, float]:
+def scores_of(
+    detector: NetworkDetector, frame: NDArray[np.uint8], *expected: Box
+) -> dict[Box, float]:
     return {one.box: one.score for one in detector.detect(frame, expected)}
 
 

@@ -1,4 +1,4 @@
-"""HOG: scores of single boxes and of all windows, and one box for each person."""
+"""HOG: scores of boxes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, resize
-from app.vision.hog import hog_margin, hog_people, hog_windows
+from app.vision.hog import hog_margin
 
 EMPTY = [Box(100, 200, 30, 80), Box(20, 200, 40, 100), Box(60, 30, 30, 80)]
 """Asphalt and grass of `street`."""
@@ -41,20 +41,3 @@ def test_margin_hardly_depends_on_the_size(
 def test_any_box_has_a_finite_margin(x: float, y: float, width: float, height: float) -> None:
     frame = np.random.default_rng(0).integers(0, 256, (120, 90, 3)).astype(np.uint8)
     assert -5 <= hog_margin(frame, Box(x, y, width, height)) < 20
-
-
-def test_higher_threshold_finds_a_subset_of_windows(street: NDArray[np.uint8]) -> None:
-    all_boxes, all_margins = hog_windows(street, 50, -0.5)
-    boxes, margins = hog_windows(street, 50, 0.5)
-    assert 0 < len(boxes) < len(all_boxes)
-    assert (margins >= 0.5).all() and (all_margins >= -0.5).all()
-    every = {tuple(box) for box in all_boxes.round(3).tolist()}
-    assert {tuple(box) for box in boxes.round(3).tolist()} <= every
-
-
-def test_each_person_has_one_box(street: NDArray[np.uint8], walkers: list[Box]) -> None:
-    boxes, margins = hog_people(street, 50)
-    assert len(boxes) == len(margins) >= len(walkers)
-    assert (margins > 0).all()
-    for walker in walkers:
-        assert sum(walker.iou(Box(*box)) > 0.3 for box in boxes.tolist()) == 1

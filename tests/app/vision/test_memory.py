@@ -11,7 +11,6 @@ import pytest
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box, PersonWindow
-from app.vision.hog_detector import HogDetector
 from app.vision.movenet import KeypointReader
 from app.vision.silhouettes import silhouettes_of
 
@@ -30,7 +29,7 @@ def peak_bytes(work: Callable[[], object]) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("what", ["network", "hog", "keypoints", "silhouette"])
+@pytest.mark.parametrize("what", ["detector", "keypoints", "silhouette"])
 def test_thin_frames_take_no_more_memory(
     detector: NetworkDetector, reader: KeypointReader, landmark_network: LandmarkNetwork, what: str
 ) -> None:
@@ -43,7 +42,7 @@ def test_thin_frames_take_no_more_memory(
         if what == "silhouette":
             reading = landmark_network.read(frame, PersonWindow.about_box(box))
             return silhouettes_of([reading], [box], frame.shape, exact=True)
-        return (detector if what == "network" else HogDetector()).detect(frame)
+        return detector.detect(frame)
 
     square = peak_bytes(lambda: work(1000))
     for width in (1, 10, 100, 10_000, 100_000, 1_000_000):
