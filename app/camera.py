@@ -16,7 +16,6 @@ from app.estimation.upload import DecodedUpload, SquarePixels, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.following import TrackedPeopleDetector
-from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track, appearance_histogram, associate
 from app.tracking.zones import Zone
@@ -26,6 +25,20 @@ from index.matching import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 110_000
 """Memory of a track that is a few seconds long; a test measures it."""
+
+MIN_STEP_S = 1e-3
+"""Frames closer together have no order that a camera could have seen."""
+
+# After a longer gap the scene may be another one.
+MAX_GAP_S = 10.0
+# A frame that is late by more than this was not overtaken by another one: the clock was set, or an
+# earlier timestamp was wrong.
+MAX_LATE_S = 5.0
+# Time without a sighting after which a track is dropped: usually, and for a person who is hidden
+# behind another one or vanished away from the frame's border.
+DROPPED_AFTER_S, PREDICTED_FOR_S = 0.5, 2.0
+# Share of a person's box that another must cover to hide them.
+HIDDEN_SHARE = 0.5
 
 
 class LateFrameError(ValueError):
@@ -45,16 +58,10 @@ class CameraSession:
         Seconds, for frames without a timestamp.
     """
 
-    def __init__(
-        self,
-        estimator: Estimator,
-        clock: Callable[[], float] = time.monotonic,
-        parameters: TrackingParameters = DEFAULTS,
-    ) -> None:
+    def __init__(self, estimator: Estimator, clock: Callable[[], float] = time.monotonic) -> None:
         self._estimator = estimator
         self._clock = clock
-        self._parameters = parameters
-        self._detector = TrackedPeopleDetector(estimator.finder, parameters)
+        self._detector = TrackedPeopleDetector(estimator.finder)
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -150,13 +157,12 @@ class CameraSession:
         return [event for track in self._tracks for event in track.unconfirmed()]
 
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
-        parameters = self._parameters.session
         if timestamp is None:
             if self._frames == 0:
                 return 0.0
-            return self._timestamp + max(parameters.min_step_s, arrived - self._arrived)
-        begins_afresh = timestamp < self._timestamp - parameters.max_late_s
-        if not (begins_afresh or timestamp >= self._timestamp + parameters.min_step_s):
+            return self._timestamp + max(MIN_STEP_S, arrived - self._arrived)
+        begins_afresh = timestamp < self._timestamp - MAX_LATE_S
+        if not (begins_afresh or timestamp >= self._timestamp + MIN_STEP_S):
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
                 f"frame, got {timestamp:g} s"
@@ -166,20 +172,20 @@ class CameraSession:
     def _start_afresh_if_needed(self, shape: tuple[int, ...], timestamp: float) -> None:
         """Drop all tracks if the frame cannot continue the previous ones."""
         before, self._size = self._size, shape[:2]
-        gap, max_gap_s = timestamp - self._timestamp, self._parameters.session.max_gap_s
+        gap = timestamp - self._timestamp
         if before is None:
             return
         if before != self._size:
             (height, width), (rows, columns) = before, self._size
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
-        elif self._frames and gap > max_gap_s:
-            reason = f"no frame came for {gap:.1f} s, more than {max_gap_s:g} s"
+        elif self._frames and gap > MAX_GAP_S:
+            reason = f"no frame came for {gap:.1f} s, more than {MAX_GAP_S:g} s"
         elif self._frames and gap < 0:
             reason = f"the timestamps went back by {-gap:.1f} s"
         else:
             return
         self._reset = reason
-        self._detector = TrackedPeopleDetector(self._estimator.finder, self._parameters)
+        self._detector = TrackedPeopleDetector(self._estimator.finder)
         for track in self._tracks:
             self._emit("left", track, timestamp)
         self._tracks = []
@@ -240,9 +246,7 @@ class CameraSession:
         ]
         open_rows = [row for row, track in enumerate(tracks) if track is None]
         others = [track for track in self._tracks if track not in tracks]
-        assigned = associate(
-            others, [sightings[row] for row in open_rows], timestamp, self._parameters.matching
-        )
+        assigned = associate(others, [sightings[row] for row in open_rows], timestamp)
         for row, other in zip(open_rows, assigned, strict=True):
             tracks[row] = None if other is None else others[other]
         return tracks
@@ -251,7 +255,7 @@ class CameraSession:
         """Begin the track of a new person; None where there are too many."""
         if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
             return None
-        track = Track(sighting, timestamp, self._parameters)
+        track = Track(sighting, timestamp)
         self._tracks.append(track)
         return track
 
@@ -272,12 +276,12 @@ class CameraSession:
                 self._emit("entered", track, timestamp)
 
     def _drop_unseen(self, timestamp: float) -> None:
-        parameters, kept = self._parameters.session, []
+        kept = []
         for track in self._tracks:
             predicted = track.track_id is not None and (
                 self._hidden_box(track, timestamp) is not None or self._vanished(track)
             )
-            longest = parameters.predicted_for_s if predicted else parameters.dropped_after_s
+            longest = PREDICTED_FOR_S if predicted else DROPPED_AFTER_S
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
@@ -286,8 +290,7 @@ class CameraSession:
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
         """Predicted box of a person hidden behind another person; None if nobody hides them."""
-        parameters = self._parameters.session
-        if self._size is None or timestamp - track.seen_at > parameters.predicted_for_s:
+        if self._size is None or timestamp - track.seen_at > PREDICTED_FOR_S:
             return None
         box = track.box_filter.predict(timestamp).clip(self._size[1], self._size[0])
         others = [
@@ -295,9 +298,7 @@ class CameraSession:
             for other in self._tracks
             if other is not track and other.seen_at == timestamp
         ]
-        if box and any(
-            other.intersection(box) >= parameters.hidden_share * box.area for other in others
-        ):
+        if box and any(other.intersection(box) >= HIDDEN_SHARE * box.area for other in others):
             return box
         return None
 

@@ -15,11 +15,13 @@ from app.messages import SEARCH_FAILED
 from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import Sender, ShutdownError
-from app.tracking.parameters import DEFAULTS, SummaryParameters
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.video.reader import VideoError, VideoFrame, VideoReader
 from index.posture import Posture
 from index.search import UnavailableError
+
+MAX_GAP_S = 2.0
+"""A person unseen for longer is not assumed to keep a posture."""
 
 PostureLabel = Posture | Literal["unclear"]
 
@@ -47,10 +49,10 @@ class TrackSummary:
     _actions: dict[str, float] = field(default_factory=dict)
     _frames_with_action: int = 0
 
-    def add(self, tracked: TrackedPerson, timestamp: float, max_gap_s: float) -> None:
+    def add(self, tracked: TrackedPerson, timestamp: float) -> None:
         """Add the person's next frame; a posture lasts until then unless the gap is longer."""
         gap_s = timestamp - self.last_timestamp
-        if self._posture is not None and gap_s <= max_gap_s:
+        if self._posture is not None and gap_s <= MAX_GAP_S:
             self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
         posture = tracked.person.posture
         self._posture = posture.label if posture else None
@@ -78,8 +80,7 @@ class TrackSummary:
 class VideoSummary:
     """Tracks and events over the frames of a video."""
 
-    def __init__(self, parameters: SummaryParameters = DEFAULTS.summary) -> None:
-        self._max_gap_s = parameters.max_gap_s
+    def __init__(self) -> None:
         self.frames = 0
         self.tracks: dict[int, TrackSummary] = {}
         self.events: list[Event] = []
@@ -92,7 +93,7 @@ class VideoSummary:
             track = self.tracks.setdefault(
                 tracked.track_id, TrackSummary(tracked.track_id, frame.timestamp, frame.timestamp)
             )
-            track.add(tracked, frame.timestamp, self._max_gap_s)
+            track.add(tracked, frame.timestamp)
 
 
 VideoEndReason = Literal[

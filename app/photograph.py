@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from app.estimation.finder import PeopleFinder
-from app.estimation.parameters import POSTURE, THREADS_PER_PASS
 from app.estimation.poses import (
     NormalisedPerson,
     order_by_landmarks,
@@ -35,8 +34,14 @@ from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
 from app.vision.person_reader import PersonReader
-from index.matching import match
+from index.matching import DEFAULT_HYPOTHESES, match
 from index.store import PoseIndex
+
+THREADS_PER_PASS = 2
+"""Threads that share a pass of a network with little loss; more do not."""
+
+VOTERS = DEFAULT_HYPOTHESES
+"""Hypotheses that decide posture and facing, however many are requested."""
 
 
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
@@ -107,15 +112,13 @@ def fit_poses(
         roll_deg=normalised.roll_deg,
         whole=normalised.whole,
     )
-    # Posture and facing do not depend on how many hypotheses are requested.
-    voters = POSTURE.voters
     if keypoints is None:
-        facing, hypotheses = order_by_silhouette(found.hypotheses, max(n, voters), voters)
+        facing, hypotheses = order_by_silhouette(found.hypotheses, max(n, VOTERS), VOTERS)
     else:
-        facing, hypotheses = order_by_landmarks(found.hypotheses, max(n, voters), found.first_batch)
+        facing, hypotheses = order_by_landmarks(found.hypotheses, max(n, VOTERS), found.first_batch)
     presence = 1.0 if observed.presence is None else observed.presence
     confidences = [presence * one.confidence for one in hypotheses]
-    votes = vote_posture([one.posture for one in hypotheses[:voters]], confidences[:voters])
+    votes = vote_posture([one.posture for one in hypotheses[:VOTERS]], confidences[:VOTERS])
     posture = estimate_posture(votes, observed.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(

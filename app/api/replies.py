@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from app.api import schemas, tracking_schemas
 from app.cameras import CameraSettings, CameraSummary
-from app.estimation.parameters import MIN_BOX_PX, PLACEMENT
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
+from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.zones import Zone
@@ -23,6 +23,9 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
+
+SIZE_SD = 0.1
+"""Standard deviation of the logarithm of a body's size, and so of its distance."""
 
 
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
@@ -234,7 +237,7 @@ def person_fields(
 def _position(pelvis: NDArray[np.float64]) -> schemas.Position:
     x, y, z = (round(value, 2) for value in pelvis.tolist())
     distance = float(np.linalg.norm(pelvis))
-    return schemas.Position(x=x, y=y, z=z, sd=round(PLACEMENT.size_sd * distance, 2))
+    return schemas.Position(x=x, y=y, z=z, sd=round(SIZE_SD * distance, 2))
 
 
 def _silhouette(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.parameters import DUPLICATE_BODY_DISTANCE
 from app.estimation.results import ObservedPerson, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
@@ -192,6 +191,11 @@ def _judged(
 def without_landmarks(person: ObservedPerson) -> ObservedPerson:
     """A person without landmarks and what is judged from them."""
     return replace(person, landmarks=None, frame_posture=None, trust=None)
+
+
+DUPLICATE_BODY_DISTANCE = 0.12
+"""Mean distance between landmarks, in sizes of the body, below which two readings show the same
+person."""
 
 
 def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:

@@ -15,12 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.parameters import (
-    HYPOTHESES_PER_OPPOSITE_FACING,
-    NORMALISATION,
-    PLACEMENT,
-    PlacementParameters,
-)
 from app.estimation.posture import Facing, azimuth_deg, faces_camera, front_share, heading_shares
 from app.vision.geometry import transform_points
 from app.vision.models import fitted_constants
@@ -43,6 +37,14 @@ _POINTS, _LANDMARKS = rows(*_LANDMARK_OF), rows(*_LANDMARK_OF.values(), among=LA
 _LIMBS = rows(*LIMBS, among=LANDMARK_NAMES)
 _ANKLES = side_rows("ankle", among=LANDMARK_NAMES)
 _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
+
+# Visibility above which a landmark is used for matching.
+MIN_VISIBILITY = 0.05
+# With fewer landmarks a person is matched by the silhouette alone.
+MIN_LANDMARKS = 4
+# Visibility of the more visible ankle, and of the most visible point of the head, of a person seen
+# whole.
+MIN_FEET_VISIBILITY, MIN_HEAD_VISIBILITY = 0.35, 0.2
 
 
 @dataclass(frozen=True)
@@ -87,16 +89,16 @@ class NormalisedPerson:
         if self.landmarks is None:
             return True
         visibility = self.landmarks.visibility
-        feet_visible = visibility[_ANKLES].max() >= NORMALISATION.min_feet_visibility
-        return bool(feet_visible and visibility[_HEAD].max() >= NORMALISATION.min_head_visibility)
+        feet_visible = visibility[_ANKLES].max() >= MIN_FEET_VISIBILITY
+        return bool(feet_visible and visibility[_HEAD].max() >= MIN_HEAD_VISIBILITY)
 
     def keypoints(self) -> Keypoints | None:
         """The landmarks in the normalised frame, for matching; None if too few are visible."""
         if self.landmarks is None:
             return None
         scores = self.landmarks.visibility[_LANDMARKS]
-        used = np.flatnonzero(scores > NORMALISATION.min_score)
-        if len(used) < NORMALISATION.min_keypoints:
+        used = np.flatnonzero(scores > MIN_VISIBILITY)
+        if len(used) < MIN_LANDMARKS:
             return None
         to_normalised = np.asarray(cv2.invertAffineTransform(self.to_frame), np.float64)
         positions = self.landmarks.positions[_LANDMARKS][used]
@@ -191,6 +193,11 @@ def fused_confidences(
     return sigmoid(odds)
 
 
+HYPOTHESES_PER_OPPOSITE_FACING = 7
+"""At least one in this many hypotheses faces the opposite way to the first, since landmarks may be
+wrong."""
+
+
 def nearest_of_both_facings(
     azimuths_deg: NDArray[np.float64],
     distances: NDArray[np.float64],
@@ -201,8 +208,8 @@ def nearest_of_both_facings(
 
     The nearest is first. Among the first k, the share that faces the opposite way equals the
     probability of that facing. It is at least one in
-    :data:`app.estimation.parameters.HYPOTHESES_PER_OPPOSITE_FACING`, however far these hypotheses
-    are, as long as there are any. The first k of n are those chosen for k.
+    :data:`HYPOTHESES_PER_OPPOSITE_FACING`, however far these hypotheses are, as long as there are
+    any. The first k of n are those chosen for k.
 
     Parameters
     ----------
@@ -281,12 +288,22 @@ class PlacedSkeletons:
     pelvis: NDArray[np.float64]
 
 
+# Visibility below which a landmark does not move a joint.
+MIN_MOVING_VISIBILITY = 0.05
+# Standard deviation of a landmark's depth at which the first hypothesis moves half way to it: the
+# hypothesis has been fitted to the landmarks, so it adds little information.
+HALF_WAY_SD_M = 0.3
+# Limits of the person's size relative to a hypothesis.
+SIZES = (0.8, 1.25)
+# Least forward component of a joint's line of sight, and its least distance.
+MIN_FORWARD, MIN_DISTANCE_M = 0.05, 0.1
+
+
 def place_skeletons(
     points_3d: NDArray[np.float64],
     points_2d: NDArray[np.float64],
     landmarks: Landmarks | None,
     camera: PinholeCamera,
-    parameters: PlacementParameters = PLACEMENT,
 ) -> PlacedSkeletons:
     """Place the hypotheses of a person in front of a camera.
 
@@ -308,7 +325,7 @@ def place_skeletons(
         # A mask may be a crop: nothing shows where the optical axis is, unless the caller says so.
         return placed if camera.given else replace(placed, points_3d=points_3d)
     visibility = landmarks.visibility[_SEEN_LANDMARKS]
-    visible = np.where(visibility > parameters.min_visibility, visibility, 0.0)
+    visible = np.where(visibility > MIN_MOVING_VISIBILITY, visibility, 0.0)
     weights = np.maximum(visible, 1e-3)
     seen = landmarks.positions[_SEEN_LANDMARKS]
     line = to_line_of_sight(camera.rays(landmarks.positions[_LANDMARK_HIPS].mean(axis=0)))
@@ -322,17 +339,15 @@ def place_skeletons(
     size = (weights[:, None] * metres * shown).sum(axis=(1, 2)) / (weights[:, None] * shown**2).sum(
         axis=(1, 2)
     )
-    depths = np.clip(size, *parameters.sizes)[:, None] * about_hips[..., 2]
-    reliability = visible / (
-        1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / parameters.half_way_sd_m) ** 2
-    )
+    depths = np.clip(size, *SIZES)[:, None] * about_hips[..., 2]
+    reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / HALF_WAY_SD_M) ** 2)
     depths[0, _SEEN_POINTS] += reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])
     pixels = points_2d.copy()
     pixels[each, rows] += visible[:, None] * (seen - pixels[each, rows])
     lines = camera.rays(pixels) @ line.T
-    lines = lines / np.maximum(lines[..., 2:], parameters.min_forward)
+    lines = lines / np.maximum(lines[..., 2:], MIN_FORWARD)
     return _about_pelvis(
-        lines * np.maximum(depth + depths, parameters.min_distance_m)[..., None] @ line, pixels
+        lines * np.maximum(depth + depths, MIN_DISTANCE_M)[..., None] @ line, pixels
     )
 
 

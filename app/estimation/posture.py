@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.parameters import POSTURE
 from app.vision.judgement import FramePosture
 from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
@@ -125,6 +124,13 @@ _HELD = [
 ]
 """For each of :data:`app.vision.judgement.FRAME_POSTURES`, the ``POSTURES`` it includes."""
 
+MIN_PROBABILITY = 0.5
+"""Probability from which a posture is reported; below, it is ``unclear``."""
+
+# Probability above the minimum that a posture can reach, per confidence of the best hypothesis:
+# above 0.8 from a confidence of 0.2.
+CONFIDENCE_SLOPE = 1.5
+
 # Share given to every posture for which no hypothesis votes.
 _MIN_VOTE = 1e-3
 
@@ -222,9 +228,9 @@ def likeliest_posture(
     sums = [float(shares[members].sum()) for members in _MEMBERS]
     best_group = int(np.argmax(sums))
     best = int(np.where(_MEMBERS[best_group], shares, -1.0).argmax())
-    limit = POSTURE.min_probability + POSTURE.confidence_slope * confidence
+    limit = MIN_PROBABILITY + CONFIDENCE_SLOPE * confidence
     probability = min(presence * sums[best_group], limit)
-    label = POSTURES[best] if probability >= POSTURE.min_probability else "unclear"
+    label = POSTURES[best] if probability >= MIN_PROBABILITY else "unclear"
     return EstimatedPosture(label, probability, shares)
 
 
@@ -242,7 +248,7 @@ def posture_of(shares: NDArray[np.float64], presence: float = 1.0) -> EstimatedP
     probability = presence * group_probability(in_group)
     if group is not ON_THE_GROUND:
         probability *= float(shares[best]) / in_group
-    label = POSTURES[best] if probability >= POSTURE.min_probability else "unclear"
+    label = POSTURES[best] if probability >= MIN_PROBABILITY else "unclear"
     return EstimatedPosture(label, probability, shares)
 
 

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.parameters import MASKS, MAX_FRAMES_OF_PEOPLE, MIN_BOX_PX
 from app.estimation.results import ObservedPerson, Person
 from app.scheduling.job import Job
 from app.vision.geometry import Box
@@ -140,6 +139,23 @@ def _between(first: NDArray[np.float64], last: NDArray[np.float64]) -> Box:
 
 
 T = TypeVar("T")
+
+MAX_FRAMES_OF_PEOPLE = 4
+"""A caller's boxes may together cover this many times the area of the largest frame. The boxes of a
+crowd overlap less, and the work on people grows with their pixels."""
+
+MIN_BOX_PX = 0.01
+"""Shortest side of a caller's box: a unit of the last digit of a reply."""
+
+MIN_FIGURE_SHARE = 0.25
+"""Area of the smallest part of a mask that may be a person, as a share of the largest part's."""
+
+MIN_FIGURE_PX = 48
+"""Height of the smallest part of a mask that may be a person."""
+
+MIN_GAP_SHARE = 0.5
+"""Parts of a mask are different people if the gap between them is wider than this share of the
+narrower one."""
 
 
 class UploadError(ValueError):
@@ -377,7 +393,7 @@ def _check_together(mask: LabelImage) -> None:
     marked = np.asarray(mask.part != 0).view(np.uint8)
     stats = cv2.connectedComponentsWithStats(marked)[2][1:]
     areas = stats[:, cv2.CC_STAT_AREA]
-    large = stats[areas >= MASKS.min_figure_share * areas.max()]
+    large = stats[areas >= MIN_FIGURE_SHARE * areas.max()]
     apart = 1 + _gaps_between_people(large[np.argsort(large[:, cv2.CC_STAT_LEFT], kind="stable")])
     if apart > 1:
         raise UploadError(
@@ -395,9 +411,9 @@ def _gaps_between_people(parts: NDArray[np.int32]) -> int:
     """
     left, width, height = (parts[:, column] for column in (0, 2, 3))
     small = np.minimum(height[:-1], height[1:])
-    alike = (small >= MASKS.min_figure_px) & (np.maximum(height[:-1], height[1:]) < 2 * small)
+    alike = (small >= MIN_FIGURE_PX) & (np.maximum(height[:-1], height[1:]) < 2 * small)
     gap = left[1:] - (left + width)[:-1]
-    wide = gap > MASKS.min_gap_share * np.minimum(width[:-1], width[1:])
+    wide = gap > MIN_GAP_SHARE * np.minimum(width[:-1], width[1:])
     return int(np.count_nonzero(alike & wide))
 
 

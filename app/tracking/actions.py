@@ -18,13 +18,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.parameters import POSTURE
-from app.estimation.posture import EstimatedPosture
+from app.estimation.posture import MIN_PROBABILITY, EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.motion import ground_path
-from app.tracking.parameters import DEFAULTS, ActionParameters, GroundParameters, TrackingParameters
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import Smoothed
+from app.vision.blazepose import LANDMARK_PX
 from index.posture import ON_THE_GROUND, Posture, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 
@@ -102,6 +101,13 @@ class PoseSample:
         )
 
 
+MIN_VOTE = 0.02
+"""Share of the votes for an action that no hypothesis shows."""
+
+# Log odds of everyday actions against exercises if the motion of limbs is not seen.
+EVERYDAY_LOG_ODDS = math.log(10)
+
+
 @dataclass(frozen=True)
 class ActionModel:
     """Linear discriminants of motions, and the weight of the hypotheses' labels beside them.
@@ -147,7 +153,6 @@ class ActionModel:
         features: NDArray[np.float64],
         votes: NDArray[np.float64],
         clarity: float = 1.0,
-        parameters: ActionParameters = DEFAULTS.actions,
     ) -> NDArray[np.float64]:
         """Recognise actions.
 
@@ -166,9 +171,9 @@ class ActionModel:
         (..., A) float64 array
             Probabilities.
         """
-        everyday = parameters.everyday_log_odds * np.isin(self.actions, EVERYDAY)
+        everyday = EVERYDAY_LOG_ODDS * np.isin(self.actions, EVERYDAY)
         odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
-        odds = odds + self.vote_weight * np.log(np.maximum(votes, parameters.min_vote))
+        odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
         odds = np.exp(odds - odds.max(axis=-1, keepdims=True))
         return np.asarray(odds / odds.sum(axis=-1, keepdims=True))
 
@@ -189,6 +194,21 @@ def shipped_model() -> ActionModel:
     return ActionModel.load()
 
 
+WINDOW_S = 3.0
+"""Motion from which an action is recognised."""
+
+# The shortest motion that suffices.
+MIN_WINDOW_S = 1.0
+# Time between two results: what people do changes slowly.
+EVERY_S = 0.5
+# Poses closer together only add memory: motion is sampled at 10 Hz.
+MIN_STEP_S = 1 / 40
+# After a longer gap without a pose the window starts afresh.
+MAX_GAP_S = 1.0
+FULL_WEIGHT_PX = LANDMARK_PX
+"""Height from which limbs' motion counts in full."""
+
+
 class ActionRecogniser:
     """Recognises what the person of a track does, from the last seconds.
 
@@ -198,11 +218,8 @@ class ActionRecogniser:
         The shipped one by default.
     """
 
-    def __init__(
-        self, model: ActionModel | None = None, parameters: TrackingParameters = DEFAULTS
-    ) -> None:
+    def __init__(self, model: ActionModel | None = None) -> None:
         self._model = shipped_model() if model is None else model
-        self._parameters, self._ground = parameters.actions, parameters.ground
         self._window: deque[tuple[PoseSample, NDArray[np.float64]]] = deque()
         self._last_result: RecognisedAction | None = None
         self._last_at = -math.inf
@@ -233,58 +250,53 @@ class ActionRecogniser:
             None until the person has been seen for a second, and if no action is likely.
         """
         self._add_sample(timestamp, person, smoothed)
-        if timestamp - self._window[0][0].timestamp < self._parameters.min_window_s:
+        if timestamp - self._window[0][0].timestamp < MIN_WINDOW_S:
             return None
-        if timestamp - self._last_at >= self._parameters.every_s:
+        if timestamp - self._last_at >= EVERY_S:
             self._last_at, self._last_result = timestamp, self._recognise(person, posture)
         return self._last_result
 
     def _add_sample(self, timestamp: float, person: Person, smoothed: Smoothed) -> None:
         """Extend the window by a frame, or begin a new one after a gap."""
-        parameters = self._parameters
         elapsed = timestamp - self._window[-1][0].timestamp if self._window else math.inf
-        if elapsed > parameters.max_gap_s:
+        if elapsed > MAX_GAP_S:
             self._window.clear()
             self._last_result = None
-        if elapsed >= parameters.min_step_s:
+        if elapsed >= MIN_STEP_S:
             sample = PoseSample.of(timestamp, smoothed)
             self._window.append((sample, self._model.votes(person.hypotheses)))
-        while timestamp - self._window[0][0].timestamp > parameters.window_s:
+        while timestamp - self._window[0][0].timestamp > WINDOW_S:
             self._window.popleft()
 
     def _recognise(
         self, person: Person, posture: EstimatedPosture | None
     ) -> RecognisedAction | None:
         """The likeliest action of the window, if it is likely enough."""
-        features = window_features([sample for sample, _ in self._window], self._ground)
+        features = window_features([sample for sample, _ in self._window])
         votes = np.mean([votes for _, votes in self._window], axis=0)
         clarity, factors = 1.0, np.ones(len(self._model.actions))
         if posture is not None:
-            clarity = min(1.0, person.observed.whole_box.height / self._parameters.full_weight_px)
-            factors = posture_factors(self._model.actions, posture, self._parameters)
-        probabilities = factors * self._model.probabilities(
-            features, votes, clarity, self._parameters
-        )
+            clarity = min(1.0, person.observed.whole_box.height / FULL_WEIGHT_PX)
+            factors = posture_factors(self._model.actions, posture)
+        probabilities = factors * self._model.probabilities(features, votes, clarity)
         probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
-        if probabilities[best] < POSTURE.min_probability:
+        if probabilities[best] < MIN_PROBABILITY:
             return None
         return RecognisedAction(self._model.actions[best], float(probabilities[best]))
 
 
-def posture_factors(
-    actions: Sequence[str],
-    posture: EstimatedPosture,
-    parameters: ActionParameters = DEFAULTS.actions,
-) -> NDArray[np.float64]:
+# Factor of an action that the posture of the moment contradicts.
+MIN_POSTURE = 0.1
+
+
+def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArray[np.float64]:
     """Factors ``(A,)`` that say how well each action agrees with a posture."""
     shown = [posture.share(SHOWN_BY.get(action, ON_THE_SPOT)) for action in actions]
-    return parameters.min_posture + np.array(shown)
+    return MIN_POSTURE + np.array(shown)
 
 
-def window_features(
-    samples: Sequence[PoseSample], ground: GroundParameters = DEFAULTS.ground
-) -> NDArray[np.float64]:
+def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:
     """Features ``(D,)`` of poses at any, even irregular, rate.
 
     Parameters
@@ -306,7 +318,7 @@ def window_features(
     return action_features(
         resampled(np.array([sample.points_3d for sample in samples])),
         camera_up(elevation_deg),
-        ground_path(pelvis_px, scale, elevation_deg, ground),
+        ground_path(pelvis_px, scale, elevation_deg),
     )
 
 

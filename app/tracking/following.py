@@ -18,13 +18,28 @@ from numpy.typing import NDArray
 from app.estimation.finder import PeopleFinder, distinct_bodies, make_observation
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
-from app.tracking.parameters import DEFAULTS, TrackingParameters
 from app.tracking.track import Sighting, Track
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box, PersonWindow
 from app.vision.people import Detection
 from app.vision.person_reader import fuse, sides_exchanged
 from app.vision.silhouettes import ends_at_border, silhouettes_of
+
+SEARCH_EVERY_S = 0.4
+"""Time between two searches of the whole frame."""
+
+# A track's window is read for this long after a sighting.
+WINDOW_LASTS_S = 0.5
+# A window has lost its person if the landmark network's presence is below the first number, or if
+# the next window would be farther away than the second, as a share of the window's side.
+MIN_PRESENCE, MAX_DRIFT = 0.5, 0.35
+# Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long as
+# the reading itself; poses of smaller people are averaged over more frames instead.
+MOVENET_FROM_PX = 200.0
+# Margin around a body's landmarks, as a share of their box.
+BODY_MARGIN = 0.1
+# Overlap of a detection with the predicted box of its track.
+MIN_TRACK_IOU = 0.3
 
 
 @dataclass(frozen=True)
@@ -46,9 +61,8 @@ class TrackedPeopleDetector:
         Its detector and its reader are used.
     """
 
-    def __init__(self, finder: PeopleFinder, parameters: TrackingParameters = DEFAULTS) -> None:
+    def __init__(self, finder: PeopleFinder) -> None:
         self._finder = finder
-        self._parameters = parameters.detection
         self._searched_at = self._read_at = -math.inf
 
     def find(
@@ -95,7 +109,7 @@ class TrackedPeopleDetector:
                 continue
             score = target.track.score if target.track else target.detection.score
             # A detector's box may include more than the person's body.
-            place = silhouette.box if reading.presence >= self._parameters.min_presence else box
+            place = silhouette.box if reading.presence >= MIN_PRESENCE else box
             person = make_observation(
                 frame, upload.camera, place, "detector", score, silhouette, reading
             )
@@ -111,17 +125,13 @@ class TrackedPeopleDetector:
         lost track that was not confirmed, or whose person has left the frame, does not cause a
         search before the next one is due.
         """
-        recent = [
-            track
-            for track in tracks
-            if timestamp - track.seen_at <= self._parameters.window_lasts_s
-        ]
+        recent = [track for track in tracks if timestamp - track.seen_at <= WINDOW_LASTS_S]
         with_window = [
             (track, track.box_filter.predict(timestamp)) for track in recent if track.next_window
         ]
         people = [track for track in tracks if track.track_id is not None]
         lost = [track for track in people if track.seen_at < self._read_at]
-        due = timestamp - self._searched_at >= self._parameters.search_every_s
+        due = timestamp - self._searched_at >= SEARCH_EVERY_S
         shown: dict[Track | None, PoseReading] = {}
         if with_window and len(with_window) == len(recent) and not due:
             read = self._read_all(frame, self._targets((), with_window, shown), job)
@@ -152,7 +162,7 @@ class TrackedPeopleDetector:
         for detection in detections:
             overlap = {track: box.iou(detection.box) for track, box in unseen.items()}
             track = max(overlap, key=lambda one: overlap[one], default=None)
-            if track is None or overlap[track] < self._parameters.min_track_iou:
+            if track is None or overlap[track] < MIN_TRACK_IOU:
                 targets.append(_Target(detection, None, None))
             else:
                 del unseen[track]
@@ -181,12 +191,9 @@ class TrackedPeopleDetector:
             )
         if reading is target.tracked:
             return reading
-        if (
-            reading.presence < self._parameters.min_presence
-            or reading.drift > self._parameters.max_drift
-        ):
+        if reading.presence < MIN_PRESENCE or reading.drift > MAX_DRIFT:
             return None
-        if reading.body_px < self._parameters.movenet_from_px:
+        if reading.body_px < MOVENET_FROM_PX:
             return reading
         box = reading.landmarks.box()
         keypoints = reader.keypoint_reader.read(frame, box)
@@ -200,7 +207,7 @@ class TrackedPeopleDetector:
     def _body_box(self, reading: PoseReading) -> Box:
         """The box about a body; its landmarks do not reach to the crown, fingers and toes."""
         box = reading.landmarks.box()
-        margin = self._parameters.body_margin * max(box.width, box.height)
+        margin = BODY_MARGIN * max(box.width, box.height)
         return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
 
 

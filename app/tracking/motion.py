@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.parameters import DEFAULTS, GroundParameters, HeadingParameters
 from app.vision.geometry import Box
 from index.skeleton import wrap_degrees
 
@@ -44,14 +43,23 @@ class GroundVelocity:
 STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 
+# Time over which a velocity is measured, and the fewest frames for it.
+WINDOW_S, MIN_FRAMES = 1.0, 3
+# Least elevation for a velocity, whose direction matters, and its least sine for the path from
+# which actions are recognised, in which noise must not look like steps.
+MIN_ELEVATION_DEG, MIN_PATH_SINE = 6.0, 0.35
+# Elevation from which steps away from the camera count in full for the speed: seen by a lower
+# camera, they hardly change the height in the picture.
+RELIABLE_ELEVATION_DEG = 20.0
+
+
 class GroundMotion:
     """Measures a person's velocity from the centre of their box.
 
     The camera's elevation, which each frame's hypotheses estimate, is averaged over all frames.
     """
 
-    def __init__(self, parameters: GroundParameters = DEFAULTS.ground) -> None:
-        self._parameters = parameters
+    def __init__(self) -> None:
         self._recent: deque[tuple[float, float, float, float]] = deque()
         self._elevation_sum_deg = 0.0
         self._frames = 0
@@ -77,31 +85,27 @@ class GroundMotion:
         elevation_deg : float
             Elevation of the camera, from this frame's hypotheses.
         """
-        parameters = self._parameters
         self._elevation_sum_deg += elevation_deg
         self._frames += 1
         self._recent.append((timestamp, box.x + box.width / 2, box.y + box.height / 2, px_per_m))
-        while self._recent[0][0] < timestamp - parameters.window_s:
+        while self._recent[0][0] < timestamp - WINDOW_S:
             self._recent.popleft()
-        if len(self._recent) < parameters.min_frames:
+        if len(self._recent) < MIN_FRAMES:
             return STILL
         times, x, y, scales = np.array(self._recent).T
         times = times - times.mean()
         # A frame that is sent again has the same time.
         metres_per_px = 1 / (np.median(scales) * max(float(times @ times), 1e-6))
         rise = np.sin(np.deg2rad(self.elevation_deg))
-        min_rise = np.sin(np.deg2rad(parameters.min_elevation_deg))
+        min_rise = np.sin(np.deg2rad(MIN_ELEVATION_DEG))
         rise = np.copysign(max(abs(rise), min_rise), rise)
         right, away = times @ x * metres_per_px, -(times @ y) * metres_per_px / rise
-        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(parameters.reliable_elevation_deg)))
+        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(RELIABLE_ELEVATION_DEG)))
         return GroundVelocity(float(right), float(away), float(np.hypot(right, reliable * away)))
 
 
 def ground_path(
-    pelvis_px: NDArray[np.float64],
-    pixels_per_metre: float,
-    elevation_deg: float,
-    parameters: GroundParameters = DEFAULTS.ground,
+    pelvis_px: NDArray[np.float64], pixels_per_metre: float, elevation_deg: float
 ) -> NDArray[np.float64]:
     """Path of the pelvis over the ground.
 
@@ -119,12 +123,37 @@ def ground_path(
     (T, 2) float64 array
         Metres across the picture and towards the camera.
     """
-    sine = max(float(np.sin(np.deg2rad(elevation_deg))), parameters.min_path_sine)
+    sine = max(float(np.sin(np.deg2rad(elevation_deg))), MIN_PATH_SINE)
     return np.asarray(pelvis_px / pixels_per_metre / np.array([1.0, sine]))
 
 
 BINS = 36
 """Number of azimuths in the distribution, over the whole circle."""
+
+# The values below were chosen on UP-Fall's first activities at 0.35 of their size, against their
+# full size, and on Pose2Sim's cameras at a tenth of it.
+
+# Standard deviations: of the turn of a person within a second; of the azimuth of a right
+# hypothesis, for small and for large people; of the angle between the directions in which people
+# walk and face.
+TURN_DEG, SEEN_DEG, CLEARLY_SEEN_DEG, WALKING_DEG = 80.0, 20.0, 15.0, 40.0
+# Rate of jumps to any other heading: detection and identity may be wrong.
+JUMPS_PER_S = 0.05
+# Share of frames in which no hypothesis faces the right way.
+OUTLIER_SHARE = 0.2
+# Share of people who walk in any other direction than they face.
+BACKWARD_SHARE = 0.1
+# Weight of the walking direction, which is measured over a second; the speed from which it is used,
+# and the speed from which it has this weight.
+DIRECTION_WEIGHT = 0.3
+MIN_WALKING_M_S, FULL_WALKING_M_S = 0.5, 1.0
+# Probability of the other side from which front and back are exchanged: people seen from the side
+# keep one of them.
+SWITCH_FROM = 0.8
+MIN_TURNED_DEG = 2.0
+"""Least turn of the shoulders from the exact side view."""
+# Frame rate above which each frame counts less.
+INDEPENDENT_HZ = 6.0
 
 _CENTRES_DEG = (np.arange(BINS) + 0.5) * 360 / BINS - 180
 _FRONT = np.abs(_CENTRES_DEG) < 90
@@ -150,23 +179,20 @@ class Heading:
         """Probability that the camera sees the front."""
         return float(np.clip(self.shares[_FRONT].sum(), 0, 1))
 
-    def on_visible_side(self, azimuth_deg: float, min_turned_deg: float) -> float:
+    def on_visible_side(self, azimuth_deg: float) -> float:
         """The nearest azimuth from which the camera sees the same side, front or back, as now."""
-        low, high = (0.0, 90 - min_turned_deg) if self.front else (90 + min_turned_deg, 180.0)
+        low, high = (0.0, 90 - MIN_TURNED_DEG) if self.front else (90 + MIN_TURNED_DEG, 180.0)
         return float(np.copysign(np.clip(abs(azimuth_deg), low, high), azimuth_deg))
 
-    def log_likelihood(
-        self, azimuths_deg: NDArray[np.float64], deviation_deg: float
-    ) -> NDArray[np.float64]:
-        """Log of the probabilities about azimuths ``(N,)``, finite."""
-        return np.asarray(np.log(_normal_about(azimuths_deg, deviation_deg) @ self.shares + 1e-4))
+    def log_likelihood(self, azimuths_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log probabilities, finite, that hypotheses at these azimuths ``(N,)`` are right."""
+        return np.asarray(np.log(_normal_about(azimuths_deg, SEEN_DEG) @ self.shares + 1e-4))
 
 
 class HeadingFilter:
     """Follows the heading of one person."""
 
-    def __init__(self, parameters: HeadingParameters = DEFAULTS.heading) -> None:
-        self._parameters = parameters
+    def __init__(self) -> None:
         self._last: tuple[float, Heading] | None = None
 
     def update(
@@ -190,18 +216,17 @@ class HeadingFilter:
         velocity : GroundVelocity
             Velocity of the person.
         """
-        parameters = self._parameters
         shares, independence = np.full(BINS, 1 / BINS), 1.0
         if self._last is not None:
             shares, independence = self._predict(timestamp, *self._last)
-        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), parameters.walking_deg)[0]
-        weight = parameters.direction_weight * self.walking_weight(velocity) * independence
-        shares = shares * _with_outliers(ahead, parameters.backward_share) ** weight
+        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), WALKING_DEG)[0]
+        weight = DIRECTION_WEIGHT * self.walking_weight(velocity) * independence
+        shares = shares * _with_outliers(ahead, BACKWARD_SHARE) ** weight
         seen = weights @ _normal_about(
             azimuths_deg,
-            clarity * parameters.clearly_seen_deg + (1 - clarity) * parameters.seen_deg,
+            clarity * CLEARLY_SEEN_DEG + (1 - clarity) * SEEN_DEG,
         )
-        shares = shares * _with_outliers(seen, parameters.outlier_share) ** independence
+        shares = shares * _with_outliers(seen, OUTLIER_SHARE) ** independence
         shares /= shares.sum()
         heading = Heading(shares, self._sees_front(float(shares[_FRONT].sum())))
         self._last = timestamp, heading
@@ -209,17 +234,17 @@ class HeadingFilter:
 
     def walking_weight(self, velocity: GroundVelocity) -> float:
         """Weight of a person's direction of motion, 0 to 1."""
-        low, high = self._parameters.min_walking_m_s, self._parameters.full_walking_m_s
+        low, high = MIN_WALKING_M_S, FULL_WALKING_M_S
         return float(np.clip((velocity.speed - low) / (high - low), 0, 1))
 
     def _predict(
         self, timestamp: float, before: float, last: Heading
     ) -> tuple[NDArray[np.float64], float]:
         """The predicted distribution, and how independent a frame is of the previous one."""
-        parameters, elapsed = self._parameters, timestamp - before
-        shares = last.shares @ _normal_about(_CENTRES_DEG, parameters.turn_deg * np.sqrt(elapsed))
-        jumps = 1 - float(np.exp(-parameters.jumps_per_s * elapsed))
-        return _with_outliers(shares, jumps), min(1.0, parameters.independent_hz * elapsed)
+        elapsed = timestamp - before
+        shares = last.shares @ _normal_about(_CENTRES_DEG, TURN_DEG * np.sqrt(elapsed))
+        jumps = 1 - float(np.exp(-JUMPS_PER_S * elapsed))
+        return _with_outliers(shares, jumps), min(1.0, INDEPENDENT_HZ * elapsed)
 
     def _sees_front(self, probability: float) -> bool:
         """Whether the camera sees the front, from the last side and its current probability."""
@@ -227,7 +252,7 @@ class HeadingFilter:
             return probability >= 0.5
         front = self._last[1].front
         other_side = 1 - probability if front else probability
-        return front != (other_side >= self._parameters.switch_from)
+        return front != (other_side >= SWITCH_FROM)
 
 
 def _walking_azimuth_deg(velocity: GroundVelocity) -> float:

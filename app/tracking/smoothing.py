@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from app.estimation.posture import Facing, azimuth_deg, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFilter
-from app.tracking.parameters import DEFAULTS, SmoothingParameters, TrackingParameters
 from app.tracking.results import SmoothedPose
+from app.vision.blazepose import LANDMARK_PX
 from app.vision.odds import log_odds, probability_of
 from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, UPRIGHT, Posture
 from index.skeleton import (
@@ -36,6 +36,60 @@ _SHOULDERS, _HIPS = (
     [POINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
     for joint in ("shoulder", "hip")
 )
+
+# Frame rate for which the weights and costs below are given.
+REFERENCE_HZ = 10.0
+# Weight of the log of a hypothesis's confidence.
+CONFIDENCE_WEIGHT = 1.5
+# Weight of the log of the distance by silhouette and landmarks, if landmarks were read: the
+# confidences of all hypotheses that agree with them are near 1.
+LANDMARK_WEIGHT = 40.0
+# Height from which landmarks have their full weight: the side of the network's window. Those of
+# smaller people jitter, so motion counts more.
+FULL_WEIGHT_PX = LANDMARK_PX
+# Largest cost of a move: none is impossible, since detection and identity may be wrong.
+MAX_COST = 48.0
+# Poses at this distance from the most probable one weigh 60 % of it.
+NEARBY_M = 0.25
+# Exponent of probabilities: frames are not independent.
+SHARPNESS = 0.5
+# Time over which a line is fitted to the averages for landmarks of full weight, which follow quick
+# limbs; and the largest number of frames in any line.
+LANDMARK_LINE_S, MAX_LINE_FRAMES = 0.12, 24
+EXTRAPOLATED_S = 1.0
+"""A pose is kept this long without a silhouette."""
+# Log odds that a kept pose loses in a second; measured on the clips that the confidence was fitted
+# on.
+LOST_PER_S = 5.0
+# Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and of
+# the share of probability near it; `python -m scripts evaluate tracking --fit-tracks`.
+CONFIDENCE_OFFSET, HYPOTHESES_WEIGHT, AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """What the tracking experiment varies.
+
+    Parameters
+    ----------
+    max_states : int
+        Hypotheses of a frame that become states; 30 are no better.
+    cost_per_m : float
+        Cost in nats of each metre that joints move on average from frame to frame; up to twice as
+        much at higher rates, less at lower ones.
+    heading_weight : float
+        Weight of the log of the heading's probability.
+    line_s : float
+        Time over which a line is fitted to the averages for silhouettes alone.
+    """
+
+    max_states: int = 12
+    cost_per_m: float = 60.0
+    heading_weight: float = 1.0
+    line_s: float = 0.35
+
+
+SMOOTHING = Smoothing()
 
 
 @dataclass(frozen=True)
@@ -89,13 +143,13 @@ class _Frame:
         return float(self.weights() @ pixels_per_metre(self.points_3d, self.points_2d, POINTS))
 
     @classmethod
-    def of(cls, person: Person, parameters: SmoothingParameters) -> _Frame:
-        hypotheses = person.hypotheses[: parameters.max_states]
+    def of(cls, person: Person, max_states: int) -> _Frame:
+        hypotheses = person.hypotheses[:max_states]
         distances, clarity = None, 0.0
         if person.facing is not None and person.facing.evidence == "image":
             distances = np.array([placed.distance for placed in hypotheses])
             height = person.observed.whole_box.height
-            clarity = min(1.0, height / parameters.full_weight_px) ** 2
+            clarity = min(1.0, height / FULL_WEIGHT_PX) ** 2
         return cls(
             hypotheses,
             np.array([placed.points_3d for placed in hypotheses]),
@@ -105,11 +159,11 @@ class _Frame:
             clarity,
         )
 
-    def log_likelihoods(self, parameters: SmoothingParameters) -> NDArray[np.float64]:
+    def log_likelihoods(self) -> NDArray[np.float64]:
         """Log likelihoods ``(N,)`` of the states, up to a constant, for the reference rate."""
-        result = parameters.confidence_weight * np.log(self.confidences + 1e-3)
+        result = CONFIDENCE_WEIGHT * np.log(self.confidences + 1e-3)
         if self.distances is not None:
-            result = result - self.clarity * parameters.landmark_weight * np.log(
+            result = result - self.clarity * LANDMARK_WEIGHT * np.log(
                 (self.distances + 1e-9) / (self.distances.min() + 1e-9)
             )
         return result
@@ -153,13 +207,11 @@ class _Place:
 class PoseSmoother:
     """Smooths the poses of one track, frame by frame."""
 
-    def __init__(self, parameters: TrackingParameters = DEFAULTS) -> None:
-        self._parameters = parameters.smoothing
-        self._ground = GroundMotion(parameters.ground)
-        self._headings = HeadingFilter(parameters.heading)
-        self._seen_deg = parameters.heading.seen_deg
-        self._min_turned_deg = parameters.heading.min_turned_deg
-        self._states: deque[_States] = deque(maxlen=parameters.smoothing.max_line_frames)
+    def __init__(self, smoothing: Smoothing = SMOOTHING) -> None:
+        self._smoothing = smoothing
+        self._ground = GroundMotion()
+        self._headings = HeadingFilter()
+        self._states: deque[_States] = deque(maxlen=MAX_LINE_FRAMES)
         self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
@@ -179,7 +231,7 @@ class PoseSmoother:
         """
         if not person.hypotheses or person.facing is None:
             return None
-        frame = _Frame.of(person, self._parameters)
+        frame = _Frame.of(person, self._smoothing.max_states)
         velocity = self._velocity(frame, person.observed, timestamp)
         px_per_m = frame.px_per_m()
         heading = self._add_states(frame, velocity, timestamp)
@@ -220,10 +272,10 @@ class PoseSmoother:
         if self._last is None:
             return None
         age_s = timestamp - self._states[-1].timestamp
-        if age_s > self._parameters.extrapolated_s:
+        if age_s > EXTRAPOLATED_S:
             return None
         pose, before = self._last
-        odds = log_odds(pose.confidence) - self._parameters.lost_per_s * age_s
+        odds = log_odds(pose.confidence) - LOST_PER_S * age_s
         return replace(
             pose,
             points_2d=pose.points_2d + _Place.of(observed).minus(before),
@@ -245,18 +297,17 @@ class PoseSmoother:
 
     def _add_states(self, frame: _Frame, velocity: GroundVelocity, timestamp: float) -> Heading:
         """Add a frame's states from its hypotheses and the heading: the forward step."""
-        parameters = self._parameters
-        log_emission = frame.log_likelihoods(parameters)
+        log_emission = frame.log_likelihoods()
         if self._states:
             elapsed = timestamp - self._states[-1].timestamp
-            log_emission *= min(1.0, parameters.reference_hz * elapsed)
+            log_emission *= min(1.0, REFERENCE_HZ * elapsed)
         shares = np.exp(log_emission - log_emission.max())
         azimuths_deg = azimuth_deg(frame.points_3d)
         heading = self._headings.update(
             timestamp, azimuths_deg, shares / shares.sum(), frame.clarity, velocity
         )
-        log_emission = log_emission + parameters.heading_weight * heading.log_likelihood(
-            azimuths_deg, self._seen_deg
+        log_emission = log_emission + self._smoothing.heading_weight * heading.log_likelihood(
+            azimuths_deg
         )
         log_moves, log_forward = None, log_emission
         if self._states:
@@ -268,7 +319,7 @@ class PoseSmoother:
         self._states.append(
             _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
-        line_s = clarity * parameters.landmark_line_s + (1 - clarity) * parameters.line_s
+        line_s = clarity * LANDMARK_LINE_S + (1 - clarity) * self._smoothing.line_s
         # The previous frame is kept, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
             self._states.popleft()
@@ -278,11 +329,10 @@ class PoseSmoother:
         self, before: _States, points_3d: NDArray[np.float64], timestamp: float
     ) -> NDArray[np.float64]:
         """Log probabilities ``(M, N)``, up to a constant, of moving between all pairs of poses."""
-        parameters = self._parameters
-        intervals = parameters.reference_hz * (timestamp - before.timestamp)
-        cost_per_m = 2 * parameters.cost_per_m / (1 + intervals)
+        intervals = REFERENCE_HZ * (timestamp - before.timestamp)
+        cost_per_m = 2 * self._smoothing.cost_per_m / (1 + intervals)
         metres = mean_joint_distance(before.points_3d[:, None], points_3d[None])
-        return np.asarray(-np.minimum(cost_per_m * metres, parameters.max_cost))
+        return np.asarray(-np.minimum(cost_per_m * metres, MAX_COST))
 
     def _pose(
         self,
@@ -301,9 +351,9 @@ class PoseSmoother:
         nearness = self._nearness(frame.points_3d, log_forward)
         agreement_odds = log_odds(float(probabilities @ nearness))
         odds = (
-            self._parameters.confidence_offset
-            + self._parameters.hypotheses_weight * hypotheses_odds
-            + self._parameters.agreement_weight * agreement_odds
+            CONFIDENCE_OFFSET
+            + HYPOTHESES_WEIGHT * hypotheses_odds
+            + AGREEMENT_WEIGHT * agreement_odds
         )
         weights = self._weights_near_best(frame.points_3d, log_forward)
         pose = SmoothedPose(
@@ -334,7 +384,7 @@ class PoseSmoother:
             odds.append(log_odds(float(weights @ states.confidences)))
             later = states
         ages = timestamp - np.array([states.timestamp for states in reversed(self._states)])
-        weights = 1 - ages / (ages.max() + 1 / self._parameters.reference_hz)
+        weights = 1 - ages / (ages.max() + 1 / REFERENCE_HZ)
         smoothed = _line_at_zero(ages, np.array(averages), weights)
         return with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
 
@@ -343,7 +393,7 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
         relative = log_probabilities - log_probabilities.max()
-        softened = np.exp(self._parameters.sharpness * relative)
+        softened = np.exp(SHARPNESS * relative)
         weights = softened * self._nearness(points_3d, log_probabilities)
         return np.asarray(weights / weights.sum())
 
@@ -352,7 +402,7 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """How near states ``(N,)`` are to the most probable one, 0 to 1."""
         apart = mean_joint_distance(points_3d, points_3d[log_probabilities.argmax()])
-        return np.asarray(np.exp(-((apart / self._parameters.nearby_m) ** 2) / 2))
+        return np.asarray(np.exp(-((apart / NEARBY_M) ** 2) / 2))
 
     def _kept_on_visible_side(
         self, points_3d: NDArray[np.float64], heading: Heading
@@ -360,7 +410,7 @@ class PoseSmoother:
         """A skeleton ``(24, 3)`` turned no farther than needed to show the side that is seen."""
         right, _, away = points_3d[_SHOULDERS[0]] - points_3d[_SHOULDERS[1]]
         shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
-        wanted_deg = heading.on_visible_side(shoulders_deg, self._min_turned_deg)
+        wanted_deg = heading.on_visible_side(shoulders_deg)
         return _turned(points_3d, wanted_deg - shoulders_deg)
 
 

@@ -15,7 +15,6 @@ from app.estimation.posture import EstimatedPosture, Facing
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector, HipHeight, PostureFilter, Reliability
-from app.tracking.parameters import DEFAULTS, BoxParameters, MatchingParameters, TrackingParameters
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest, zones_of
@@ -46,6 +45,14 @@ class Sighting:
     track: Track | None = None
 
 
+# Share of the difference between prediction and observation by which each is corrected.
+PLACE_GAIN, VELOCITY_GAIN, SIZE_GAIN = 0.7, 0.3, 0.3
+# Time in which an unseen person's velocity falls to 1/e.
+DRIFT_S = 1.0
+# Least elapsed time: a frame that is sent again has the same time.
+MIN_ELAPSED_S = 1e-3
+
+
 class BoxFilter:
     """Predicts a person's box, assuming a constant velocity.
 
@@ -59,10 +66,7 @@ class BoxFilter:
         Seconds.
     """
 
-    def __init__(
-        self, box: Box, timestamp: float, parameters: BoxParameters = DEFAULTS.box
-    ) -> None:
-        self._parameters = parameters
+    def __init__(self, box: Box, timestamp: float) -> None:
         self._place = box.foot
         self._size = np.array([box.width, box.height])
         self._timestamp = timestamp
@@ -89,24 +93,38 @@ class BoxFilter:
         whole : bool
             Whether all of the person was seen; otherwise the size does not shrink.
         """
-        parameters = self._parameters
-        elapsed = max(timestamp - self._timestamp, parameters.min_step_s)
+        elapsed = max(timestamp - self._timestamp, MIN_ELAPSED_S)
         predicted = self._predicted_place(elapsed)
         growth = np.array([box.width, box.height]) - self._size
         error = box.foot - predicted
-        self._place = predicted + parameters.place_gain * error
+        self._place = predicted + PLACE_GAIN * error
         # The longer the gap, the more of the error is due to the velocity alone.
-        gain = parameters.velocity_gain / elapsed if elapsed < 1 else 1 / elapsed
+        gain = VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
         self.velocity = self.velocity + gain * error
         growth = growth if whole else np.maximum(growth, 0)
-        self._size = self._size + parameters.size_gain * growth
+        self._size = self._size + SIZE_GAIN * growth
         self._timestamp = timestamp
         self.seen = box
 
     def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
-        drift_s = self._parameters.drift_s
-        travel = drift_s * (1 - math.exp(-elapsed / drift_s))
+        travel = DRIFT_S * (1 - math.exp(-elapsed / DRIFT_S))
         return np.asarray(self._place + travel * self.velocity)
+
+
+# With landmarks: the probability of a person from which a track counts as one, and the share of
+# people among the windows that the model of this probability was trained on.
+MIN_PROBABILITY, PEOPLE_SHARE = 0.9, 6 / 7
+# Time over which windows are averaged: a person may take a seat that was followed while empty.
+WINDOW_MEAN_S = 3.0
+# Without landmarks: the detector's score that is enough at once, and the number of sightings that
+# is always enough.
+CONFIRMING_SCORE, CONFIRMING_SIGHTINGS = 0.6, 3
+# Exponent of the probability that landmarks are right, in the weight of a frame's posture. On
+# held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability is
+# 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
+RELIABILITY_EXPONENT = 0.25
+# Share of the difference that corrects the known appearance.
+APPEARANCE_GAIN = 0.1
 
 
 class Track:
@@ -123,18 +141,15 @@ class Track:
         Seconds.
     """
 
-    def __init__(
-        self, sighting: Sighting, timestamp: float, parameters: TrackingParameters = DEFAULTS
-    ) -> None:
+    def __init__(self, sighting: Sighting, timestamp: float) -> None:
         observed = sighting.observed
-        self._parameters = parameters.track
         self.track_id: int | None = None
         """None until the track is confirmed."""
         self.caller_id: str | None = None
         """The identity that the caller gave the person's box."""
         self.zones: tuple[Zone, ...] = ()
         """Zones in which the person was last seen."""
-        self.box_filter = BoxFilter(observed.box, timestamp, parameters.box)
+        self.box_filter = BoxFilter(observed.box, timestamp)
         self.age_frames = 0
         self.sightings = self._windows = 0
         self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
@@ -145,11 +160,11 @@ class Track:
         self.next_window: PersonWindow | None = observed.next_window
         """Window in which the person is looked for next."""
         self.appearance = sighting.appearance
-        self._smoother = PoseSmoother(parameters)
-        self._recogniser = ActionRecogniser(parameters=parameters)
-        self._event_detector = EventDetector(parameters.events)
-        self._zone_watch = ZoneWatch(parameters.zones)
-        self._posture_filter = PostureFilter(parameters.posture)
+        self._smoother = PoseSmoother()
+        self._recogniser = ActionRecogniser()
+        self._event_detector = EventDetector()
+        self._zone_watch = ZoneWatch()
+        self._posture_filter = PostureFilter()
         self._facing: Facing | None = None
         self._posture: EstimatedPosture | None = None
         self._action: RecognisedAction | None = None
@@ -158,11 +173,8 @@ class Track:
     def is_confirmed(self) -> bool:
         """Whether the track counts as a person."""
         if self._shown_odds is not None:
-            return self._probability(self._shown_odds) >= self._parameters.min_probability
-        return (
-            self.score >= self._parameters.confirming_score
-            or self.sightings >= self._parameters.confirming_sightings
-        )
+            return self._probability(self._shown_odds) >= MIN_PROBABILITY
+        return self.score >= CONFIRMING_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
 
     def _probability(self, shown_odds: float) -> float:
         """Probability that a person is tracked, by Bayes' rule.
@@ -171,7 +183,7 @@ class Track:
         the training data, so its log odds are subtracted. Their mean counts as a single
         observation, because furniture that looks like a person does so in every frame.
         """
-        in_training = log_odds(self._parameters.people_share)
+        in_training = log_odds(PEOPLE_SHARE)
         return probability_of(log_odds(self.score) + shown_odds - in_training)
 
     def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
@@ -187,7 +199,7 @@ class Track:
             self.score = max(self.score, _score(observed))
         if observed.source == "detector" and observed.trust is not None:
             self._windows += 1
-            gain = 1 - math.exp(-elapsed / self._parameters.window_mean_s)
+            gain = 1 - math.exp(-elapsed / WINDOW_MEAN_S)
             odds, mean = log_odds(observed.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window = observed.next_window
@@ -196,7 +208,7 @@ class Track:
         # A partly hidden person would take on the colours of the person in front.
         elif sighting.appearance is not None and not truncated:
             difference = sighting.appearance - self.appearance
-            self.appearance = self.appearance + self._parameters.appearance_gain * difference
+            self.appearance = self.appearance + APPEARANCE_GAIN * difference
 
     def update(
         self, person: Person, timestamp: float, zones: Sequence[Zone] = ()
@@ -238,7 +250,7 @@ class Track:
         """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
         presence = 1.0 if observed.presence is None else observed.presence
         right = 1.0 if observed.trust is None else observed.trust.right
-        right = math.pow(right, self._parameters.reliability_exponent)
+        right = math.pow(right, RELIABILITY_EXPONENT)
         return 1 - presence * (1 - right)
 
     def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
@@ -360,11 +372,25 @@ def appearance_distance(first: NDArray[np.float32], second: NDArray[np.float32])
     return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
 
 
+# Distances are in sizes of the person.
+# Largest distance of a person from the predicted place: at once, its growth for each second since
+# the last sighting, and its limit.
+NEAR, NEAR_PER_S, FAR = 0.3, 1.0, 2.0
+# Largest ratio of two sizes of one person at once; it applies once more for each second since the
+# last sighting. A person's box shrinks within half a second in a fall towards the camera.
+MAX_GROWTH = 1.6
+# Weights of the costs of a pair, each 0 to 1 within the limits above.
+PLACE_WEIGHT, OVERLAP_WEIGHT, SIZE_WEIGHT, APPEARANCE_WEIGHT = 0.4, 0.3, 0.2, 0.6
+# Cost of the appearance if either one is unknown.
+UNKNOWN_APPEARANCE = 0.3
+# Factor of the cost for the track in whose window the person was read.
+WINDOW_FACTOR = 0.5
+# At a higher cost a sighting begins a new track.
+MAX_COST = 1.1
+
+
 def associate(
-    tracks: Sequence[Track],
-    sightings: Sequence[Sighting],
-    timestamp: float,
-    parameters: MatchingParameters = DEFAULTS.matching,
+    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
 ) -> list[int | None]:
     """Assign each sighting to a track so that the sum of the costs is minimal.
 
@@ -381,24 +407,21 @@ def associate(
     """
     if not tracks or not sightings:
         return [None] * len(sightings)
-    costs = _costs(tracks, sightings, timestamp, parameters)
-    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=parameters.max_cost)
+    costs = _costs(tracks, sightings, timestamp)
+    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=MAX_COST)
     return [int(row) if row >= 0 else None for row in assigned]
 
 
 def _costs(
-    tracks: Sequence[Track],
-    sightings: Sequence[Sighting],
-    timestamp: float,
-    parameters: MatchingParameters,
+    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
 ) -> NDArray[np.float64]:
     """Costs ``(T, S)`` of all pairs, above the maximum if both cannot be the same person."""
-    costs = np.full((len(tracks), len(sightings)), 10 * parameters.max_cost)
+    costs = np.full((len(tracks), len(sightings)), 10 * MAX_COST)
     for row, track in enumerate(tracks):
         predicted, last = track.box_filter.predict(timestamp), track.box_filter.seen
         elapsed = timestamp - track.seen_at
-        reach = min(parameters.far, parameters.near + parameters.near_per_s * elapsed)
-        max_growth = math.log(parameters.max_growth) * (1 + elapsed)
+        reach = min(FAR, NEAR + NEAR_PER_S * elapsed)
+        max_growth = math.log(MAX_GROWTH) * (1 + elapsed)
         for column, sighting in enumerate(sightings):
             box = sighting.observed.box
             away = _distance(predicted, box) / max(_size(predicted), _size(box))
@@ -408,16 +431,16 @@ def _costs(
             in_window = sighting.track is track
             if not in_window and (away > reach or growth > 1):
                 continue
-            appearance = parameters.unknown_appearance
+            appearance = UNKNOWN_APPEARANCE
             if track.appearance is not None and sighting.appearance is not None:
                 appearance = appearance_distance(track.appearance, sighting.appearance)
             cost = (
-                parameters.place_weight * min(1.0, away / reach)
-                + parameters.overlap_weight * (1 - predicted.iou(box))
-                + parameters.size_weight * min(1.0, growth)
-                + parameters.appearance_weight * appearance
+                PLACE_WEIGHT * min(1.0, away / reach)
+                + OVERLAP_WEIGHT * (1 - predicted.iou(box))
+                + SIZE_WEIGHT * min(1.0, growth)
+                + APPEARANCE_WEIGHT * appearance
             )
-            costs[row, column] = parameters.window_factor * cost if in_window else cost
+            costs[row, column] = WINDOW_FACTOR * cost if in_window else cost
     return costs
 
 

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.parameters import DEFAULTS, ZoneParameters
 from app.tracking.results import Event
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, Posture
@@ -104,6 +103,13 @@ class _Stay:
     outside_since: float | None = None
 
 
+# Distance outside, in sizes of the person, up to which a person who has entered stays in the zone:
+# feet at a border move by some hundredths of a body from frame to frame.
+MARGIN = 0.1
+SETTLING_S = 0.5
+"""Time inside or outside before an event is reported."""
+
+
 class ZoneWatch:
     """Watches in which zones a person stays.
 
@@ -111,8 +117,7 @@ class ZoneWatch:
     outside by a margin for a while. In between, nothing changes.
     """
 
-    def __init__(self, parameters: ZoneParameters = DEFAULTS.zones) -> None:
-        self._parameters = parameters
+    def __init__(self) -> None:
         self._stays: dict[str, _Stay] = {}
 
     def update(
@@ -136,14 +141,14 @@ class ZoneWatch:
             if self._is_inside(zone, box, posture, stay is not None and stay.entered):
                 stay = self._stays.setdefault(zone.name, _Stay(timestamp))
                 stay.outside_since = None
-                if not stay.entered and timestamp - stay.since >= self._parameters.settling_s:
+                if not stay.entered and timestamp - stay.since >= SETTLING_S:
                     stay.entered = True
                     events.append(_crossing("zone_entered", zone.name, track_id, timestamp))
             elif stay is not None:
                 if stay.outside_since is None:
                     stay.outside_since = timestamp
                 outside_s = timestamp - stay.outside_since
-                if not stay.entered or outside_s >= self._parameters.settling_s:
+                if not stay.entered or outside_s >= SETTLING_S:
                     events += self._leave(zone.name, track_id, timestamp, timestamp)
         return events
 
@@ -155,7 +160,7 @@ class ZoneWatch:
         ]
 
     def _is_inside(self, zone: Zone, box: Box, posture: Posture | None, entered: bool) -> bool:
-        point, margin_px = place(box, posture), self._parameters.margin * max(box.width, box.height)
+        point, margin_px = place(box, posture), MARGIN * max(box.width, box.height)
         return contains(zone.polygon, point) or (
             entered and distance(zone.polygon, point) <= margin_px
         )

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.actions import ActionModel
+from app.tracking.actions import MIN_VOTE, ActionModel
 from app.tracking.events import EventDetector, PostureFilter, Reliability
-from app.tracking.parameters import DEFAULTS
 from app.tracking.smoothing import PoseSmoother
 from app.tracking.track import hip_height
 from index import DEFAULT_PATH
@@ -140,10 +139,7 @@ def sequence_answers(
     motion = windows.motion[unseen.rows]
     votes = np.ones((len(windows.actions), len(ACTIONS)))
     votes[simulated : simulated + len(shown)] = [hypothesis_votes(track) for track in shown]
-    odds = (
-        unseen.odds / temperature
-        + VOTE_WEIGHT * np.log(np.maximum(votes, DEFAULTS.actions.min_vote))[motion]
-    )
+    odds = unseen.odds / temperature + VOTE_WEIGHT * np.log(np.maximum(votes, MIN_VOTE))[motion]
     odds = np.exp(odds - odds.max(axis=1, keepdims=True))
     probabilities = odds / odds.sum(axis=1, keepdims=True)
     plain = {simulated + number: plain_vote(track) for number, track in enumerate(shown)}

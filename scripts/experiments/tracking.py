@@ -20,9 +20,8 @@ from tqdm import tqdm
 
 from app.estimation.posture import azimuth_deg
 from app.estimation.results import Person, ProjectedHypothesis
-from app.tracking.parameters import DEFAULTS
 from app.tracking.results import SmoothedPose
-from app.tracking.smoothing import PoseSmoother, Smoothed
+from app.tracking.smoothing import SMOOTHING, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.build.body import Phenotype
 from index.build.builder import (
@@ -112,7 +111,7 @@ def run(options: argparse.Namespace) -> dict[str, object] | None:
     index = strict_index(options.shared, options.strict_index)
     filmed = film_segments(options.shared, held, HELD_OUT_AVATARS, VIEWS)
     return measure([
-        (one, match_silhouettes(index, one.silhouettes, one.camera, DEFAULTS.smoothing.max_states))
+        (one, match_silhouettes(index, one.silhouettes, one.camera, SMOOTHING.max_states))
         for one in tqdm(filmed, desc="matching", unit="sequence")
     ])  # fmt: skip
 
@@ -181,8 +180,7 @@ def estimated(filmed: Filmed, poses: Sequence[SmoothedPose | ProjectedHypothesis
 
 def smoothed(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> list[Smoothed]:
     """Smooth a sequence; each pose follows from the frames up to its own."""
-    smoothing = replace(DEFAULTS.smoothing, **parameters)
-    smoother = PoseSmoother(replace(DEFAULTS, smoothing=smoothing))
+    smoother = PoseSmoother(replace(SMOOTHING, **parameters))
     updates = [
         smoother.update(person, timestamp)
         for person, timestamp in zip(persons, filmed.timestamps.tolist(), strict=True)
@@ -221,9 +219,7 @@ def fit(shared: Path) -> None:
     for filmed in tqdm(film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)):
         poses = smoothed(
             filmed,
-            match_silhouettes(
-                index, filmed.silhouettes, filmed.camera, DEFAULTS.smoothing.max_states
-            ),
+            match_silhouettes(index, filmed.silhouettes, filmed.camera, SMOOTHING.max_states),
         )
         features += [one.confidence_features for one in poses]
         right.append(estimated(filmed, [one.pose for one in poses]).measures()["right"] > 0)

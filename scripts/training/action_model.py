@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.actions import ActionModel, PoseSample, window_features
-from app.tracking.parameters import DEFAULTS
+from app.tracking.actions import WINDOW_S, ActionModel, PoseSample, window_features
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
@@ -254,10 +253,9 @@ def make_windows(motions: Sequence[Motion], copies: int, seed: int) -> Windows:
 def windows_of(measured: Sequence[PoseSample]) -> NDArray[np.float64]:
     """Return features ``(W, D)`` of windows that end ``HOP_S`` apart, back from the last pose."""
     times = np.array([m.timestamp for m in measured])
-    window_s = DEFAULTS.actions.window_s
-    ends = np.arange(times[-1], min(window_s, times[-1]) - 1e-9, -HOP_S)
+    ends = np.arange(times[-1], min(WINDOW_S, times[-1]) - 1e-9, -HOP_S)
     return np.stack([
-        window_features([m for m in measured if end - window_s <= m.timestamp <= end + 1e-9])
+        window_features([m for m in measured if end - WINDOW_S <= m.timestamp <= end + 1e-9])
         for end in ends
     ])  # fmt: skip
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.estimation.finder import distinct_bodies
-from app.estimation.parameters import DUPLICATE_BODY_DISTANCE
+from app.estimation.finder import DUPLICATE_BODY_DISTANCE, distinct_bodies
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import WINDOW_SCALE, PersonWindow
 from app.vision.people import Landmarks

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.estimation.parameters import HYPOTHESES_PER_OPPOSITE_FACING
 from app.estimation.poses import (
+    HYPOTHESES_PER_OPPOSITE_FACING,
     fused_confidences,
     nearest_of_both_facings,
     order_by_landmarks,

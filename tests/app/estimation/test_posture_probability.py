@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.estimation.parameters import POSTURE
 from app.estimation.posture import (
     LANDMARK_GROUPS,
+    MIN_PROBABILITY,
     estimate_posture,
     likeliest_posture,
     posture_of,
@@ -78,7 +78,7 @@ def test_posture_is_limited_by_presence_and_by_the_best_hypothesis(
     found = likeliest_posture(shares, presence, confidence)
     assert found.probability <= presence + 1e-9
     assert confidence >= 0.2 or found.probability <= 0.8
-    assert (found.label == "unclear") == (found.probability < POSTURE.min_probability)
+    assert (found.label == "unclear") == (found.probability < MIN_PROBABILITY)
 
 
 def test_unlikely_person_is_unclear() -> None:
@@ -91,4 +91,4 @@ def test_unlikely_person_is_unclear() -> None:
 def test_posture_is_reported_from_a_probability_of_one_half(weights: list[float]) -> None:
     found = posture_of(vote_posture(POSTURES[: len(weights)], weights))
     assert 0 <= found.probability <= 1
-    assert (found.label == "unclear") == (found.probability < POSTURE.min_probability)
+    assert (found.label == "unclear") == (found.probability < MIN_PROBABILITY)

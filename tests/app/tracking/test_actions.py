@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture, Facing, vote_posture
 from app.tracking.actions import (
+    FULL_WEIGHT_PX,
     RATE_HZ,
     ActionModel,
     ActionRecogniser,
@@ -21,7 +22,6 @@ from app.tracking.actions import (
     window_features,
 )
 from app.tracking.motion import STILL
-from app.tracking.parameters import DEFAULTS
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import Smoothed
 from app.vision.geometry import Box
@@ -31,7 +31,6 @@ from tests.app.tracking.people import person_of, standing_body
 from tests.conftest import stick_figure
 
 PX_PER_M = 80.0
-FULL_WEIGHT_PX = DEFAULTS.actions.full_weight_px
 UP = np.array([0.0, 1.0, 0.0])
 
 

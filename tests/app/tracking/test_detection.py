@@ -12,8 +12,7 @@ from app.camera import CameraSession
 from app.estimation.upload import DecodedUpload, SquarePixels
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.following import TrackedPeopleDetector
-from app.tracking.parameters import DEFAULTS
+from app.tracking.following import SEARCH_EVERY_S, TrackedPeopleDetector
 from app.tracking.track import Sighting, Track
 from app.vision.images import decode_image
 from app.vision.optics import PinholeCamera
@@ -37,7 +36,7 @@ def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
             assert observed.silhouette is not None and observed.landmarks is not None
             assert observed.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
             assert len(tracked.person.hypotheses) == 3
-    assert detector.searches == 1 + 1 // DEFAULTS.detection.search_every_s
+    assert detector.searches == 1 + 1 // SEARCH_EVERY_S
 
 
 def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(

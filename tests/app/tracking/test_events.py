@@ -7,15 +7,17 @@ from collections.abc import Iterable
 import pytest
 
 from app.estimation.posture import vote_posture
-from app.tracking.events import DropDetector, EventDetector, HipHeight, Reliability
-from app.tracking.parameters import DEFAULTS
+from app.tracking.events import (
+    STAYS_DOWN_S,
+    DropDetector,
+    EventDetector,
+    HipHeight,
+    Reliability,
+)
 from app.tracking.results import Event
 from index.posture import Posture
 
 FPS = 10
-STAYS_DOWN_S = DEFAULTS.events.stays_down_s
-
-
 PX_PER_M = 100.0
 HIPS_M: dict[Posture, float] = {
     "lying": 0.15, "crawling": 0.4, "kneeling": 0.5, "sitting": 0.5, "bending": 0.9

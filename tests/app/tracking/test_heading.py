@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from app.tracking.motion import STILL, GroundVelocity, Heading, HeadingFilter
-from app.tracking.parameters import DEFAULTS
+from app.tracking.motion import MIN_TURNED_DEG, STILL, GroundVelocity, Heading, HeadingFilter
 
-BESIDE_DEG = DEFAULTS.heading.min_turned_deg
+BESIDE_DEG = 90 - MIN_TURNED_DEG
 TO_THE_LEFT = GroundVelocity(-1.2, 0.0, 1.2)
 
 
@@ -52,19 +51,19 @@ def test_people_go_where_they_face() -> None:
         heading = headings.update(
             0.1 * number, np.array([90.0, -90.0]), np.full(2, 0.5), 0.0, TO_THE_LEFT
         )
-    ahead, behind = heading.log_likelihood(np.array([90.0, -90.0]), 20.0)
+    ahead, behind = heading.log_likelihood(np.array([90.0, -90.0]))
     assert ahead > behind + 1
 
 
 @pytest.mark.parametrize(
     ("front", "azimuth_deg", "expected_deg"),
     [
-        (True, 30.0, 30.0), (True, 100.0, 90 - BESIDE_DEG), (True, -100.0, BESIDE_DEG - 90),
-        (False, 150.0, 150.0), (False, 80.0, 90 + BESIDE_DEG), (False, -80.0, -90 - BESIDE_DEG),
+        (True, 30.0, 30.0), (True, 100.0, BESIDE_DEG), (True, -100.0, -BESIDE_DEG),
+        (False, 150.0, 150.0), (False, 80.0, 180 - BESIDE_DEG), (False, -80.0, BESIDE_DEG - 180),
     ],
 )  # fmt: skip
 def test_the_nearest_azimuth_of_a_side(
     front: bool, azimuth_deg: float, expected_deg: float
 ) -> None:
     heading = Heading(np.full(36, 1 / 36), front)
-    assert heading.on_visible_side(azimuth_deg, BESIDE_DEG) == pytest.approx(expected_deg)
+    assert heading.on_visible_side(azimuth_deg) == pytest.approx(expected_deg)

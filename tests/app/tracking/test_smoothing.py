@@ -9,15 +9,13 @@ import pytest
 
 from app.estimation.posture import azimuth_deg
 from app.estimation.results import Person
-from app.tracking.parameters import DEFAULTS
-from app.tracking.smoothing import PoseSmoother, Smoothed
+from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.posture import POSTURES
 from index.skeleton import POINTS, bone_lengths, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
 ELEVATION_DEG = 20.0
-EXTRAPOLATED_S = DEFAULTS.smoothing.extrapolated_s
 
 
 def follow(people: list[Person]) -> list[Smoothed]:

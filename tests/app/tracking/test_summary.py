@@ -7,8 +7,7 @@ import pytest
 
 from app.estimation.posture import EstimatedPosture
 from app.estimation.results import ObservedPerson, Person
-from app.film import VideoSummary
-from app.tracking.parameters import DEFAULTS
+from app.film import MAX_GAP_S, VideoSummary
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
@@ -72,9 +71,7 @@ def test_a_posture_lasts_until_the_next_frame() -> None:
 
 
 def test_no_posture_is_kept_while_unseen_for_long() -> None:
-    summary = summarised(
-        (0.0, [person(1, "walking")]), (DEFAULTS.summary.max_gap_s + 0.1, [person(1, "walking")])
-    )
+    summary = summarised((0.0, [person(1, "walking")]), (MAX_GAP_S + 0.1, [person(1, "walking")]))
     assert summary.tracks[1].postures() == [("walking", 0.0)]
 
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.tracking.parameters import DEFAULTS
 from app.tracking.results import Event
 from app.tracking.zones import (
+    SETTLING_S,
     Zone,
     ZoneKind,
     ZoneWatch,
@@ -151,7 +151,7 @@ def test_a_person_enters_and_leaves_in_turn(feet_px: list[float]) -> None:
 
 @pytest.mark.parametrize(("here", "there"), [(50, 150), (150, 50)])
 def test_a_moment_on_the_other_side_is_no_event(here: float, there: float) -> None:
-    moment = round(DEFAULTS.zones.settling_s * FPS) - 1
+    moment = round(SETTLING_S * FPS) - 1
     assert len(walk([here] * 20 + [there] * moment + [here] * 20)) == (here == 50)
 
 

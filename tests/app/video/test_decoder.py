@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.tracking.parameters import DEFAULTS
+from app import camera
 from app.video.decoder import END, FRAME, HEADER, MIN_STEP_S, TOO_LARGE, Clock, write_frames
 from tests.conftest import ROOT
 from tests.support.videos import noisy_frames, numbered_frames, write_video
@@ -82,7 +82,7 @@ def test_stream_of_jpeg_pictures_is_read(tmp_path: Path) -> None:
 def test_timestamps_ascend_by_what_a_session_takes(reported: list[float]) -> None:
     clock = Clock(25.0)
     times = [clock.timestamp(number, one) for number, one in enumerate(reported)]
-    assert DEFAULTS.session.min_step_s == MIN_STEP_S
+    assert camera.MIN_STEP_S == MIN_STEP_S
     assert all(second >= first + MIN_STEP_S for first, second in pairwise(times))
 
 
