@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.estimation.finder import PeopleFinder
+from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import (
     NormalisedPerson,
     order_by_landmarks,
@@ -29,7 +29,7 @@ from app.scheduling.process import available_cores
 from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box
-from app.vision.judgement import photograph_models
+from app.vision.judgement import load_photograph_models
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
@@ -56,10 +56,8 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
     return threads, max(1, min(concurrency, cores // threads))
 
 
-def load_networks(
-    concurrency: int, min_person_px: float | None
-) -> tuple[NetworkDetector, PersonReader]:
-    """Load the networks that detect people and locate their landmarks.
+def load_models(concurrency: int, min_person_px: float | None) -> Models:
+    """Load the networks that detect and read people, and the models that judge what was read.
 
     Parameters
     ----------
@@ -71,7 +69,7 @@ def load_networks(
     Raises
     ------
     NetworkError
-        If a network file shipped with the package is missing or has been modified.
+        If a file shipped with the package is missing or has been modified.
     """
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
@@ -83,7 +81,8 @@ def load_networks(
     landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
     reader = PersonReader(landmarks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
-    return NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px), reader
+    detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
+    return Models(detector, reader, load_photograph_models())
 
 
 def normalise_person(person: ObservedPerson) -> NormalisedPerson | None:
@@ -159,20 +158,19 @@ class Estimator:
     def __init__(
         self,
         index: PoseIndex,
-        detector: NetworkDetector,
-        reader: PersonReader,
+        models: Models,
         *,
         min_person_px: float | None,
         max_pixels: int,
         max_persons: int,
     ) -> None:
         self.index = index
-        self.detector = detector
+        self.models = models
         self._decoder = UploadDecoder(max_pixels, max_persons)
-        self.finder = PeopleFinder(detector, reader, min_person_px, max_persons)
+        self.finder = PeopleFinder(models, min_person_px, max_persons)
 
     def with_index(self, index: PoseIndex) -> Estimator:
-        """Return an estimator with the same networks and another index."""
+        """Return an estimator with the same models and another index."""
         other = copy(self)
         other.index = index
         return other
@@ -181,9 +179,8 @@ class Estimator:
         """Run everything once, because the first run is slow."""
         frame = np.full((240, 320, 3), 127, np.uint8)
         box = Box(120.0, 40.0, 60.0, 160.0)
-        photograph_models()
-        self.detector.detect(frame)
-        self.finder.reader.read(frame, box)
+        self.models.detector.detect(frame)
+        self.models.reader.read(frame, box)
         match(self.index, self.index.silhouette(0), 1)
 
     def estimate(

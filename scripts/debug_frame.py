@@ -143,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     estimator = load_estimator(Settings())
     estimate = estimator.estimate(upload, options.n, Job())
     options.out.mkdir(parents=True, exist_ok=True)
-    detections = estimator.detector.detect(estimate.frame)
+    detections = estimator.models.detector.detect(estimate.frame)
     pictures = {"detections.png": draw_detections(estimate.frame, detections)}
     for number, person in enumerate(estimate.persons, start=1):
         pictures[f"person-{number}.png"] = draw_person(estimate.frame, estimator.index, person)

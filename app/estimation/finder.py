@@ -16,11 +16,20 @@ from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector, smallest_person_px
 from app.vision.geometry import Box
 from app.vision.images import LabelImage
-from app.vision.judgement import photograph_models
+from app.vision.judgement import PhotographModels
 from app.vision.optics import PinholeCamera
-from app.vision.people import Detection, Landmarks, Silhouette
+from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
 from app.vision.silhouettes import end_beyond_border, silhouettes_from_labels, silhouettes_of
+
+
+@dataclass(frozen=True)
+class Models:
+    """What people are found, read and judged with."""
+
+    detector: NetworkDetector
+    reader: PersonReader
+    judgement: PhotographModels
 
 
 @dataclass(frozen=True)
@@ -36,8 +45,7 @@ class PeopleFinder:
         first.
     """
 
-    detector: NetworkDetector
-    reader: PersonReader
+    models: Models
     min_person_px: float | None
     max_persons: int
 
@@ -70,7 +78,7 @@ class PeopleFinder:
     ) -> list[PoseReading]:
         """Read the landmarks and the body mask of each person of a frame."""
         return job.map(
-            lambda one: self.reader.read(frame, one.box, one.keypoints, one.windows), found
+            lambda one: self.models.reader.read(frame, one.box, one.keypoints, one.windows), found
         )
 
     def _background(self, upload: DecodedUpload) -> BackgroundSegmenter | None:
@@ -86,9 +94,9 @@ class PeopleFinder:
         if upload.boxes is not None:
             return "boxes", [Detection(box, 1.0) for box in upload.boxes]
         with job.stage("detect"):
-            detections = (background or self.detector).detect(upload.frame)[: self.max_persons]
+            found = (background or self.models.detector).detect(upload.frame)
         job.checkpoint()
-        return "background" if background else "detector", detections
+        return "background" if background else "detector", found[: self.max_persons]
 
     def _observe(
         self,
@@ -123,7 +131,7 @@ class PeopleFinder:
             )
         shown: Sequence[PoseReading | None] = readings or [None] * len(found)
         return [
-            make_observation(
+            self.make_observation(
                 frame,
                 upload.camera,
                 one.box,
@@ -146,46 +154,40 @@ class PeopleFinder:
             marked = [Detection(one.box, 1.0) for one in silhouettes]
             readings = self.read(upload.frame, marked, job)
         return [
-            make_observation(upload.frame, upload.camera, one.box, "mask", None, one, reading)
+            self.make_observation(upload.frame, upload.camera, one.box, "mask", None, one, reading)
             for one, reading in zip(silhouettes, readings, strict=True)
         ]
 
-
-def make_observation(
-    frame: NDArray[np.uint8],
-    camera: PinholeCamera,
-    box: Box,
-    source: Source,
-    score: float | None,
-    silhouette: Silhouette | None,
-    reading: PoseReading | None,
-) -> ObservedPerson:
-    """Combine what is known about a person; landmarks may show that the body is truncated."""
-    if reading is None:
-        return ObservedPerson(box, source, score, silhouette)
-    landmarks = attenuate_visibility_at_border(reading, frame.shape)
-    if silhouette is not None and end_beyond_border(box, landmarks, frame.shape):
-        silhouette = replace(silhouette, truncated=True)
-    seen = ObservedPerson(
-        box, source, score, silhouette, landmarks, reading.presence, reading.next_window
-    )
-    return seen if reading.network_pass is None else _judged(seen, landmarks, reading, camera)
-
-
-def _judged(
-    person: ObservedPerson, landmarks: Landmarks, reading: PoseReading, camera: PinholeCamera
-) -> ObservedPerson:
-    """Add what models trained on rendered people say: depths, posture, trust."""
-    judged = photograph_models().judge(reading, camera)
-    body = judged.body
-    return replace(
-        person,
-        landmarks=replace(
-            landmarks, metres=body.along_sight(camera, landmarks), depth_sd=body.depth_sd
-        ),
-        frame_posture=judged.posture,
-        trust=judged.trust,
-    )
+    def make_observation(
+        self,
+        frame: NDArray[np.uint8],
+        camera: PinholeCamera,
+        box: Box,
+        source: Source,
+        score: float | None,
+        silhouette: Silhouette | None,
+        reading: PoseReading | None,
+    ) -> ObservedPerson:
+        """Combine what is known about a person; landmarks may show that the body is truncated."""
+        if reading is None:
+            return ObservedPerson(box, source, score, silhouette)
+        landmarks = attenuate_visibility_at_border(reading, frame.shape)
+        if silhouette is not None and end_beyond_border(box, landmarks, frame.shape):
+            silhouette = replace(silhouette, truncated=True)
+        seen = ObservedPerson(
+            box, source, score, silhouette, landmarks, reading.presence, reading.next_window
+        )
+        if reading.network_pass is None:
+            return seen
+        judged = self.models.judgement.judge(reading, camera)
+        body = judged.body
+        metres = body.along_sight(camera, landmarks)
+        return replace(
+            seen,
+            landmarks=replace(landmarks, metres=metres, depth_sd=body.depth_sd),
+            frame_posture=judged.posture,
+            trust=judged.trust,
+        )
 
 
 def without_landmarks(person: ObservedPerson) -> ObservedPerson:

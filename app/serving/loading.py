@@ -17,7 +17,7 @@ from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSettings
 from app.http.identity import CAMERA_PATTERN
 from app.messages import located
-from app.photograph import Estimator, load_networks
+from app.photograph import Estimator, load_models
 from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
@@ -94,7 +94,7 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
         index = load_index(settings.index)
     return Estimator(
         index,
-        *load_networks(settings.concurrency, settings.min_person_px),
+        load_models(settings.concurrency, settings.min_person_px),
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
         max_persons=settings.max_persons,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import PeopleFinder, distinct_bodies, make_observation
+from app.estimation.finder import PeopleFinder, distinct_bodies
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.track import Sighting, Track
@@ -58,7 +58,7 @@ class TrackedPeopleDetector:
     Parameters
     ----------
     finder : PeopleFinder
-        Its detector and its reader are used.
+        Its models are used.
     """
 
     def __init__(self, finder: PeopleFinder) -> None:
@@ -110,7 +110,7 @@ class TrackedPeopleDetector:
             score = target.track.score if target.track else target.detection.score
             # A detector's box may include more than the person's body.
             place = silhouette.box if reading.presence >= MIN_PRESENCE else box
-            person = make_observation(
+            person = self._finder.make_observation(
                 frame, upload.camera, place, "detector", score, silhouette, reading
             )
             sightings.append(Sighting(person, track=target.track))
@@ -143,9 +143,9 @@ class TrackedPeopleDetector:
             with_window = [(track, box) for track, box in with_window if track in shown]
         with job.stage("detect"):
             places = [track.box_filter.seen for track in lost]
-            detections = self._finder.detector.detect(frame, places)[: self._finder.max_persons]
+            found = self._finder.models.detector.detect(frame, places)[: self._finder.max_persons]
         self._searched_at = timestamp
-        return self._read_all(frame, self._targets(detections, with_window, shown), job)
+        return self._read_all(frame, self._targets(found, with_window, shown), job)
 
     def _targets(
         self,
@@ -182,7 +182,7 @@ class TrackedPeopleDetector:
 
     def _read(self, frame: NDArray[np.uint8], target: _Target) -> PoseReading | None:
         """Read a person; None where a track's window no longer shows anybody."""
-        detection, reader, reading = target.detection, self._finder.reader, target.tracked
+        detection, reader, reading = target.detection, self._finder.models.reader, target.tracked
         if reading is None and target.window is not None:
             reading = reader.network.read(frame, target.window)
         if target.track is None or reading is None:

@@ -79,6 +79,13 @@ class PoseReading:
         """Distance from the window to the next, as a share of its side; large if it is wrong."""
         return self.window.drift(self.next_window)
 
+    @property
+    def raw(self) -> NetworkPass:
+        """The network's pass; ``ValueError`` if the reading was made by hand."""
+        if self.network_pass is None:
+            raise ValueError("expected a reading with its pass of the network, got one without")
+        return self.network_pass
+
 
 MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
 """Rows, columns and channels of the feature maps: middle and last."""

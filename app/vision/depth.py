@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LANDMARK_PX, LANDMARKS, NetworkPass
-from app.vision.geometry import PersonWindow
+from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
 from app.vision.odds import sigmoid
 from app.vision.optics import (
     PinholeCamera,
@@ -63,37 +62,25 @@ class Body3D:
 _MIN_WEIGHT = 0.05  # Of unseen landmarks when a body is placed.
 
 
-def body_of(
-    given: NetworkPass,
-    window: PersonWindow,
-    camera: PinholeCamera,
-    depths: Depths,
-    places: NDArray[np.float64],
-    visibility: NDArray[np.float64],
-) -> Body3D:
-    """Put the landmarks of a pass onto their lines of sight at corrected depths.
+def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body3D:
+    """Put landmarks onto their lines of sight at corrected depths.
 
-    Parameters
-    ----------
-    given : NetworkPass
-    window : PersonWindow
-        The window that was read.
-    camera : PinholeCamera
-        Camera that took the frame.
-    depths : Depths
-    places : (33, 2) float64 array
-        The landmarks in the frame, pixels.
-    visibility : (33,) float64 array
-        Probability that each landmark is seen; its weight when the body is placed.
+    A landmark's weight when the body is placed is the probability that it is seen.
+
+    Raises
+    ------
+    ValueError
+        If the reading is not from the network.
     """
-    axes = window_axes(camera, window)
-    metres = given.world[:LANDMARKS].astype(np.float64)
+    axes = window_axes(camera, reading.window)
+    metres = reading.raw.world[:LANDMARKS].astype(np.float64)
     metres = metres - metres[HIPS].mean(axis=0)
     metres[:, 2] = depths.metres
-    weights = np.maximum(visibility, _MIN_WEIGHT)
-    placed = place_on_sight_lines(metres, camera.rays(places), axes, weights)
+    weights = np.maximum(reading.landmarks.visibility, _MIN_WEIGHT)
+    rays = camera.rays(reading.landmarks.positions)
+    placed = place_on_sight_lines(metres, rays, axes, weights)
     hips = placed.points[HIPS].mean(axis=0)
-    sight = roll_rotation(-window.roll_deg) @ axes
+    sight = roll_rotation(-reading.window.roll_deg) @ axes
     return Body3D(placed.points - hips, depths.sigmas, hips, sight)
 
 
@@ -115,17 +102,13 @@ class Depths:
 
 @dataclass(frozen=True)
 class DepthModel:
-    """Corrects depths.
-
-    Parameters
-    ----------
-    network : DenseNetwork
-    """
+    """Corrects depths with a network, see :func:`depth_features` and :func:`decode_depths`."""
 
     network: DenseNetwork
 
-    def correct(self, given: NetworkPass, window: PersonWindow, camera: PinholeCamera) -> Depths:
-        """Correct the depths of one pass over a window."""
+    def correct(self, reading: PoseReading, camera: PinholeCamera) -> Depths:
+        """Correct the depths of a reading."""
+        window, given = reading.window, reading.raw
         places = np.array([[window.x, window.y, window.side, window.roll_deg]])
         sight = sight_features(places, camera.focal[None], camera.centre[None])
         features = depth_features(given.points[None], given.world[None], given.sampled[None], sight)

@@ -1,4 +1,4 @@
-"""Boxes, and the rotated square windows in which landmarks are read, in pixels of a frame."""
+"""Boxes, the rotated windows in which landmarks are read, and the pixels that either holds."""
 
 from __future__ import annotations
 
@@ -13,12 +13,6 @@ from numpy.typing import NDArray
 
 Boxes = NDArray[np.float64]
 """Array of boxes ``(N, 4)``: x, y, width, height."""
-
-WINDOW_SCALE = 1.25
-"""Side of a person's window relative to the circle about the body or the longer side of its box, as
-BlazePose was trained."""
-
-_MIN_RADIUS_PX = 1e-3
 
 
 @dataclass(frozen=True)
@@ -126,7 +120,7 @@ def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
     )
     shared = np.clip(high - low, 0, None).prod(axis=2)
     areas = (first[:, 2] * first[:, 3])[:, None] + (second[:, 2] * second[:, 3])[None, :]
-    return np.asarray(shared / (areas - shared))
+    return shared / (areas - shared)
 
 
 def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: float) -> list[int]:
@@ -156,11 +150,11 @@ def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: floa
     return kept
 
 
-def transform_points(
-    matrix: NDArray[np.float64], points: NDArray[np.floating]
-) -> NDArray[np.float64]:
-    """Points ``(..., 2)``, x before y, after an affine transform ``(2, 3)``."""
-    return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+WINDOW_SCALE = 1.25
+"""Side of a person's window relative to the circle about the body or the longer side of its box, as
+BlazePose was trained."""
+
+_MIN_RADIUS_PX = 1e-3
 
 
 @dataclass(frozen=True)
@@ -229,65 +223,11 @@ class PersonWindow:
         return float(np.linalg.norm(apart, axis=1).mean() / self.side)
 
 
-PixelRect = tuple[int, int, int, int]
-"""First column and row, width and height in whole pixels; may reach beyond the image."""
-
-Scalar = TypeVar("Scalar", np.uint8, np.float32)
-
-
-def crop(image: NDArray[Scalar], rect: PixelRect) -> NDArray[Scalar]:
-    """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero.
-
-    Returns
-    -------
-    (height, width) or (height, width, C) array
-        A view where the rectangle lies inside the image.
-    """
-    left, top, width, height = rect
-    rows, columns = image.shape[:2]
-    inside = image[
-        min(max(top, 0), rows) : max(0, min(top + height, rows)),
-        min(max(left, 0), columns) : max(0, min(left + width, columns)),
-    ]
-    if inside.shape[:2] == (height, width):
-        return inside
-    result = np.zeros((height, width, *image.shape[2:]), image.dtype)
-    y, x = max(-top, 0), max(-left, 0)
-    result[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
-    return result
-
-
-def crop_and_resize(
-    image: NDArray[Scalar], rect: PixelRect, width: int, height: int, max_crop_px: int = 2**22
-) -> NDArray[Scalar]:
-    """Crop an image as :func:`crop` does and resize the crop to ``width`` x ``height``.
-
-    A rectangle with a person's proportions about a wide, flat box may be many times as large as the
-    image. If it has more than ``max_crop_px`` pixels, only the part inside the image is resized.
-    The result is then accurate to a pixel, and needs no more memory than the image.
-    """
-    left, top, columns, rows = rect
-    if columns * rows <= max_crop_px:
-        return resize(crop(image, rect), width, height)
-    result = np.zeros((height, width, *image.shape[2:]), image.dtype)
-    x0, x1 = (min(max(x, 0), image.shape[1]) for x in (left, left + columns))
-    y0, y1 = (min(max(y, 0), image.shape[0]) for y in (top, top + rows))
-    first, last = (round((x - left) * width / columns) for x in (x0, x1))
-    upper, lower = (round((y - top) * height / rows) for y in (y0, y1))
-    if last > first and lower > upper:
-        inside = image[y0:y1, x0:x1]
-        result[upper:lower, first:last] = resize(inside, last - first, lower - upper)
-    return result
-
-
-def resize(image: NDArray[Scalar], width: int, height: int) -> NDArray[Scalar]:
-    """Resize an image, by averaging areas where it shrinks and bilinearly where it grows."""
-    rows, columns = image.shape[:2]
-    if (rows, columns) == (height, width):
-        return image
-    shrinks = width < columns or height < rows
-    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return cv2.resize(image, (width, height), interpolation=kind).astype(image.dtype, copy=False)
+def transform_points(
+    matrix: NDArray[np.float64], points: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Points ``(..., 2)``, x before y, after an affine transform ``(2, 3)``."""
+    return points @ matrix[:, :2].T + matrix[:, 2]
 
 
 def sample_window(
@@ -332,3 +272,64 @@ def sample_window(
         matrix[:, 2] += 0.5 / factors - 0.5
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(part, matrix, (pixels, pixels), flags=flags), np.uint8)
+
+
+PixelRect = tuple[int, int, int, int]
+"""First column and row, width and height in whole pixels; may reach beyond the image."""
+
+_Pixel = TypeVar("_Pixel", np.uint8, np.float32)
+
+
+def crop(image: NDArray[_Pixel], rect: PixelRect) -> NDArray[_Pixel]:
+    """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero.
+
+    Returns
+    -------
+    (height, width) or (height, width, C) array
+        A view where the rectangle lies inside the image.
+    """
+    left, top, width, height = rect
+    rows, columns = image.shape[:2]
+    inside = image[
+        min(max(top, 0), rows) : max(0, min(top + height, rows)),
+        min(max(left, 0), columns) : max(0, min(left + width, columns)),
+    ]
+    if inside.shape[:2] == (height, width):
+        return inside
+    result = np.zeros((height, width, *image.shape[2:]), image.dtype)
+    y, x = max(-top, 0), max(-left, 0)
+    result[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
+    return result
+
+
+def crop_and_resize(
+    image: NDArray[_Pixel], rect: PixelRect, width: int, height: int, max_crop_px: int = 2**22
+) -> NDArray[_Pixel]:
+    """Crop an image as :func:`crop` does and resize the crop to ``width`` x ``height``.
+
+    A rectangle with a person's proportions about a wide, flat box may be many times as large as the
+    image. If it has more than ``max_crop_px`` pixels, only the part inside the image is resized.
+    The result is then accurate to a pixel, and needs no more memory than the image.
+    """
+    left, top, columns, rows = rect
+    if columns * rows <= max_crop_px:
+        return resize(crop(image, rect), width, height)
+    result = np.zeros((height, width, *image.shape[2:]), image.dtype)
+    x0, x1 = (min(max(x, 0), image.shape[1]) for x in (left, left + columns))
+    y0, y1 = (min(max(y, 0), image.shape[0]) for y in (top, top + rows))
+    first, last = (round((x - left) * width / columns) for x in (x0, x1))
+    upper, lower = (round((y - top) * height / rows) for y in (y0, y1))
+    if last > first and lower > upper:
+        inside = image[y0:y1, x0:x1]
+        result[upper:lower, first:last] = resize(inside, last - first, lower - upper)
+    return result
+
+
+def resize(image: NDArray[_Pixel], width: int, height: int) -> NDArray[_Pixel]:
+    """Resize an image, by averaging areas where it shrinks and bilinearly where it grows."""
+    rows, columns = image.shape[:2]
+    if (rows, columns) == (height, width):
+        return image
+    shrinks = width < columns or height < rows
+    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return cv2.resize(image, (width, height), interpolation=kind).astype(image.dtype, copy=False)

@@ -8,14 +8,13 @@ of six that a single frame distinguishes, with a probability for each.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LANDMARK_PX, LANDMARKS, NetworkPass, PoseReading
+from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
 from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of
 from app.vision.models import network_path
 from app.vision.odds import logit, sigmoid, softmax
@@ -92,11 +91,7 @@ class PhotographModels:
 
     def body(self, reading: PoseReading, camera: PinholeCamera) -> Body3D:
         """A reading in three dimensions; ``ValueError`` if it is not from the network."""
-        given, landmarks = _given(reading), reading.landmarks
-        depths = self.depth.correct(given, reading.window, camera)
-        return body_of(
-            given, reading.window, camera, depths, landmarks.positions, landmarks.visibility
-        )
+        return body_of(reading, camera, self.depth.correct(reading, camera))
 
     def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
         """A reading in three dimensions, how far to trust it, and its posture.
@@ -106,7 +101,7 @@ class PhotographModels:
         ValueError
             If the reading is not from the network.
         """
-        body, given, landmarks = self.body(reading, camera), _given(reading), reading.landmarks
+        body, given, landmarks = self.body(reading, camera), reading.raw, reading.landmarks
         evidence = trust_features(
             given.points[None],
             given.world[None],
@@ -129,15 +124,8 @@ class PhotographModels:
         return Judgement(body, trust, posture)
 
 
-def _given(reading: PoseReading) -> NetworkPass:
-    if reading.network_pass is None:
-        raise ValueError("expected a reading with its pass of the network, got one without")
-    return reading.network_pass
-
-
-@cache
-def photograph_models(path: Path | None = None) -> PhotographModels:
-    """Load models once: those that ship, or those in another file.
+def load_photograph_models(path: Path | None = None) -> PhotographModels:
+    """Load the models that ship, or those in another file.
 
     Raises
     ------

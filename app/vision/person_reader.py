@@ -27,33 +27,6 @@ from app.vision.people import (
 )
 from app.vision.silhouettes import ends_at_border
 
-# Only the nose represents the face.
-_COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
-
-
-def _nearest_keypoint(landmark: str) -> int:
-    """Row of the COCO keypoint at, or nearest along the body to, a landmark."""
-    if landmark.startswith("mouth"):
-        return COCO_NAMES.index("nose")
-    side, _, part = landmark.partition("_")
-    if part.startswith("eye"):
-        part = "eye"
-    elif part in ("pinky", "index", "thumb"):
-        part = "wrist"
-    elif part in ("heel", "foot_index"):
-        part = "ankle"
-    return COCO_NAMES.index(f"{side}_{part}" if part else side)
-
-
-_OTHER_SIDE_LANDMARKS = [
-    LANDMARK_NAMES.index(
-        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-    )
-    for name in COCO_NAMES
-]
-
-_NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
-
 # If the trunk leans by an angle between these, a window that is not turned is tried as well: in
 # windows turned to a leaning trunk, the network sometimes exchanges left and right.
 _MIN_LEAN_DEG = 15.0
@@ -163,87 +136,6 @@ def window_beyond_border(
     return [PersonWindow.about_circle(hips, hips + _HIPS_TO_FEET * (top - hips))]
 
 
-# Weights in the quality, beside the agreement with MoveNet.
-_PRESENCE_WEIGHT = 0.3
-_DRIFT_WEIGHT = 1.0
-AGREEMENT_DISTANCE = 0.15
-"""Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
-
-_UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds nobody.
-
-
-def reading_quality(reading: PoseReading, keypoints: ObservedKeypoints | None) -> float:
-    """Quality of a reading: agreement with MoveNet, presence, and a window that stays in place."""
-    agreement = _UNKNOWN_AGREEMENT
-    if keypoints is not None:
-        agreement = _agreement(reading, keypoints)
-    return agreement + _PRESENCE_WEIGHT * reading.presence - _DRIFT_WEIGHT * reading.drift
-
-
-def _agreement(reading: PoseReading, keypoints: ObservedKeypoints) -> float:
-    """Share of MoveNet's keypoints, weighted by score, that the landmarks match, 0 to 1."""
-    scores = keypoints.scores[_COMPARED]
-    distances = _distances(reading, keypoints)[_COMPARED]
-    agrees = np.exp(-((distances / AGREEMENT_DISTANCE) ** 2))
-    total = float(scores.sum())
-    # Few keypoints are little evidence.
-    known = min(1.0, total)
-    share = float((scores * agrees).sum() / max(total, 1e-9))
-    return known * share + (1 - known) * _UNKNOWN_AGREEMENT
-
-
-def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
-    """Distances ``(17,)`` of keypoints from the landmarks of their names, in sizes of the body."""
-    offsets = keypoints.positions - reading.landmarks.positions[COCO_LANDMARKS]
-    return np.linalg.norm(offsets, axis=1) / reading.body_px
-
-
-def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
-    """Whether MoveNet's keypoints lie nearer to the landmarks of the other side."""
-    offsets = keypoints.positions - reading.landmarks.positions[_OTHER_SIDE_LANDMARKS]
-    exchanged = np.linalg.norm(offsets, axis=1) / reading.body_px
-    scores = keypoints.scores[_COMPARED]
-    return bool(scores @ exchanged[_COMPARED] < scores @ _distances(reading, keypoints)[_COMPARED])
-
-
-# Weight of a keypoint of score 1, relative to the landmark with which it agrees.
-_KEYPOINT_WEIGHT = 2.0
-
-
-def fuse(reading: PoseReading, keypoints: ObservedKeypoints) -> PoseReading:
-    """Move landmarks towards the keypoints of MoveNet that agree with them."""
-    agrees = _distances(reading, keypoints) < AGREEMENT_DISTANCE
-    weights = _KEYPOINT_WEIGHT * keypoints.scores * agrees
-    positions = reading.landmarks.positions.copy()
-    shares = (weights / (1 + weights))[:, None]
-    positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])
-    landmarks = replace(reading.landmarks, positions=positions)
-    return replace(reading, landmarks=landmarks, keypoints=keypoints)
-
-
-# Distance from the frame's border, in sizes of the body, within which landmarks are at most as
-# visible as MoveNet's keypoints.
-_BORDER_DISTANCE = 0.3
-
-
-def attenuate_visibility_at_border(reading: PoseReading, frame_shape: tuple[int, ...]) -> Landmarks:
-    """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
-
-    If the border cuts off part of a body, the landmark network squeezes the whole body into the
-    visible part and reports all of it as visible. MoveNet gives low scores to what it does not see.
-    """
-    landmarks = reading.landmarks
-    if reading.keypoints is None:
-        return landmarks
-    reach = _BORDER_DISTANCE * reading.body_px
-    end = np.array([frame_shape[1], frame_shape[0]]) - 1
-    near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
-    scores = reading.keypoints.scores[_NEAREST_KEYPOINTS]
-    factors = np.minimum(1.0, scores / _MIN_VISIBLE_SCORE)
-    visibility = np.where(near, factors * landmarks.visibility, landmarks.visibility)
-    return replace(landmarks, visibility=visibility)
-
-
 _MIN_TRUNK_SCORE = 0.15  # Score from which hips and shoulders show the direction of the trunk.
 
 
@@ -269,3 +161,112 @@ def _mean_position(
     if scores.max() < min_score:
         return None
     return scores @ keypoints.positions[rows] / scores.sum()
+
+
+# Weights in the quality, beside the agreement with MoveNet.
+_PRESENCE_WEIGHT = 0.3
+_DRIFT_WEIGHT = 1.0
+AGREEMENT_DISTANCE = 0.15
+"""Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
+
+_UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds nobody.
+
+
+def reading_quality(reading: PoseReading, keypoints: ObservedKeypoints | None) -> float:
+    """Quality of a reading: agreement with MoveNet, presence, and a window that stays in place."""
+    agreement = _UNKNOWN_AGREEMENT
+    if keypoints is not None:
+        agreement = _agreement(reading, keypoints)
+    return agreement + _PRESENCE_WEIGHT * reading.presence - _DRIFT_WEIGHT * reading.drift
+
+
+# Only the nose represents the face.
+_COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
+
+
+def _agreement(reading: PoseReading, keypoints: ObservedKeypoints) -> float:
+    """Share of MoveNet's keypoints, weighted by score, that the landmarks match, 0 to 1."""
+    scores = keypoints.scores[_COMPARED]
+    distances = _distances(reading, keypoints)[_COMPARED]
+    agrees = np.exp(-((distances / AGREEMENT_DISTANCE) ** 2))
+    total = float(scores.sum())
+    # Few keypoints are little evidence.
+    known = min(1.0, total)
+    share = float((scores * agrees).sum() / max(total, 1e-9))
+    return known * share + (1 - known) * _UNKNOWN_AGREEMENT
+
+
+def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
+    """Distances ``(17,)`` of keypoints from the landmarks of their names, in sizes of the body."""
+    offsets = keypoints.positions - reading.landmarks.positions[COCO_LANDMARKS]
+    return np.linalg.norm(offsets, axis=1) / reading.body_px
+
+
+_OTHER_SIDE_LANDMARKS = [
+    LANDMARK_NAMES.index(
+        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
+    )
+    for name in COCO_NAMES
+]
+
+
+def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
+    """Whether MoveNet's keypoints lie nearer to the landmarks of the other side."""
+    offsets = keypoints.positions - reading.landmarks.positions[_OTHER_SIDE_LANDMARKS]
+    exchanged = np.linalg.norm(offsets, axis=1) / reading.body_px
+    scores = keypoints.scores[_COMPARED]
+    return bool(scores @ exchanged[_COMPARED] < scores @ _distances(reading, keypoints)[_COMPARED])
+
+
+# Weight of a keypoint of score 1, relative to the landmark with which it agrees.
+_KEYPOINT_WEIGHT = 2.0
+
+
+def fuse(reading: PoseReading, keypoints: ObservedKeypoints) -> PoseReading:
+    """Move landmarks towards the keypoints of MoveNet that agree with them."""
+    agrees = _distances(reading, keypoints) < AGREEMENT_DISTANCE
+    weights = _KEYPOINT_WEIGHT * keypoints.scores * agrees
+    positions = reading.landmarks.positions.copy()
+    shares = (weights / (1 + weights))[:, None]
+    positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])
+    landmarks = replace(reading.landmarks, positions=positions)
+    return replace(reading, landmarks=landmarks, keypoints=keypoints)
+
+
+def _nearest_keypoint(landmark: str) -> int:
+    """Row of the COCO keypoint at, or nearest along the body to, a landmark."""
+    if landmark.startswith("mouth"):
+        return COCO_NAMES.index("nose")
+    side, _, part = landmark.partition("_")
+    if part.startswith("eye"):
+        part = "eye"
+    elif part in ("pinky", "index", "thumb"):
+        part = "wrist"
+    elif part in ("heel", "foot_index"):
+        part = "ankle"
+    return COCO_NAMES.index(f"{side}_{part}" if part else side)
+
+
+_NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
+
+# Distance from the frame's border, in sizes of the body, within which landmarks are at most as
+# visible as MoveNet's keypoints.
+_BORDER_DISTANCE = 0.3
+
+
+def attenuate_visibility_at_border(reading: PoseReading, frame_shape: tuple[int, ...]) -> Landmarks:
+    """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
+
+    If the border cuts off part of a body, the landmark network squeezes the whole body into the
+    visible part and reports all of it as visible. MoveNet gives low scores to what it does not see.
+    """
+    landmarks = reading.landmarks
+    if reading.keypoints is None:
+        return landmarks
+    reach = _BORDER_DISTANCE * reading.body_px
+    end = np.array([frame_shape[1], frame_shape[0]]) - 1
+    near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
+    scores = reading.keypoints.scores[_NEAREST_KEYPOINTS]
+    factors = np.minimum(1.0, scores / _MIN_VISIBLE_SCORE)
+    visibility = np.where(near, factors * landmarks.visibility, landmarks.visibility)
+    return replace(landmarks, visibility=visibility)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.photograph import load_networks
+from app.photograph import load_models
 from app.settings import Settings
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box
@@ -248,7 +248,7 @@ def read_sources(real: Path, names: Sequence[str], cache: Path | None) -> list[R
 
 def _read(frames: Iterator[Shown], name: str) -> list[ReadFrame]:
     settings = Settings()
-    detector, reader = load_networks(settings.concurrency, settings.min_person_px)
+    models = load_models(settings.concurrency, settings.min_person_px)
     read = []
     for shown in tqdm(frames, desc=name, unit="frame"):
         frame, scale = shown.frame, min(1.0, LONGEST_PX / max(shown.frame.shape))
@@ -256,11 +256,13 @@ def _read(frames: Iterator[Shown], name: str) -> list[ReadFrame]:
             frame = np.asarray(
                 cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
             )
-        detections = detector.detect(frame) if shown.box is None else [Detection(shown.box, 1.0)]
+        detections = (
+            models.detector.detect(frame) if shown.box is None else [Detection(shown.box, 1.0)]
+        )
         detections = sorted(detections, key=lambda one: -one.box.area)
         readings = []
         for one in detections:
-            reading = reader.read(frame, one.box, one.keypoints, one.windows)
+            reading = models.reader.read(frame, one.box, one.keypoints, one.windows)
             readings.append(_light(reading, frame.shape))
         read.append(
             ReadFrame(

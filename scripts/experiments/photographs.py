@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.depth import Depths, body_of, network_depths
-from app.vision.judgement import FRAME_POSTURES, Judgement, PhotographModels, photograph_models
+from app.vision.judgement import FRAME_POSTURES, Judgement, PhotographModels, load_photograph_models
 from app.vision.optics import PinholeCamera
 from index.build.calibrate import expected_calibration_error
 from scripts.datasets import HIPS, about_hips
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse._ArgumentGroup) -> None:
 
 def run(options: argparse.Namespace) -> Figures:
     """Measure everything."""
-    models = photograph_models(options.models)
+    models = load_photograph_models(options.models)
     frames = read_sources(options.shared / "real", list(SOURCES), options.cache)
     asked = [
         (frame, grouped(judge(models, frame).posture.probabilities))
@@ -102,14 +102,10 @@ def measure_depth(frames: Sequence[ReadFrame], models: PhotographModels) -> Figu
             if frame.source != source:
                 continue
             truth, reading = frame.joints_3d, frame.readings[0]
-            given = reading.network_pass
-            assert given is not None and truth is not None
+            assert truth is not None
             camera, body = PinholeCamera.of_frame(frame.shape), judge(models, frame).body
-            plain = body_of(
-                given, reading.window, camera,
-                Depths(network_depths(given.world[None])[0], np.ones(33)),
-                reading.landmarks.positions, reading.landmarks.visibility,
-            )  # fmt: skip
+            own_depths = Depths(network_depths(reading.raw.world[None])[0], np.ones(33))
+            plain = body_of(reading, camera, own_depths)
             points = (reading.landmarks.metres, plain.points, body.points)
             rows.append([distance_mm(one[LANDMARK_LIMBS], truth) for one in points])
             along = (about_hips(body.points[LANDMARK_LIMBS]) - about_hips(truth)) @ body.sight[2]

@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     """Run the experiment."""
     cv2.setNumThreads(1)
     estimator = load_estimator(Settings(index=options.index))
-    detector = estimator.detector
+    detector = estimator.models.detector
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)

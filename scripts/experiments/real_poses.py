@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.finder import make_observation
 from app.estimation.poses import NormalisedPerson
 from app.estimation.results import ObservedPerson, Person, Scene
 from app.photograph import Estimator, fit_poses
@@ -128,8 +127,8 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     person = ObservedPerson(shown.box, "boxes", None, shown.silhouette)
     camera = PinholeCamera.of_frame(shown.frame.shape)
     if way != SILHOUETTE:
-        reading = estimator.finder.reader.read(shown.frame, shown.box)
-        person = make_observation(
+        reading = estimator.models.reader.read(shown.frame, shown.box)
+        person = estimator.finder.make_observation(
             shown.frame, camera, shown.box, "boxes", None, shown.silhouette, reading
         )
     if way == LANDMARKS:
@@ -197,7 +196,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
     other_side = [rows[i ^ 1] for i in range(len(rows))]
     near, sides = [], []
     for person in people:
-        seen = estimator.finder.reader.read(person.photograph.frame, person.box).landmarks
+        seen = estimator.models.reader.read(person.photograph.frame, person.box).landmarks
         own, exchanged = (
             np.linalg.norm(seen.positions[some] - person.reference.joints_2d, axis=-1)
             for some in (rows, other_side)

@@ -102,7 +102,7 @@ def walker(marks: Marks) -> Callable[[Box], bool | None]:
 
 def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
     """Collect the candidates of every source that has boxes or joints."""
-    detector = estimator.detector
+    detector = estimator.models.detector
     sources = {name: Samples() for name in ("pennfudan", "vtest", "lsp")}
     street = read_pennfudan(shared / "real" / "pennfudan")
     for one in tqdm(street, desc="street photographs"):

@@ -313,7 +313,7 @@ def test_a_405_lists_the_allowed_methods(client: TestClient) -> None:
 
 def test_too_many_people_are_refused(settings: Settings, estimator: Estimator) -> None:
     few = Estimator(
-        estimator.index, estimator.detector, estimator.finder.reader,
+        estimator.index, estimator.models,
         min_person_px=50, max_pixels=10**6, max_persons=2,
     )  # fmt: skip
     labels = np.zeros((90, 90), np.uint8)

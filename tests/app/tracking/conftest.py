@@ -16,7 +16,7 @@ def drawn(tiny_index: PoseIndex) -> Estimator:
 
 @pytest.fixture
 def detector(drawn: Estimator) -> ColourDetector:
-    detector = drawn.finder.detector
+    detector = drawn.models.detector
     assert isinstance(detector, ColourDetector)
     detector.searches = detector.room = 0
     return detector

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.camera import CameraSession
+from app.estimation.finder import Models
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, PersonWindow, sample_window
+from app.vision.judgement import load_photograph_models
 from app.vision.people import Detection, Landmarks
 from index.store import PoseIndex
 from tests.conftest import png
@@ -102,8 +104,7 @@ def drawn_estimator(index: PoseIndex) -> Estimator:
     """An estimator that finds and reads the drawn people."""
     return Estimator(
         index,
-        ColourDetector(),  # type: ignore[arg-type]
-        ColourReader(),  # type: ignore[arg-type]
+        Models(ColourDetector(), ColourReader(), load_photograph_models()),  # type: ignore[arg-type]
         min_person_px=50,
         max_pixels=10**6,
         max_persons=4,

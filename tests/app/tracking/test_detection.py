@@ -43,7 +43,7 @@ def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
     session: CameraSession, detector: ColourDetector, drawn: Estimator
 ) -> None:
     send(session, 0.0, (0, 10), (1, 200))
-    reader = drawn.finder.reader
+    reader = drawn.models.reader
     assert isinstance(reader, ColourReader)
     before, searches = reader.passes, detector.searches
     send(session, 0.1, (0, 12))

@@ -16,7 +16,8 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import (
     FRAME_POSTURES,
     FramePosture,
-    photograph_models,
+    PhotographModels,
+    load_photograph_models,
     posture_features,
     sharpened,
 )
@@ -62,6 +63,11 @@ def test_a_person_who_is_hardly_seen_is_classified_less_surely() -> None:
 
 
 @pytest.fixture(scope="module")
+def models() -> PhotographModels:
+    return load_photograph_models()
+
+
+@pytest.fixture(scope="module")
 def readings(
     landmark_network: LandmarkNetwork, street: NDArray[np.uint8], walkers: list[Box]
 ) -> list[PoseReading]:
@@ -69,9 +75,9 @@ def readings(
 
 
 def test_walkers_stand_and_are_people(
-    readings: list[PoseReading], street: NDArray[np.uint8]
+    models: PhotographModels, readings: list[PoseReading], street: NDArray[np.uint8]
 ) -> None:
-    models, camera = photograph_models(), PinholeCamera.of_frame(street.shape)
+    camera = PinholeCamera.of_frame(street.shape)
     for reading in readings:
         judged = models.judge(reading, camera)
         assert judged.posture.likeliest == "standing"
@@ -80,11 +86,11 @@ def test_walkers_stand_and_are_people(
 
 
 def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
-    readings: list[PoseReading], street: NDArray[np.uint8]
+    models: PhotographModels, readings: list[PoseReading], street: NDArray[np.uint8]
 ) -> None:
     camera = PinholeCamera.of_frame(street.shape, 50)
     for reading in readings:
-        body = photograph_models().body(reading, camera)
+        body = models.body(reading, camera)
         assert_allclose(
             camera.project(body.points + body.origin), reading.landmarks.positions, atol=1e-6
         )
@@ -97,9 +103,8 @@ def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
 
 
 def test_a_wider_view_brings_people_nearer(
-    readings: list[PoseReading], street: NDArray[np.uint8]
+    models: PhotographModels, readings: list[PoseReading], street: NDArray[np.uint8]
 ) -> None:
-    models = photograph_models()
     narrow, wide = (
         models.body(readings[1], PinholeCamera.of_frame(street.shape, fov)) for fov in (40, 80)
     )
@@ -107,23 +112,25 @@ def test_a_wider_view_brings_people_nearer(
 
 
 def test_a_reading_without_its_pass_is_refused(
-    readings: list[PoseReading], street: NDArray[np.uint8]
+    models: PhotographModels, readings: list[PoseReading], street: NDArray[np.uint8]
 ) -> None:
     bare = replace(readings[0], network_pass=None)
     with pytest.raises(ValueError, match="pass of the network"):
-        photograph_models().body(bare, PinholeCamera.of_frame(street.shape))
+        models.body(bare, PinholeCamera.of_frame(street.shape))
 
 
-def test_asphalt_is_nobody(landmark_network: LandmarkNetwork, street: NDArray[np.uint8]) -> None:
-    models, camera = photograph_models(), PinholeCamera.of_frame(street.shape)
+def test_asphalt_is_nobody(
+    models: PhotographModels, landmark_network: LandmarkNetwork, street: NDArray[np.uint8]
+) -> None:
+    camera = PinholeCamera.of_frame(street.shape)
     for box in (Box(100, 200, 30, 80), Box(60, 30, 30, 80)):
         reading = landmark_network.read(street, PersonWindow.about_box(box))
         assert models.judge(reading, camera).trust.person < 0.5
 
 
-def test_what_ships_is_small() -> None:
+def test_what_ships_is_small(models: PhotographModels) -> None:
     assert network_path("photograph_models").stat().st_size < 3_000_000
-    posture = photograph_models().posture
+    posture = models.posture
     for network in (posture.by_body, posture.by_surroundings):
         assert network.biases[-1].shape == (len(FRAME_POSTURES),)
 
@@ -131,7 +138,7 @@ def test_what_ships_is_small() -> None:
 def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:
     file = tmp_path / "broken.npz"
     with pytest.raises(NetworkError, match="broken"):
-        photograph_models(file)
+        load_photograph_models(file)
     np.savez(file, depth=np.zeros(3))
     with pytest.raises(NetworkError, match="broken"):
-        photograph_models(file)
+        load_photograph_models(file)
