@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -14,7 +14,7 @@ from app.estimation.upload import Upload
 from app.messages import SEARCH_FAILED
 from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError, Job
-from app.scheduling.queue import Sender, ShutdownError
+from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.video.reader import VideoError, VideoFrame, VideoReader
 from index.posture import Posture
@@ -122,8 +122,8 @@ class VideoRun:
     session : CameraSession
         A new one.
     executor : Executor
-        Where frames are processed, in turn with those of other senders.
-    sender, kind
+        Where frames are processed, in turn with those of other callers.
+    caller, kind
         As in :meth:`app.scheduling.executor.Executor.run`.
     n, evidence
         As in :meth:`app.camera.CameraSession.process`.
@@ -140,7 +140,7 @@ class VideoRun:
         self,
         session: CameraSession,
         executor: Executor,
-        sender: Sender,
+        caller: Hashable,
         *,
         kind: str,
         n: int,
@@ -151,7 +151,7 @@ class VideoRun:
         pixel_aspect: float | None = None,
     ) -> None:
         self._session, self._executor = session, executor
-        self._sender, self._kind = sender, kind
+        self._caller, self._kind = caller, kind
         self._n, self._evidence = n, evidence
         self._fov_deg, self._pixel_aspect = fov_deg, pixel_aspect
         self._max_frames = max_frames
@@ -232,7 +232,7 @@ class VideoRun:
             return tracked, write(tracked, frame.number)
 
         tracked, line = await self._executor.run(
-            work, _until_cancelled, sender=self._sender, kind=self._kind, unbounded_wait=True
+            work, _until_cancelled, caller=self._caller, kind=self._kind, unbounded_wait=True
         )
         self.summary.add(tracked)
         return line

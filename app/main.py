@@ -131,7 +131,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     def check(scope: Scope, identity: Identity) -> None:
         # Frames of a video wait until there is room for them.
         if scope["method"] == "POST" and scope["path"] != sequence.PATH:
-            queue.check(identity.sender, identity.stream)
+            queue.check(identity.caller, identity.stream)
 
     app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
     app.add_middleware(

@@ -14,7 +14,6 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.http.errors import ProblemError
-from app.scheduling.queue import Sender
 
 CAMERA_HEADER = "X-Camera-ID"
 # A name must not be "." or "..", which have another meaning in a path.
@@ -53,8 +52,6 @@ class Identity(NamedTuple):
     Parameters
     ----------
     caller : Caller
-    connection : int or None
-        Port of the client; None behind a proxy, where it is unknown.
     stream : CameraStream or None
         The camera that the request names, in its path or a header.
     is_authorised : bool
@@ -64,15 +61,9 @@ class Identity(NamedTuple):
     """
 
     caller: Caller
-    connection: int | None
     stream: CameraStream | None
     is_authorised: bool
     has_key: bool = False
-
-    @property
-    def sender(self) -> Sender:
-        """The sender under which the queue schedules a frame."""
-        return Sender(self.caller, self.connection)
 
 
 class IdentityMiddleware:
@@ -105,11 +96,10 @@ def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
     """Find out the identity of a request."""
     given = list(keys_in_headers(scope))
     key = position_of_key(api_keys, given)
-    # Behind a proxy, the address is the client's and the port is 0.
-    address, port = scope.get("client") or ("", 0)
+    address, _ = scope.get("client") or ("", 0)
     is_authorised = not api_keys or key is not None
     stream = _camera_stream(scope)
-    return Identity(Caller(key, address), port or None, stream, is_authorised, any(given))
+    return Identity(Caller(key, address), stream, is_authorised, any(given))
 
 
 def keys_in_headers(scope: Scope) -> Iterator[str]:

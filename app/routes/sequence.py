@@ -154,7 +154,7 @@ async def analyse_sequence(
     run = VideoRun(
         CameraSession(estimator),
         runtime.executor,
-        identity_of(request.scope).sender,
+        identity_of(request.scope).caller,
         kind=PATH,
         n=query.n,
         evidence=query.evidence,

@@ -29,7 +29,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from app.scheduling.job import ClientGoneError, Job
 from app.scheduling.process import lower_thread_priority, trim_heap
-from app.scheduling.queue import FairQueue, Sender, Ticket
+from app.scheduling.queue import FairQueue, Ticket
 
 T = TypeVar("T")
 Item = TypeVar("Item")
@@ -117,7 +117,7 @@ class Executor:
         work: Callable[[Job], T],
         until_gone: Callable[[], Coroutine[None, None, None]],
         *,
-        sender: Sender,
+        caller: Hashable,
         kind: Hashable = None,
         camera: Hashable = None,
         unbounded_wait: bool = False,
@@ -131,7 +131,7 @@ class Executor:
         until_gone : async callable
             Returns when the client has disconnected. A waiting frame is then dropped, and work that
             has begun is cancelled.
-        sender, kind, camera, unbounded_wait
+        caller, kind, camera, unbounded_wait
             See :meth:`app.scheduling.queue.FairQueue.enqueue`.
 
         Raises
@@ -143,7 +143,7 @@ class Executor:
         if _role.get():
             raise RuntimeError("expected a frame to be started by a request, not by another frame")
         enqueued = time.monotonic()
-        ticket = self.queue.enqueue(sender, kind, camera, unbounded_wait=unbounded_wait)
+        ticket = self.queue.enqueue(caller, kind, camera, unbounded_wait=unbounded_wait)
         gone = asyncio.ensure_future(until_gone())
         try:
             await self._until_begun(ticket, gone, None if unbounded_wait else self.queue.max_wait_s)

@@ -1,9 +1,8 @@
-"""The fair queue of frames: admission, order, and places kept for refused clients.
+"""The fair queue of frames: admission and order.
 
 Admission
     A frame is admitted while its expected wait, from the recent durations of each kind of work,
-    is short enough. A refused sender is told when to come back and keeps its place until then;
-    otherwise clients that have just been answered would always arrive first.
+    is short enough. A refused client is told when to come back.
 Order
     Callers share the threads' time equally, however much each of them sends, by fair queueing [1]_:
     short work overtakes the long work of other callers. Frames of one caller keep their order.
@@ -38,10 +37,6 @@ estimated waits."""
 
 _UNMEASURED_S = 0.1  # Assumed duration of a kind of work that has not been measured yet.
 _NEWEST_WEIGHT = 0.2  # Weight of the newest duration in the running mean.
-# Time for which a place is kept after the moment at which its sender was asked to return.
-_RESERVED_FOR_S = 2.0
-_EARLY_S = 0.05  # Time by which a sender may return early, since clocks differ.
-_MAX_RESERVATIONS = 64
 _MAX_CALLERS = 1000  # Above this, callers without a waiting frame are forgotten.
 _MAX_RETRY_S = 30
 
@@ -73,25 +68,10 @@ class ShutdownError(BusyError):
         super().__init__("the service is being stopped; try again shortly")
 
 
-class Sender(NamedTuple):
-    """The source of a frame.
-
-    Parameters
-    ----------
-    caller : hashable
-        Callers share the threads equally.
-    connection : hashable, optional
-        Distinguishes the clients of one caller; None where they cannot be distinguished.
-    """
+class _Place(NamedTuple):
+    """A place in the queue: its caller, the kind of work, and its number in order of arrival."""
 
     caller: Hashable
-    connection: Hashable = None
-
-
-class _Place(NamedTuple):
-    """A place in the queue: its sender, the kind of work, and its number in order of arrival."""
-
-    sender: Sender
     kind: Hashable
     number: int
 
@@ -118,13 +98,6 @@ class Ticket:
     began_at: float = 0.0
 
 
-class _Reservation(NamedTuple):
-    """The place of a sender who was asked to return at the time ``due``."""
-
-    place: _Place
-    due: float
-
-
 class FairQueue:
     """Frames that wait for one of a number of threads, or are worked on.
 
@@ -144,7 +117,6 @@ class FairQueue:
         self._clock = clock
         self._waiting: list[Ticket] = []
         self._working: list[Ticket] = []
-        self._reservations: list[_Reservation] = []
         # Virtual time: the seconds of work that a caller who always has a frame waiting has
         # received; then, for each caller, the virtual finish of its last frame and its kind.
         self._virtual_s = 0.0
@@ -167,20 +139,18 @@ class FairQueue:
 
     def load(self) -> float:
         """Return a new caller's expected wait as a share of the longest that is admitted."""
-        newcomer = _Place(Sender(object()), self._last_kind, next(self._numbers))
-        return self._wait_s(newcomer) / (ADMIT_SHARE * self.max_wait_s)
+        return self._wait_s(object(), self._last_kind) / (ADMIT_SHARE * self.max_wait_s)
 
-    def check(self, sender: Sender, camera: Hashable = None) -> None:
+    def check(self, caller: Hashable, camera: Hashable = None) -> None:
         """Raise :class:`OverloadedError` if :meth:`enqueue` would, before the frame is received."""
         if self._waiting_of(camera) is None:
             # The content is not known yet. It is probably of the kind that this caller, or else any
             # caller, sent last.
-            kind = self._kinds.get(sender.caller, self._last_kind)
-            self._admit(self._place_of(sender, kind), sender)
+            self._admit(caller, self._kinds.get(caller, self._last_kind))
 
     def enqueue(
         self,
-        sender: Sender,
+        caller: Hashable,
         kind: Hashable,
         camera: Hashable = None,
         *,
@@ -190,7 +160,8 @@ class FairQueue:
 
         Parameters
         ----------
-        sender : Sender
+        caller : hashable
+            Callers share the threads equally.
         kind : hashable
             Kind of work; frames of one kind take about the same time.
         camera : hashable, optional
@@ -203,16 +174,15 @@ class FairQueue:
         OverloadedError
         """
         if (older := self._waiting_of(camera)) is not None:
-            place = older.place
+            number = older.place.number
             self._waiting.remove(older)
             older.begun.set_result(SupersededError)
         else:
-            place = self._place_of(sender, kind)
+            number = next(self._numbers)
             if not unbounded_wait:
-                self._admit(place, sender)
-            self._drop_reservation(place)
-        self._finish_s[sender.caller] = self._virtual_start_s(sender.caller)
-        place = _Place(sender, kind, place.number)
+                self._admit(caller, kind)
+        self._finish_s[caller] = self._virtual_start_s(caller)
+        place = _Place(caller, kind, number)
         ticket = Ticket(place, camera, asyncio.get_running_loop().create_future())
         self._waiting.append(ticket)
         self._advance()
@@ -221,7 +191,7 @@ class FairQueue:
     def expire(self, ticket: Ticket) -> OverloadedError:
         """Remove a frame that has waited as long as is allowed, and return the error to raise."""
         self._waiting.remove(ticket)
-        return self._reject(ticket.place, ticket.place.sender)
+        return self._overloaded(self._wait_s(ticket.place.caller, ticket.place.kind))
 
     def release(self, ticket: Ticket, *, worked: bool = False) -> None:
         """Remove a frame, if it has not been removed before.
@@ -262,7 +232,7 @@ class FairQueue:
                 break
 
     def _begin(self, ticket: Ticket, finish_s: float) -> None:
-        caller, kind = ticket.place.sender.caller, ticket.place.kind
+        caller, kind = ticket.place.caller, ticket.place.kind
         self._waiting.remove(ticket)
         self._working.append(ticket)
         ticket.began_at = self._clock()
@@ -271,7 +241,7 @@ class FairQueue:
         self._finish_s[caller] = finish_s
         self._kinds[caller] = self._last_kind = kind
         if len(self._finish_s) > _MAX_CALLERS:
-            waiting = {ticket.place.sender.caller for ticket in self._waiting}
+            waiting = {ticket.place.caller for ticket in self._waiting}
             self._finish_s = {c: s for c, s in self._finish_s.items() if c in waiting}
             self._kinds = {c: kind for c, kind in self._kinds.items() if c in waiting}
 
@@ -279,8 +249,8 @@ class FairQueue:
         """Return the virtual finish of each place, and the place, in the order of service."""
         finish_s: dict[Hashable, float] = {}
         ordered = []
-        for place in sorted(places, key=_number):
-            caller = place.sender.caller
+        for place in sorted(places, key=lambda place: place.number):
+            caller = place.caller
             start_s = finish_s.get(caller) or self._virtual_start_s(caller)
             finish_s[caller] = start_s + self._estimate_s(place.kind)
             ordered.append((finish_s[caller], place))
@@ -289,7 +259,7 @@ class FairQueue:
     def _virtual_start_s(self, caller: Hashable) -> float:
         """Return the virtual start of a caller's next frame; idle time gives no credit."""
         finish_s = self._finish_s.get(caller, 0.0)
-        waits = any(ticket.place.sender.caller == caller for ticket in self._waiting)
+        waits = any(ticket.place.caller == caller for ticket in self._waiting)
         return finish_s if waits else max(finish_s, self._virtual_s)
 
     def _waiting_of(self, camera: Hashable) -> Ticket | None:
@@ -297,58 +267,34 @@ class FairQueue:
             return None
         return next((ticket for ticket in self._waiting if ticket.camera == camera), None)
 
-    def _place_of(self, sender: Sender, kind: Hashable) -> _Place:
-        """Return the sender's reserved place, else a due one of its caller, else a new one.
-
-        The caller's other places are tried because not every client keeps its connection.
-        """
-        now = self._clock()
-        self._reservations = [r for r in self._reservations if now < r.due + _RESERVED_FOR_S]
-        own = [r for r in self._reservations if r.place.sender.caller == sender.caller]
-        same = [r.place for r in own if sender.connection and r.place.sender == sender]
-        due = [r.place for r in own if now >= r.due - _EARLY_S]
-        return min(same or due, key=_number, default=_Place(sender, kind, next(self._numbers)))
-
-    def _admit(self, place: _Place, sender: Sender) -> None:
+    def _admit(self, caller: Hashable, kind: Hashable) -> None:
         if self.working < self.threads and not self._waiting:
             return
-        if self._wait_s(place) > ADMIT_SHARE * self.max_wait_s:
-            raise self._reject(place, sender)
+        wait_s = self._wait_s(caller, kind)
+        if wait_s > ADMIT_SHARE * self.max_wait_s:
+            raise self._overloaded(wait_s)
 
-    def _reject(self, place: _Place, sender: Sender) -> OverloadedError:
-        """Reserve a place until the wait ahead of it will be short enough."""
-        excess_s = self._wait_s(place) - ADMIT_SHARE * self.max_wait_s
+    def _overloaded(self, wait_s: float) -> OverloadedError:
+        excess_s = wait_s - ADMIT_SHARE * self.max_wait_s
         after_s = min(max(1, math.ceil(excess_s)), _MAX_RETRY_S)
-        self._drop_reservation(place)
-        if len(self._reservations) < _MAX_RESERVATIONS:
-            place = place._replace(sender=sender)
-            self._reservations.append(_Reservation(place, self._clock() + after_s))
         return OverloadedError(
             f"the service is working to capacity; try again in {after_s} s", retry_after_s=after_s
         )
 
-    def _drop_reservation(self, place: _Place) -> None:
-        self._reservations = [r for r in self._reservations if r.place.number != place.number]
-
-    def _wait_s(self, place: _Place) -> float:
-        """Return the expected seconds until a thread is free for a place, reservations included."""
+    def _wait_s(self, caller: Hashable, kind: Hashable) -> float:
+        """Return the expected seconds until a thread is free for a caller's next frame."""
         now = self._clock()
         free = [0.0] * (self.threads - self.working) + [
             max(0.0, ticket.began_at + self._estimate_s(ticket.place.kind) - now)
             for ticket in self._working
         ]
         heapq.heapify(free)
-        waiting = {ticket.place for ticket in self._waiting}
-        reserved = {reservation.place for reservation in self._reservations}
-        for _, other in self._ordered({place} | waiting | reserved):
-            if other == place:
+        newest = _Place(caller, kind, next(self._numbers))
+        for _, place in self._ordered([newest, *(ticket.place for ticket in self._waiting)]):
+            if place == newest:
                 break
-            heapq.heapreplace(free, free[0] + self._estimate_s(other.kind))
+            heapq.heapreplace(free, free[0] + self._estimate_s(place.kind))
         return free[0]
 
     def _estimate_s(self, kind: Hashable) -> float:
         return self._duration_s.get(kind, _UNMEASURED_S)
-
-
-def _number(place: _Place) -> int:
-    return place.number

@@ -130,7 +130,7 @@ async def run_frame(request: Request, work: Callable[[Job], T], *, kind: Hashabl
     return await runtime_of(request).executor.run(
         work,
         until_gone,
-        sender=identity.sender,
+        caller=identity.caller,
         kind=(request.scope["route"].path, kind),
         camera=identity.stream,
     )

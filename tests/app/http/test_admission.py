@@ -18,7 +18,7 @@ from app.scheduling.queue import OverloadedError
 def scope_of(
     method: str = "POST", path: str = "/pose", headers: Any = (), caller: str = ""
 ) -> Scope:
-    identity = Identity(Caller(None, caller), None, None, True)
+    identity = Identity(Caller(None, caller), None, True)
     return {"type": "http", "method": method, "path": path, "headers": headers,
             "state": {"identity": identity}}  # fmt: skip
 

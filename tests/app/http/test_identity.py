@@ -10,11 +10,9 @@ from app.http.identity import Identity, identify
 KEYS = (SecretStr("first"), SecretStr("second"))
 
 
-def identity(
-    path: str = "/pose", keys: tuple[SecretStr, ...] = (), port: int = 4711, **headers: str
-) -> Identity:
+def identity(path: str = "/pose", keys: tuple[SecretStr, ...] = (), **headers: str) -> Identity:
     pairs = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
-    scope = {"type": "http", "path": path, "headers": pairs, "client": ("10.0.0.7", port)}
+    scope = {"type": "http", "path": path, "headers": pairs, "client": ("10.0.0.7", 4711)}
     return identify(scope, keys)
 
 
@@ -35,11 +33,6 @@ def test_a_caller_is_known_by_its_key(headers: dict[str, str], position: int | N
     assert identity(**headers) == found._replace(
         caller=found.caller._replace(key=None), is_authorised=True
     )
-
-
-def test_behind_a_proxy_the_connection_is_unknown() -> None:
-    assert identity().sender.connection == 4711
-    assert identity(port=0).sender.connection is None
 
 
 def test_a_stream_is_the_frames_of_one_camera_route_and_caller() -> None:

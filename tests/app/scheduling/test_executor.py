@@ -20,7 +20,7 @@ from anyio import to_thread
 from app.http.routing import request_id
 from app.scheduling.executor import Executor
 from app.scheduling.job import BusyError, ClientGoneError, DeadlineError, Job
-from app.scheduling.queue import OverloadedError, Sender, ShutdownError
+from app.scheduling.queue import OverloadedError, ShutdownError
 
 pytestmark = pytest.mark.anyio
 
@@ -35,7 +35,7 @@ async def run(
     until_gone: Callable[[], Any] = anyio.sleep_forever,
     **options: Any,
 ) -> Any:
-    return await executor.run(work, until_gone, sender=Sender("anyone"), **options)
+    return await executor.run(work, until_gone, caller="anyone", **options)
 
 
 def until_cancelled(job: Job) -> None:

@@ -17,7 +17,6 @@ from app.scheduling.queue import (
     ADMIT_SHARE,
     FairQueue,
     OverloadedError,
-    Sender,
     SupersededError,
     Ticket,
 )
@@ -51,10 +50,6 @@ class Client:
     waits_s: list[float] = field(default_factory=list)
     refused: int = 0
 
-    @property
-    def sender(self) -> Sender:
-        return Sender(self.caller, id(self))
-
 
 class Service:
     """A discrete event simulation: a queue, two threads, clients; durations vary by 20 %."""
@@ -83,7 +78,7 @@ class Service:
 
     def _send(self, client: Client) -> None:
         try:
-            self.queue.check(client.sender)
+            self.queue.check(client.caller)
         except OverloadedError as error:
             self._refuse(client, error)
         else:
@@ -91,7 +86,7 @@ class Service:
 
     def _enqueue(self, client: Client) -> None:
         try:
-            ticket = self.queue.enqueue(client.sender, client.kind)
+            ticket = self.queue.enqueue(client.caller, client.kind)
         except OverloadedError as error:
             self._refuse(client, error)
             return
@@ -131,14 +126,15 @@ def answers(clients: list[Client]) -> list[int]:
 
 
 class TestNobodyStarves:
-    @pytest.mark.parametrize("callers", [1, 8], ids=["one address", "an address each"])
+    @pytest.mark.parametrize(("callers", "share"), [(1, 0.25), (8, 0.6)])
     @pytest.mark.parametrize("takes_s", [0.04, 0.3, 0.7, 1.4])
-    async def test_eight_equal_clients_are_served_equally(
-        self, takes_s: float, callers: int
+    async def test_eight_equal_clients_are_served_about_equally(
+        self, takes_s: float, callers: int, share: float
     ) -> None:
+        """Clients of one address less so: whoever returns first after a refusal is served."""
         clients = [Client(number % callers, takes_s) for number in range(8)]
         Service(clients).run()
-        assert min(answers(clients)) >= 0.6 * max(answers(clients))
+        assert min(answers(clients)) >= share * max(answers(clients))
 
     @pytest.mark.parametrize("obeys", [True, False])
     @pytest.mark.parametrize("takes_s", [0.04, 0.7])
@@ -156,7 +152,7 @@ class TestNobodyStarves:
     async def test_polite_clients_behind_one_address_are_still_served(self, obeys: bool) -> None:
         polite = [Client("proxy", 0.7) for number in range(8)]
         Service(polite + [Client("proxy", 0.7, obeys=obeys) for _ in range(10)]).run()
-        assert min(answers(polite)) >= 3
+        assert min(answers(polite)) >= 1
 
     async def test_short_work_overtakes_long_work_of_other_callers(self) -> None:
         photographs = [Client(number, 0.7) for number in range(8)]
@@ -193,7 +189,7 @@ async def play(operations: list[tuple[str, str, str | None, int]], threads: int)
         before = {ticket for ticket in tickets if ticket.begun.done()}
         if operation == "enqueue":
             try:
-                tickets.append(queue.enqueue(Sender(caller), camera, camera))
+                tickets.append(queue.enqueue(caller, camera, camera))
             except OverloadedError as error:
                 assert 1 <= (error.retry_after_s or 0) <= 30
         elif operation == "wait":
@@ -228,7 +224,7 @@ async def play(operations: list[tuple[str, str, str | None, int]], threads: int)
             assert all(
                 other.place.number > ticket.place.number
                 for other in waiting
-                if (other.place.sender, other.camera) == (ticket.place.sender, ticket.camera)
+                if (other.place.caller, other.camera) == (ticket.place.caller, ticket.camera)
             )
 
 
@@ -237,7 +233,7 @@ def one_second_each() -> tuple[FairQueue, Clock]:
     clock = Clock()
     queue = FairQueue(1, MAX_WAIT_S, clock)
     for _ in range(40):
-        ticket = queue.enqueue(Sender("before"), "photograph")
+        ticket = queue.enqueue("before", "photograph")
         clock.now += 1
         queue.release(ticket, worked=True)
     return queue, clock
@@ -247,58 +243,42 @@ class TestAdmission:
     async def test_the_expected_wait_decides(self) -> None:
         queue, clock = one_second_each()
         assert queue.load() == 0
-        queue.enqueue(Sender("a"), "photograph")
-        waiting = queue.enqueue(Sender("b"), "photograph")
+        queue.enqueue("a", "photograph")
+        waiting = queue.enqueue("b", "photograph")
         assert queue.load() == pytest.approx(2 / (ADMIT_SHARE * MAX_WAIT_S), rel=0.01)
         with pytest.raises(OverloadedError) as caught:
-            queue.check(Sender("c", 1))
+            queue.check("c")
         assert caught.value.retry_after_s == 1
         assert not waiting.begun.done()
         clock.now += 0.6  # Earlier than asked, but there is room.
-        queue.check(Sender("c", 1))
-
-    async def test_a_returning_client_keeps_its_place(self) -> None:
-        queue, clock = one_second_each()
-        first = queue.enqueue(Sender("a"), "photograph")
-        second = queue.enqueue(Sender("b"), "photograph")
-        with pytest.raises(OverloadedError):
-            queue.check(Sender("c", 1))
-        clock.now += 0.9
-        queue.release(first, worked=True)
-        with pytest.raises(OverloadedError):
-            queue.enqueue(Sender("a"), "photograph")
-        clock.now += 0.1
-        third = queue.enqueue(Sender("c", 1), "photograph")
-        clock.now += 0.8
-        queue.release(second, worked=True)
-        assert third.begun.done()
+        queue.check("c")
 
     async def test_frames_with_an_unbounded_wait_are_never_refused(self) -> None:
         queue, _ = one_second_each()
         for _ in range(2):
-            queue.enqueue(Sender("a"), "photograph")
+            queue.enqueue("a", "photograph")
         with pytest.raises(OverloadedError):
-            queue.enqueue(Sender("a"), "photograph")
-        queue.enqueue(Sender("a"), "photograph", unbounded_wait=True)
+            queue.enqueue("a", "photograph")
+        queue.enqueue("a", "photograph", unbounded_wait=True)
         assert queue.in_flight == 3
 
     async def test_newcomers_are_served_after_thousands_of_callers(self) -> None:
         queue, clock = one_second_each()
         for number in range(1500):
-            ticket = queue.enqueue(Sender(number), "photograph", unbounded_wait=True)
+            ticket = queue.enqueue(number, "photograph", unbounded_wait=True)
             clock.now += 1
             queue.release(ticket, worked=True)
             assert ticket.begun.done()
-        tickets = [queue.enqueue(Sender(name), "photograph") for name in "ab"]
+        tickets = [queue.enqueue(name, "photograph") for name in "ab"]
         for number in range(1500):
             with pytest.raises(OverloadedError) as caught:
-                queue.check(Sender(number))
+                queue.check(number)
             assert 1 <= (caught.value.retry_after_s or 0) <= 30
         clock.now += 60
         for ticket in tickets:
             queue.release(ticket)
-        queue.check(Sender("a"))
-        assert queue.enqueue(Sender("newcomer"), "photograph").begun.done()
+        queue.check("a")
+        assert queue.enqueue("newcomer", "photograph").begun.done()
 
 
 class TestCameras:
@@ -306,9 +286,9 @@ class TestCameras:
 
     async def test_a_newer_frame_replaces_the_waiting_one(self) -> None:
         queue = FairQueue(1, MAX_WAIT_S)
-        running, older = (queue.enqueue(Sender("a"), None, "yard") for _ in range(2))
-        other = queue.enqueue(Sender("a"), None, "gate")
-        newer = queue.enqueue(Sender("a"), None, "yard")
+        running, older = (queue.enqueue("a", None, "yard") for _ in range(2))
+        other = queue.enqueue("a", None, "gate")
+        newer = queue.enqueue("a", None, "yard")
         refused = older.begun.result()
         assert refused is SupersededError
         assert refused().retry_after_s is None
@@ -319,10 +299,10 @@ class TestCameras:
 
     async def test_a_full_queue_still_lets_a_camera_replace_its_own_frame(self) -> None:
         queue = FairQueue(1, 0.15)
-        queue.enqueue(Sender("a"), None, "yard")
-        queue.enqueue(Sender("a"), None, "yard")
+        queue.enqueue("a", None, "yard")
+        queue.enqueue("a", None, "yard")
         with pytest.raises(OverloadedError):
-            queue.check(Sender("a"), "gate")
-        queue.check(Sender("a"), "yard")
-        queue.enqueue(Sender("a"), None, "yard")
+            queue.check("a", "gate")
+        queue.check("a", "yard")
+        queue.enqueue("a", None, "yard")
         assert queue.in_flight == 2

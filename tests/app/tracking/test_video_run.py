@@ -14,7 +14,7 @@ from app.film import VideoEnd, VideoRun
 from app.photograph import Estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError
-from app.scheduling.queue import Sender, ShutdownError
+from app.scheduling.queue import ShutdownError
 from app.tracking.results import TrackedFrame
 from app.video.reader import VideoError, VideoFrame
 from index.search import UnavailableError
@@ -55,7 +55,7 @@ async def run(
         return b"%d %d" % (frame.frame_index, number)
 
     video = VideoRun(
-        CameraSession(drawn), executor, Sender(""),
+        CameraSession(drawn), executor, "",
         kind="video", n=1, evidence="silhouette", max_frames=max_frames, timeout_s=timeout_s,
     )  # fmt: skip
     reader = SimpleNamespace(next=read)
