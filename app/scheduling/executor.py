@@ -6,26 +6,23 @@ Frames (:meth:`Executor.run`)
     disconnects.
 Parts (:meth:`Executor.map`)
     The people of a frame, or its images. The frame's own thread works through them. While fewer
-    frames are worked on than are allowed, idle threads take parts one at a time, from each frame in
-    turn. A new frame never waits for them: it gets its own thread, and as soon as it needs the
-    cores, the other threads stop taking parts.
+    frames are worked on than are allowed, other threads, the helpers, take parts too. A new frame
+    never waits for them: it gets a thread of its own.
 
-Work on a frame must not start another frame, and work on a part must not start parts: either would
-wait for threads that may never be free.
+Work on a frame must not start another frame: it would wait for a thread that may never be free.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Coroutine, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from contextvars import ContextVar, copy_context
-from typing import Any, Generic, Literal, TypeVar
+from contextvars import copy_context
+from functools import partial
+from typing import Any, TypeVar
 
 from app.scheduling.job import ClientGoneError, Job
 from app.scheduling.process import lower_thread_priority, trim_heap
@@ -36,53 +33,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _TRIM_EVERY_S = 10.0
-
-_role: ContextVar[Literal["", "frame", "part"]] = ContextVar("role", default="")
-
-
-class _Parts(Generic[Item, Result]):
-    """The parts of one frame, each done by the thread that takes it."""
-
-    def __init__(self, function: Callable[[Item], Result], items: Iterable[Item]) -> None:
-        self._function = function
-        self._context = copy_context()
-        self._left = deque((item, Future[Result]()) for item in items)
-        self._futures = [future for _, future in self._left]
-
-    def __len__(self) -> int:
-        return len(self._left)
-
-    def do_next(self) -> bool:
-        """Work on the next part; return False if none is left."""
-        try:
-            item, future = self._left.popleft()
-        except IndexError:
-            return False
-        try:
-            # Each thread needs a copy: a context cannot be entered twice at once.
-            result = self._context.copy().run(self._as_part, item)
-        except BaseException as error:
-            future.set_exception(error)
-            while self._left:
-                self._left.popleft()[1].set_exception(error)
-            # Otherwise the error's traceback would keep the future, and the future the error.
-            del future
-        else:
-            future.set_result(result)
-        return True
-
-    def results(self) -> list[Result]:
-        """Wait for the parts that other threads have taken; raise the first error."""
-        wait(self._futures)
-        try:
-            return list(map(Future.result, self._futures))
-        finally:
-            # Otherwise the error would keep the futures, they the error, and both the frame.
-            self._futures.clear()
-
-    def _as_part(self, item: Item) -> Result:
-        _role.set("part")
-        return self._function(item)
 
 
 class Executor:
@@ -101,16 +51,12 @@ class Executor:
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
         self.queue = FairQueue(frames, min(max_wait_s, timeout_s))
         self._timeout_s = timeout_s
-        # There are more threads than frames because helpers finish their parts while new frames
-        # begin.
-        self._threads = ThreadPoolExecutor(
-            2 * frames - 1, thread_name_prefix="work", initializer=lower_thread_priority
+        self._threads = ThreadPoolExecutor(frames, "frame", initializer=lower_thread_priority)
+        self._helpers = ThreadPoolExecutor(
+            max(1, frames - 1), "helper", initializer=lower_thread_priority
         )
         self._jobs: set[Job] = set()
-        self._lock = threading.Lock()
-        self._helping = 0
         self._trimmed_at = -math.inf
-        self._divided: deque[_Parts[Any, Any]] = deque()
 
     async def run(
         self,
@@ -137,11 +83,7 @@ class Executor:
         Raises
         ------
         OverloadedError, DeadlineError, SupersededError, ClientGoneError
-        RuntimeError
-            If work on a frame calls this.
         """
-        if _role.get():
-            raise RuntimeError("expected a frame to be started by a request, not by another frame")
         enqueued = time.monotonic()
         ticket = self.queue.enqueue(caller, kind, camera, unbounded_wait=unbounded_wait)
         gone = asyncio.ensure_future(until_gone())
@@ -187,27 +129,32 @@ class Executor:
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """Call a function with each part of a frame and return the results in order.
 
-        Raises
-        ------
-        RuntimeError
-            If the function, or anything it calls, calls this again.
+        The calling thread works on the parts that no helper has taken. If it fails, no further part
+        begins; the first error, in the order of the parts, is raised once no thread works on any.
         """
-        if _role.get() == "part":
-            raise RuntimeError("expected a part of a frame not to be divided again")
-        parts = _Parts(function, items)
-        helpers = min(len(parts), self.queue.threads) - 1
-        if helpers > 0:
-            with self._lock:
-                self._divided.append(parts)
-            for _ in range(helpers):
-                self._threads.submit(self._help)
-        while parts.do_next():
-            pass
-        return parts.results()
+        parts = list(items)
+        if len(parts) < 2 or max(1, self.queue.working) >= self.queue.threads:
+            return [function(part) for part in parts]
+        # Each call needs a context of its own: a context cannot be entered twice at once.
+        futures = [self._helpers.submit(copy_context().run, function, part) for part in parts]
+        try:
+            own = {
+                number: function(part)
+                for number, part in enumerate(parts)
+                if futures[number].cancel()
+            }
+            return [
+                own[number] if number in own else future.result()
+                for number, future in enumerate(futures)
+            ]
+        finally:
+            wait([future for future in futures if not future.cancel()])
+            # Otherwise an error would keep the futures, they the error, and both the frame.
+            futures.clear()
 
     def submit(self, function: Callable[[], T]) -> Future[T]:
         """Call a function that does no work on a frame, such as loading the index."""
-        return self._threads.submit(function)
+        return self._helpers.submit(function)
 
     def shut_down(self) -> None:
         """Cancel all jobs and wait for the threads to end."""
@@ -215,23 +162,23 @@ class Executor:
         for job in tuple(self._jobs):
             job.cancel()
         self._threads.shutdown(cancel_futures=True)
+        self._helpers.shutdown(cancel_futures=True)
 
     def _begin(self, ticket: Ticket, work: Callable[[Job], T], job: Job) -> Future[T]:
         loop, context = asyncio.get_running_loop(), copy_context()
-        future = self._threads.submit(context.run, self._as_frame, work, job)
+        future = self._threads.submit(context.run, self._work_and_trim, work, job)
         self._jobs.add(job)
 
         def end(future: Future[T]) -> None:
             self._jobs.discard(job)
             worked = not future.cancelled() and future.exception() is None
             with suppress(RuntimeError):  # The loop has ended.
-                loop.call_soon_threadsafe(self._end, ticket, worked)
+                loop.call_soon_threadsafe(partial(self.queue.release, ticket, worked=worked))
 
         future.add_done_callback(end)
         return future
 
-    def _as_frame(self, work: Callable[[Job], T], job: Job) -> T:
-        _role.set("frame")
+    def _work_and_trim(self, work: Callable[[Job], T], job: Job) -> T:
         try:
             return work(job)
         finally:
@@ -241,30 +188,6 @@ class Executor:
             if now - self._trimmed_at > _TRIM_EVERY_S:
                 self._trimmed_at = now
                 trim_heap()
-
-    def _end(self, ticket: Ticket, worked: bool) -> None:
-        self.queue.release(ticket, worked=worked)
-        if self._divided:
-            with suppress(RuntimeError):  # The threads are being shut down.
-                self._threads.submit(self._help)
-
-    def _help(self) -> None:
-        """Work on parts of other frames while fewer frames than allowed are worked on."""
-        while (parts := self._next_divided()) is not None:
-            parts.do_next()
-            with self._lock:
-                self._helping -= 1
-
-    def _next_divided(self) -> _Parts[Any, Any] | None:
-        """Return the divided frame whose turn it is, if a helper may take one of its parts."""
-        with self._lock:
-            while self._divided and self.queue.working + self._helping < self.queue.threads:
-                parts = self._divided.popleft()
-                if len(parts):
-                    self._divided.append(parts)
-                    self._helping += 1
-                    return parts
-        return None
 
 
 def _retrieve_error(done: asyncio.Future[Any]) -> None:

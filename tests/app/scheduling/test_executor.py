@@ -10,7 +10,6 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import anyio
@@ -172,16 +171,22 @@ class TestParts:
         assert sorted(executor_of(3).map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
 
     @pytest.mark.parametrize("frames", [1, 2])
-    def test_the_first_failure_is_raised_and_no_further_part_begins(self, frames: int) -> None:
-        begun: list[int] = []
+    def test_a_failure_is_raised_once_no_part_is_worked_on(self, frames: int) -> None:
+        own, begun, ended = threading.get_ident(), [], []
 
         def part(item: int) -> None:
             begun.append(item)
-            raise ValueError(item)
+            try:
+                if threading.get_ident() == own:
+                    raise ValueError(item)
+                time.sleep(0.05)
+            finally:
+                ended.append(item)
 
         with pytest.raises(ValueError, match=r"\d"):
             executor_of(frames).map(part, range(9))
-        assert 1 <= len(begun) <= frames
+        assert sorted(begun) == sorted(ended)
+        assert len(begun) < 9
 
     async def test_a_new_frame_waits_for_no_part_of_another(self) -> None:
         executor = executor_of(2)
@@ -203,6 +208,11 @@ class TestParts:
             assert await next_begun() == "mask"
             for event in end.values():
                 event.set()
+
+    def test_a_part_may_be_divided(self) -> None:
+        executor = executor_of(2)
+        found = executor.map(lambda row: executor.map(lambda n: row * n, range(3)), range(3))
+        assert found == [[0, 0, 0], [0, 1, 2], [0, 2, 4]]
 
     async def test_helpers_serve_every_divided_frame(self) -> None:
         executor = executor_of(3)
@@ -234,28 +244,6 @@ class TestParts:
         request_id.set("mine")
         assert await run(executor, lambda _: request_id.get()) == "mine"
         assert await run(executor, lambda _: executor.map(part, range(4))) == ["mine"] * 4
-
-
-class TestReentry:
-    """Calls that could wait for themselves raise instead."""
-
-    async def test_a_frame_cannot_start_another(self) -> None:
-        executor = executor_of(1)
-
-        def work(_: Job) -> None:
-            asyncio.run(run(executor, lambda _: None))
-
-        with pytest.raises(RuntimeError, match="not by another frame"):
-            await run(executor, work)
-
-    @pytest.mark.parametrize("frames", [1, 2])
-    async def test_a_part_cannot_be_divided(self, frames: int) -> None:
-        executor = executor_of(frames)
-        divide = partial(executor.map, lambda _: executor.map(str, range(2)), range(4))
-        with pytest.raises(RuntimeError, match="not to be divided"):
-            divide()
-        with pytest.raises(RuntimeError, match="not to be divided"):
-            await run(executor, lambda _: divide())
 
 
 async def test_shutting_down_cancels_running_and_drops_waiting_frames() -> None:
