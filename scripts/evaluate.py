@@ -21,7 +21,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from scripts.experiments import pages
+from scripts.figures import write
 from scripts.results import RESULTS, SHARED
 
 EXPERIMENTS = {
@@ -71,5 +71,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise FileNotFoundError(f"{error}; --shared names the folder of data") from error
         if figures is not None:
             command = f"python -m scripts evaluate {name}"
-            pages.write(options.out, EXPERIMENTS[name], command, figures)
+            write(options.out, EXPERIMENTS[name], command, figures)
         print(f"{name} took {(time.monotonic() - started) / 60:.1f} minutes")

@@ -1,11 +1,21 @@
-"""Keep the figures that documents quote equal to the results that measured them.
+"""Write measured figures into pages and documents, so that all say what the JSON says.
 
     python -m scripts figures [--check]
 
-A quoted number is followed by a comment with its key: ``377<!-- bench.memory_mb -->`` is
-``figures.memory_mb`` of ``docs/results/bench.json``. The command rewrites such
-numbers with as many decimals as stand in the text; ``--check`` changes nothing and exits with 1
-where one differs.
+A measurement writes ``docs/results/NAME.json``: command, revision, machine, figures. This command
+renders ``NAME.md`` beside it from ``templates/NAME.md``, and in other documents what stands between
+``<!-- figures: NAME -->`` and ``<!-- end of figures -->`` from ``templates/documents/NAME.md``.
+With ``--check`` it changes nothing, and exits with 1 if a document differs.
+
+A template is text with format strings:
+
+- ``{upright.right_1:.1f}`` is the figure ``right_1`` of ``upright``; in documents, the first name
+  is that of a page, as in ``{simulation.summary.upright.right_1:.1f}``, ``{simulation.revision}``;
+- a line ``@actions | {name} | {right_1:.1f} |`` is repeated for each of the figures of ``actions``,
+  with a dash for a missing one; ``@street.*`` goes two levels deep, and ``{group}`` is the outer
+  name;
+- a list is written with commas, counts by name as ``40 x 200, 60 x 400``;
+- ``{confusion}`` stands for tables of the postures or actions that were taken for others.
 """
 
 from __future__ import annotations
@@ -13,87 +23,223 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Iterator, Sequence
-from functools import cache
+import shlex
+import string
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from scripts.results import RESULTS, ROOT
+from index.posture import LOW, POSTURES
+from scripts.results import RESULTS, ROOT, machine, revision
 
-_QUOTED = re.compile(r"(?P<number>-?\d[\d,]*(?:\.\d+)?)<!-- (?P<key>[^\s>]+) -->")
-_COMMENT = re.compile(r"<!--\s*[\w-]+(?:\.[\w-]+)+\s*-->")
+TEMPLATES = Path(__file__).with_name("templates")
+RELIABILITY = ("cameras", "overload", "fuzz", "soak", "clients")
+"""Measurements of a running server: each is a section of one page, and is repeated by itself."""
+
+NAMES = {
+    "both_networks_and_hog": "both networks and HOG",
+    "movenet_alone": "MoveNet alone",
+    "low": f"low: {', '.join(LOW)}",
+    "paper": "paper's descriptor",
+    "paper_nearest": "paper's descriptor",
+    "paper_modes": "paper's, our matching",
+    "ours_nearest": "ours, nearest",
+    "ours_modes": "ours",
+    "descriptor_alone": "the descriptor alone",
+    "network_order": "the network: order",
+    "network_order_and_weights": "the network: order, weights of candidates",
+    "network_order_weights_and_fit": "the network: order, weights, fit",
+    "network_alone": "the network alone, no search",
+    "ours_in_order": "ours, frames in order",
+    "mask": "`/pose` with a mask",
+    "photograph": "`/pose`, people searched for",
+}
+"""Names of figures that are not their keys with spaces."""
+
+Figures = Mapping[str, Any]
+_PART = re.compile(r"(<!-- figures: ([\w-]+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 
 
-def documents() -> list[Path]:
-    """The files whose figures are kept up to date."""
-    pages = [*(ROOT / "docs").glob("*.md"), RESULTS / "README.md"]
-    return [ROOT / "README.md", *sorted(page for page in pages if page.exists())]
+def write(out: Path, page: str, command: str, figures: Figures) -> None:
+    """Write the JSON of a page, and the page."""
+    out.mkdir(parents=True, exist_ok=True)
+    document = {**_origin(command), "figures": figures}
+    (out / f"{page}.json").write_text(json.dumps(document, indent=1) + "\n")
+    (out / f"{page}.md").write_text(render(out / f"{page}.json"))
 
 
-def measured(key: str, results: Path = RESULTS) -> float:
-    """Look up a figure by ``page.path.to.figure``.
+def report(page: str, arguments: Sequence[str] | None, figures: Figures, *, keep: bool) -> None:
+    """Print the page of a command of its name; keep it in ``docs/results`` if asked to."""
+    given = sys.argv[1:] if arguments is None else arguments
+    command = shlex.join(["python", "-m", "scripts", page, *given])
+    print(_fill(page, figures, _origin(command)))
+    if keep:
+        write(RESULTS, page, command, figures)
 
-    Raises
-    ------
-    KeyError
-        If no result has such a figure.
-    """
-    page, *path = key.split(".")
-    node = _figures(results / f"{page}.json")
-    for name in path:
-        node = node.get(name) if isinstance(node, dict) else None
-    if isinstance(node, bool) or not isinstance(node, int | float):
-        raise KeyError(f"expected a number at {key} in {results}, there is none")
-    return node
+
+def report_section(section: str, command: str, figures: Figures, out: Path | None) -> None:
+    """Print a section of the page of reliability; replace it in a folder if there is one."""
+    section_figures = {**_origin(command), **figures}
+    print(_render_section(section, section_figures))
+    if out is not None:
+        file = out / "reliability.json"
+        known = json.loads(file.read_text())["figures"] if file.exists() else {}
+        write(out, "reliability", command, {**known, section: section_figures})
+
+
+def _origin(command: str) -> dict[str, str]:
+    return {"command": command, "revision": revision(), "machine": machine()}
+
+
+def render(file: Path) -> str:
+    """Return the page of a JSON of results, in Markdown."""
+    document = json.loads(file.read_text())
+    figures = document["figures"]
+    if file.stem != "reliability":
+        return _fill(file.stem, figures, document)
+    sections = [_render_section(name, figures[name]) for name in RELIABILITY if name in figures]
+    return "# Reliability\n\n" + "\n".join(sections)
+
+
+def _render_section(section: str, figures: Figures) -> str:
+    failed = figures["failed"]
+    verdict = f"**Failed**: {'; '.join(failed)}." if failed else "Passed."
+    return f"{_fill(section, figures, figures)}\n{verdict}\n"
 
 
 def updated(text: str, results: Path = RESULTS) -> str:
-    """The text with each quoted number as it was measured; its decimals stay as many.
+    """Return a document whose parts with figures say what was measured.
 
     Raises
     ------
     KeyError
-        If no result has a figure that is quoted.
-    ValueError
-        If a comment with a key does not follow a number.
+        If a template asks for a figure that is not there.
     """
-    quoted = {match.end() for match in _QUOTED.finditer(text)}
-    for comment in _COMMENT.finditer(text):
-        if comment.end() not in quoted:
-            raise ValueError(f"expected a number right before {comment.group()}")
 
-    def as_measured(match: re.Match[str]) -> str:
-        decimals = len(match["number"].partition(".")[2])
-        return f"{measured(match['key'], results):,.{decimals}f}<!-- {match['key']} -->"
+    def part(match: re.Match[str]) -> str:
+        measured = {}
+        for file in results.glob("*.json"):
+            document = json.loads(file.read_text())
+            measured[file.stem] = {**document, **document["figures"]}
+        return match[1] + _fill(f"documents/{match[2]}", measured) + match[3]
 
-    return _QUOTED.sub(as_measured, text)
-
-
-def differences(before: str, after: str) -> Iterator[str]:
-    """Describe each number that has changed."""
-    for old, new in zip(_QUOTED.finditer(before), _QUOTED.finditer(after), strict=True):
-        if old["number"] != new["number"]:
-            yield f"{old['key']} is {new['number']}, the text says {old['number']}"
+    return _PART.sub(part, text)
 
 
-@cache
-def _figures(file: Path) -> object:
-    if not file.is_file():
-        raise KeyError(f"expected results in {file}, there are none")
-    return json.loads(file.read_text())["figures"]
+def _fill(template: str, figures: Figures, origin: Figures | None = None) -> str:
+    values = {**figures, "confusion": _confusions(figures)}
+    if origin is not None:
+        values["provenance"] = (
+            f"`{origin['command']}`, revision {origin['revision']}, {origin['machine']}."
+        )
+    lines: list[str] = []
+    for line in (TEMPLATES / f"{template}.md").read_text().splitlines():
+        path, _, row = line.partition(" ")
+        if path.startswith("@"):
+            lines += [_ROW.vformat(row, (), one) for one in rows_of(figures, path[1:])]
+        else:
+            lines.append(_TEXT.vformat(line, (), values))
+    return "\n".join(lines) + "\n"
+
+
+class _Text(string.Formatter):
+    """Format strings over nested figures: ``{a.b.c:.1f}``."""
+
+    def get_field(self, name: str, _: Any, values: Any) -> tuple[Any, str]:
+        """Return a figure."""
+        found = values
+        for part in name.split("."):
+            if part not in found:
+                raise KeyError(f"expected a figure {name}, there is none")
+            found = found[part]
+        return found, name
+
+    def format_field(self, value: Any, form: str) -> str:
+        """Return a figure as text."""
+        if value is None or value in ([], {}):
+            return "-"
+        if isinstance(value, list):
+            return ", ".join(self.format_field(one, form) for one in value)
+        if isinstance(value, dict):
+            return ", ".join(f"{number} x {name}" for name, number in value.items())
+        return str(super().format_field(value, form))
+
+
+class _Row(_Text):
+    """The same, without a figure for one that is missing."""
+
+    def get_field(self, name: str, arguments: Any, values: Any) -> tuple[Any, str]:
+        """Return a figure, or None."""
+        try:
+            return super().get_field(name, arguments, values)
+        except KeyError:
+            return None, name
+
+
+_TEXT, _ROW = _Text(), _Row()
+
+
+def rows_of(figures: Figures, path: str) -> Iterator[dict[str, Any]]:
+    """Yield the figures of a path: ``value``, what it holds, ``name``, ``group`` and ``slug``."""
+    groups: list[tuple[str, Any]] = [("", figures)]
+    for part in path.split("."):
+        if part == "*":
+            groups = [(named(key), value) for _, found in groups for key, value in found.items()]
+        else:
+            groups = [(group, found[part]) for group, found in groups]
+    for group, found in groups:
+        items = found.items() if isinstance(found, dict) else (("", one) for one in found)
+        for key, one in items:
+            names = {"group": group, "name": named(key), "slug": key.replace("_", "-")}
+            yield {**names, "value": one, **one}
+
+
+def named(key: str) -> str:
+    """Return a key as it is printed."""
+    return NAMES.get(key, key.replace("_", " "))
+
+
+def _confusions(figures: Figures) -> str:
+    """Return tables of counts: truth in rows, answers in columns; empty rows are left out."""
+    if "posture_confusion" in figures:
+        return _counts(POSTURES, figures["posture_confusion"])
+    compared = figures.get("votes", figures.get("sequences"))
+    if not isinstance(compared, dict):
+        return ""
+    return "\n\n".join(
+        f"### Confusions, {named(key)}\n\n{_counts(figures['actions'], one['confusion'])}"
+        for key, one in compared.items()
+    )
+
+
+def _counts(names: Sequence[str], counts: Sequence[Sequence[int]]) -> str:
+    rows = [["", *names], ["---"] * (len(names) + 1)]
+    rows += [[name, *(str(n or "") for n in row)] for name, row in zip(names, counts, strict=True)
+             if any(row)]  # fmt: skip
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def rendered() -> Iterator[tuple[Path, str]]:
+    """Yield every page and document that holds figures, with the text that it should have."""
+    for file in sorted(RESULTS.glob("*.json")):
+        yield file.with_suffix(".md"), render(file)
+    for document in (
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("*.md")),
+        RESULTS / "README.md",
+    ):
+        yield document, updated(document.read_text())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; 1 where ``--check`` finds a figure that differs."""
-    parser = argparse.ArgumentParser(description="Write measured figures into the documents.")
+    """Command line; 1 if ``--check`` finds a document that differs."""
+    parser = argparse.ArgumentParser(description="Write measured figures into pages and documents.")
     parser.add_argument("--check", action="store_true", help="only say what would change")
     check = parser.parse_args(arguments).check
-    changed = False
-    for document in documents():
-        before = document.read_text()
-        after = updated(before)
-        for difference in differences(before, after):
-            changed = True
-            print(f"{document.relative_to(ROOT)}: {difference}")
-        if not check and after != before:
-            document.write_text(after)
+    changed = [(page, text) for page, text in rendered() if page.read_text() != text]
+    for page, text in changed:
+        print(page.relative_to(ROOT))
+        if not check:
+            page.write_text(text)
     return 1 if check and changed else 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -285,14 +286,20 @@ def error_mm(points_3d: NDArray[np.float64], truth: NDArray[np.float64]) -> floa
     return float(1000 * np.linalg.norm(apart, axis=1).mean())
 
 
-def reports_fall(frame: TrackedFrame) -> bool:
-    """Return whether a fall or lying begins in a frame."""
-    return any(event.event in ("fell", "lying") and event.state != "end" for event in frame.events)
+ALARMS = {"fell": ("fell",), "fell_or_lying": ("fell", "lying")}
+"""Events that count as an alarm: with one of them, a fall is detected."""
 
 
-def fall_videos(estimator: Estimator, folder: Path) -> Figures:
+def alarms_begin(frame: TrackedFrame) -> set[str]:
+    """Return which of :data:`ALARMS` begin in a frame."""
+    begun = {event.event for event in frame.events if event.state != "end"}
+    return {name for name, events in ALARMS.items() if begun.intersection(events)}
+
+
+def fall_videos(estimator: Estimator, folder: Path) -> dict[str, object]:
     """Care-home surveillance, every second frame, the last one held for four seconds."""
-    detected, seen, low = 0, [], []
+    detected: Counter[str] = Counter()
+    seen, low = [], []
     for name, upright_until, fallen_from in FALL_VIDEOS:
         file = folder / f"{name}.mp4"
         fps = float(cv2.VideoCapture(str(file)).get(cv2.CAP_PROP_FPS)) or 25.0
@@ -301,17 +308,19 @@ def fall_videos(estimator: Estimator, folder: Path) -> Figures:
         shown = [(i, frames[i], i / fps) for i in range(0, len(frames), 2)]
         end = (len(frames) - 1) / fps
         shown += [(len(frames), frames[-1], end + 0.2 * step) for step in range(1, 21)]
-        fell = False
+        alarms: set[str] = set()
         for number, frame, timestamp in shown:
             result = track(session, frame, timestamp)
-            fell |= number >= fallen_from and reports_fall(result)
+            if number >= fallen_from:
+                alarms |= alarms_begin(result)
             if number < upright_until:
                 seen.append(bool(result.persons))
                 low += [is_low(one.person) for one in result.persons]
-        detected += fell
+        detected.update(alarms)
     return {
-        "videos": len(FALL_VIDEOS),
-        "falls_detected": detected,
+        "alarms": {
+            name: {"falls": len(FALL_VIDEOS), "detected": detected[name]} for name in ALARMS
+        },
         "seen_before_fall": percent(seen),
         "low_before_fall": percent(low),
     }
@@ -321,12 +330,13 @@ def fall_videos(estimator: Estimator, folder: Path) -> Figures:
 class Watched:
     """What a camera session reported of a video of UP-Fall.
 
-    ``postures`` and ``actions`` are 1 where right, 0 where wrong and NaN where none is reported;
-    ``low`` is whether a person lies or crawls in each frame.
+    ``alarms`` are those of :data:`ALARMS` that begin; ``postures`` and ``actions`` are 1 where
+    right, 0 where wrong and NaN where none is reported; ``low`` is whether a person lies or crawls
+    in each frame.
     """
 
     activity: Activity
-    alarm: bool = False
+    alarms: set[str] = field(default_factory=set)
     low: list[bool] = field(default_factory=list)
     postures: list[float] = field(default_factory=list)
     actions: list[float] = field(default_factory=list)
@@ -335,24 +345,29 @@ class Watched:
 def upfall(estimator: Estimator, files: Sequence[Path]) -> dict[str, object]:
     """UP-Fall: falls and daily activities at 6 frames a second."""
     watched = [watch(estimator, file) for file in tqdm(files, desc="UP-Fall")]
-    falls = [one.alarm for one in watched if one.activity.is_fall]
-    # Lying down is reported as an event, and rightly so.
-    daily = [
-        one.alarm
+    falls = [one for one in watched if one.activity.is_fall]
+    lying = [one for one in watched if one.activity.postures == ON_THE_GROUND]
+    # Lying down is reported as an event, and rightly so: such activities have no false alarms.
+    others = [
+        one
         for one in watched
         if not one.activity.is_fall and one.activity.postures != ON_THE_GROUND
     ]
-    lying = [one for one in watched if one.activity.postures == ON_THE_GROUND]
     upright = [one for one in watched if one.activity.is_upright]
     judged = [activity for activity in ACTIVITIES.values() if activity.postures]
     by_activity = {
         activity.name: [one for one in watched if one.activity is activity] for activity in judged
     }
     return {
-        "falls": len(falls),
-        "falls_detected": sum(falls),
-        "activities": len(daily),
-        "false_alarms": sum(daily),
+        "alarms": {
+            name: {
+                "falls": len(falls),
+                "detected": sum(name in one.alarms for one in falls),
+                "activities": len(others),
+                "false": sum(name in one.alarms for one in others),
+            }
+            for name in ALARMS
+        },
         "low_of_upright": percent([low for one in upright for low in one.low]),
         "low_of_lying": percent([low for one in lying for low in one.low]),
         **{
@@ -375,7 +390,7 @@ def watch(estimator: Estimator, file: Path) -> Watched:
         if number % UPFALL_STEP:
             continue
         result = track(session, frame, number / UPFALL_FPS)
-        watched.alarm |= reports_fall(result)
+        watched.alarms |= alarms_begin(result)
         watched.low.append(any(is_low(one.person) for one in result.persons))
         actor = _actor(result.persons)
         if actor is not None and activity.postures:

@@ -34,7 +34,7 @@ from index.posture import LOW, POSTURES, classify_postures
 from index.reranker import RankingModel
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
-from scripts.metrics import confusion, percent, reliability
+from scripts.metrics import confusion, percent
 from scripts.training.held_out import strict_index
 
 ASKED = QueryCounts(upright=4000, near_ground=2000, laid_down=1200)
@@ -106,9 +106,6 @@ def measure(
         "limb_threshold_px": {
             "upright": limb_threshold_px(upright),
             "degraded": limb_threshold_px(degraded),
-        },
-        "reliability": {
-            "upright": reliability(upright.confidence.ravel(), upright.right.ravel(), 10)
         },
     }
 

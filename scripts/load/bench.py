@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index import DEFAULT_PATH
-from scripts.experiments import pages
+from scripts.figures import report
 from scripts.load.bench_cases import (
     WALKERS,
     Case,
@@ -154,4 +154,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     street, left_out = read_street(options.shared / "real")
     with ServerProcess(options.index) as server:
         figures = {**benchmark(server, street, options.rounds), "left_out": left_out}
-    pages.report("bench", arguments, figures, keep=options.write)
+    report("bench", arguments, figures, keep=options.write)

@@ -10,9 +10,9 @@ from typing import Any
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.store import PoseIndex
-from scripts.experiments import pages
+from scripts import figures
 from scripts.load.server import ServerProcess
-from scripts.results import RESULTS, machine, percentile, revision
+from scripts.results import RESULTS, percentile
 
 Figures = dict[str, Any]
 Criteria = dict[str, bool]
@@ -35,14 +35,11 @@ def run(
     options = parser.parse_args(arguments)
     with ServerProcess(options.index) as server:
         server.wait_until_ready()
-        figures, criteria = measure(server, load_index(options.index), options.amount)
+        found, criteria = measure(server, load_index(options.index), options.amount)
     failed = [what for what, met in criteria.items() if not met]
-    figures = {**figures, "failed": failed}
     command = f"python -m scripts {section} --{option} {options.amount:.12g}"
-    origin = {"command": command, "revision": revision(), "machine": machine()}
-    print(pages.render_section(section, {**origin, **figures}))
-    if options.write:
-        pages.write_section(RESULTS, section, command, figures)
+    out = RESULTS if options.write else None
+    figures.report_section(section, command, {**found, "failed": failed}, out)
     return 1 if failed else 0
 
 

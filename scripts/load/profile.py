@@ -26,7 +26,7 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES
-from scripts.experiments import pages
+from scripts.figures import report
 from scripts.load.bench_cases import FILM, Street
 from scripts.load.scenes import encode
 from scripts.results import SHARED
@@ -136,4 +136,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for title, process in kinds.items()
         }
     figures = {"frames": options.frames, "cores": cores, "stages": table(found, cores)}
-    pages.report("profile", arguments, figures, keep=options.write)
+    report("profile", arguments, figures, keep=options.write)

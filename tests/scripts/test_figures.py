@@ -1,4 +1,4 @@
-"""Figures that documents quote are those that were measured."""
+"""Pages and documents say what was measured; templates are filled, and what they lack is named."""
 
 from __future__ import annotations
 
@@ -7,55 +7,89 @@ from pathlib import Path
 
 import pytest
 
-from scripts.figures import RESULTS, differences, documents, updated
-from tests.conftest import ROOT
+from scripts import figures
+from scripts.figures import RESULTS, rendered, report_section, rows_of, updated
+
+FUZZ = {
+    "clients": 2,
+    "seconds": 9.0,
+    "uploads": 100,
+    "shaped_percent": 0.2,
+    "answers": {"200": 40, "400": 60},
+    "broken": 0,
+    "latency_ms": {"p50": 1.0, "p99": 2.0, "max": 3.0},
+    "max_memory_mb": 500.0,
+    "max_memory_wanted_mb": 600.0,
+    "exit_status": 0,
+    "failed": [],
+}
 
 
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
-    """Results of one page."""
-    figures = {"street": {"right": 96.66, "people": 1050}}
-    (tmp_path / "real.json").write_text(json.dumps({"figures": figures}))
-    return tmp_path
-
-
-@pytest.mark.parametrize("document", documents(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_quoted_figures_are_those_measured(document: Path) -> None:
-    text = document.read_text()
-    assert list(differences(text, updated(text))) == [], "run python -m scripts figures"
+def test_every_page_and_document_says_what_was_measured() -> None:
+    different = [page for page, text in rendered() if page.read_text() != text]
+    assert different == [], "run python -m scripts figures"
 
 
 @pytest.mark.parametrize("file", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_results_say_what_made_them(file: Path) -> None:
-    assert {"command", "revision", "machine", "figures"} <= set(json.loads(file.read_text()))
-    assert file.with_suffix(".md").exists()
+    document = json.loads(file.read_text())
+    assert set(document) == {"command", "revision", "machine", "figures"}
+    assert document["command"].startswith("python -m scripts ")
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Results of one page, and a template of a document that quotes them."""
+    measured = {
+        "right": 96.66,
+        "people": 1050,
+        "walks": {"a": {"n": 1}, "b": {}},
+        "clips": ["x", "y"],
+    }
+    document = {"command": "c", "revision": "r1", "machine": "m", "figures": measured}
+    (tmp_path / "real.json").write_text(json.dumps(document))
+    (tmp_path / "documents").mkdir()
+    monkeypatch.setattr(figures, "TEMPLATES", tmp_path)
+    return tmp_path
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
+    ("template", "text"),
     [
-        ("1<!-- real.street.right -->", "97<!-- real.street.right -->"),
-        ("| 1.0<!-- real.street.right --> % |", "| 96.7<!-- real.street.right --> % |"),
-        ("of 7<!-- real.street.people -->,", "of 1,050<!-- real.street.people -->,"),
-        ("12 <!-- a remark --> 13", "12 <!-- a remark --> 13"),
+        ("{real.right:.0f} % of {real.people:,}", "97 % of 1,050"),
+        ("at {real.revision}, {{braces}}", "at r1, {braces}"),
+        ("{real.clips}", "x, y"),
+        ("@real.walks {name}: {n}", "a: 1\nb: -"),
     ],
 )
-def test_decimals_of_the_text_are_kept(before: str, after: str, results: Path) -> None:
-    assert updated(before, results) == after
+def test_a_document_is_filled_between_its_marks(template: str, text: str, results: Path) -> None:
+    (results / "documents" / "one.md").write_text(template + "\n")
+    before = "Before.\n<!-- figures: one -->\nold\n<!-- end of figures -->\nAfter.\n"
+    after = updated(before, results)
+    assert after == before.replace("old", text)
     assert updated(after, results) == after
 
 
-@pytest.mark.parametrize("key", ["real.street", "real.street.left", "other.street", "real"])
-def test_a_key_without_a_figure_is_refused(key: str, results: Path) -> None:
-    with pytest.raises(KeyError, match="expected"):
-        updated(f"1<!-- {key} -->", results)
+def test_a_figure_that_is_missing_is_named(results: Path) -> None:
+    (results / "documents" / "one.md").write_text("{real.left}\n")
+    with pytest.raises(KeyError, match=r"expected a figure real\.left"):
+        updated("<!-- figures: one -->\n<!-- end of figures -->\n", results)
 
 
-def test_a_key_without_a_number_is_refused(results: Path) -> None:
-    with pytest.raises(ValueError, match="right before"):
-        updated("most <!-- real.street.right -->", results)
+def test_rows_are_named_by_their_keys() -> None:
+    cars = {"cars": {"red_ones": {"all": {"n": 1}}, "others": {"odd_ones": {"n": 2}}}}
+    assert list(rows_of(cars, "cars.*")) == [
+        {"group": "red ones", "name": "all", "slug": "all", "value": {"n": 1}, "n": 1},
+        {"group": "others", "name": "odd ones", "slug": "odd-ones", "value": {"n": 2}, "n": 2},
+    ]
 
 
-def test_what_differs_is_named() -> None:
-    (said,) = differences("2<!-- a.b --> 3<!-- a.c -->", "2<!-- a.b --> 4<!-- a.c -->")
-    assert said == "a.c is 4, the text says 3"
+def test_a_measurement_replaces_its_own_section_alone(tmp_path: Path) -> None:
+    for failed in ([], ["memory reached 700 MB"]):
+        report_section("fuzz", "python -m scripts fuzz", {**FUZZ, "failed": failed}, tmp_path)
+    document = json.loads((tmp_path / "reliability.json").read_text())
+    assert set(document["figures"]) == {"fuzz"}
+    page = (tmp_path / "reliability.md").read_text()
+    assert page.count("## Fuzzed uploads") == 1
+    assert "40 x 200, 60 x 400" in page
+    assert page.endswith("**Failed**: memory reached 700 MB.\n")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from app.scheduling.job import STAGES, Job, serial_map
-from scripts.experiments.pages import render
 from scripts.load.profile import TOTAL, profiled, table
 
 
@@ -25,6 +24,3 @@ def test_stages_and_all_of_a_frame_are_counted() -> None:
 def test_the_share_of_the_cores_that_is_idle() -> None:
     rows = table({"a mask": {"decode": (0.0, 0.0), "search": (10.0, 15.0), TOTAL: (10.0, 25.0)}}, 2)
     assert [(row["stage"], row["idle"]) for row in rows] == [("search", 0.25), (TOTAL, 0.0)]
-    figures = {"frames": 2, "cores": 2, "stages": rows}
-    page = render("profile", {"command": "c", "revision": "r", "machine": "m", "figures": figures})
-    assert "| a mask | search | 10.0 | 15.0 | 25% |" in page
