@@ -17,7 +17,7 @@ COMMANDS = {
     "render-people": ("scripts.training.render_people", "render people as photographs"),
     "train-photographs": (
         "scripts.training.train_photograph_models",
-        "train depth, posture and doubt on rendered people",
+        "train depth, posture and trust on rendered people",
     ),
     "fit-people": ("scripts.training.fit_people", "fit detection, posture and confidence"),
     "publish": ("scripts.publish", "load an index into Milvus"),

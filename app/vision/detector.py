@@ -29,14 +29,12 @@ from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
 
-MIN_SCORE = 0.3
+MIN_DETECTION_SCORE = 0.3
 """Probability from which a detection is reported by default."""
 
 # Log odds added to a detection where a person was seen a moment ago. People do not vanish, but a
 # falling person is blurred, and then lies in a pose that detectors rarely recognise.
 _EXPECTED_LOG_ODDS = 1.0
-# Share of a box that must be within reach of that person.
-_MIN_EXPECTED_SHARE = 0.5
 # Longer side of a box, in the overview, from which people are taken from the overview; smaller ones
 # are taken from the tiles, which separate two people side by side.
 _LARGE_PERSON_PX = 96.0
@@ -45,8 +43,6 @@ _SEAM_PX = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut
 _NMS_IOU = 0.4
 _MIN_MOVENET_SCORE = 0.02  # MoveNet's lower scores are ignored.
 _MIN_BODY_SCORE = 0.3  # Least score of BlazePose's detector.
-# Size of BlazePose's window relative to the one about MoveNet's box if both show one person.
-_SAME_SIZE = (0.4, 2.5)
 # Presence from which a detection of BlazePose alone is a person: walls and trees stay below 0.1,
 # most people are above 0.9.
 _MIN_PRESENCE = 0.5
@@ -66,7 +62,7 @@ class NetworkDetector:
         Confirms people that MoveNet misses.
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
-    min_score : float, optional
+    min_score : float
         Probability from which a person is reported.
     """
 
@@ -77,17 +73,17 @@ class NetworkDetector:
         landmarks: LandmarkNetwork,
         *,
         min_person_px: float | None = None,
-        min_score: float | None = None,
+        min_score: float = MIN_DETECTION_SCORE,
     ) -> None:
         self._movenet = movenet
         self._body_detector = body_detector
         self._landmarks = landmarks
-        self._min_score = MIN_SCORE if min_score is None else min_score
+        self._min_score = min_score
         self._min_person_px = min_person_px
         if min_person_px is not None and not min_person_px > 0:
             raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
-        if not 0 <= self._min_score <= 1:
-            raise ValueError(f"expected a min_score from 0 to 1, got {self._min_score}")
+        if not 0 <= min_score <= 1:
+            raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")
 
     def detect(
         self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
@@ -99,7 +95,7 @@ class NetworkDetector:
         detections, scores = self.candidates(frame)
         odds = detection_odds(scores)
         for box in expected_boxes:
-            near = [i for i, one in enumerate(detections) if self._may_be(one.box, box)]
+            near = [i for i, one in enumerate(detections) if _may_be(one.box, box)]
             if near:
                 odds[max(near, key=lambda i: odds[i])] += _EXPECTED_LOG_ODDS
         found = [
@@ -125,7 +121,7 @@ class NetworkDetector:
         scores = [[one.score, hog_margin(frame, one.box), 0.0] for one in found]
         alone: list[Detection] = []
         for body in self._body_detector.detect(frame, _MIN_BODY_SCORE):
-            same = [i for i, one in enumerate(found) if self._is_same(body.window, one.box)]
+            same = [i for i, one in enumerate(found) if _is_same(body.window, one.box)]
             if same:
                 best = max(same, key=lambda i: found[i].score)
                 windows[best].append(body.window)
@@ -166,18 +162,28 @@ class NetworkDetector:
             return None
         return Detection(box, 0.0, None, (body.window,))
 
-    def _is_same(self, window: PersonWindow, box: Box) -> bool:
-        """Whether a body's window and a box belong to the same person."""
-        inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
-        low, high = _SAME_SIZE
-        return inside and low < window.side / PersonWindow.about_box(box).side < high
 
-    def _may_be(self, box: Box, expected: Box) -> bool:
-        """Whether a box may hold an expected person, standing there or on the ground nearby."""
-        x, y, width, height = expected.x, expected.y, expected.width, expected.height
-        margin = max(width, height) / 2
-        reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
-        return box.intersection(reach) >= _MIN_EXPECTED_SHARE * box.area
+# Size of BlazePose's window relative to the one about MoveNet's box if both show one person.
+_SAME_SIZE = (0.4, 2.5)
+
+
+def _is_same(window: PersonWindow, box: Box) -> bool:
+    """Whether a body's window and a box belong to the same person."""
+    inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
+    low, high = _SAME_SIZE
+    return inside and low < window.side / PersonWindow.about_box(box).side < high
+
+
+# Share of a box that must be within reach of the expected person.
+_MIN_EXPECTED_SHARE = 0.5
+
+
+def _may_be(box: Box, expected: Box) -> bool:
+    """Whether a box may hold an expected person, standing there or on the ground nearby."""
+    x, y, width, height = expected.x, expected.y, expected.width, expected.height
+    margin = max(width, height) / 2
+    reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
+    return box.intersection(reach) >= _MIN_EXPECTED_SHARE * box.area
 
 
 _FITTED = fitted_constants("detection")

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import MIN_SCORE, NetworkDetector
+from app.vision.detector import MIN_DETECTION_SCORE, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
 from index import DEFAULT_PATH
 from index.build.calibrate import expected_calibration_error
@@ -53,7 +53,7 @@ from scripts.experiments.real_poses import (
 )
 from scripts.metrics import FOUND_FROM, reliability, rightness
 
-SCORES = {"default": MIN_SCORE, "sure": 0.5}
+SCORES = {"default": MIN_DETECTION_SCORE, "sure": 0.5}
 """Minimum detection scores."""
 
 IGNORED_FROM = 0.3

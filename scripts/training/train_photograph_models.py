@@ -1,4 +1,4 @@
-r"""Train the models of depth, posture and doubt on rendered people.
+r"""Train the models of depth, posture and trust on rendered people.
 
     python -m scripts render-people --out /tmp/photographs/train-1 --seed 1
     python -m scripts render-people --out /tmp/photographs/train-2 --seed 2
@@ -222,15 +222,17 @@ def train_posture(
     )  # fmt: skip
 
 
-def fit_trust(
+def fit_sharpness(
     scores: NDArray[np.floating], right: NDArray[np.float64], classes: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Trust ``(2,)`` that makes the truth likeliest; the truth of nobody (-1) is uniform."""
+    """Sharpness ``(2,)`` that makes the truth likeliest; the truth of nobody (-1) is uniform."""
     count = scores.shape[1]
     truth = np.where(classes[:, None] < 0, 1 / count, np.eye(count)[classes])
 
-    def loss(trust: NDArray[np.float64]) -> float:
-        return float(-(truth * np.log(sharpened(scores, right, trust) + 1e-9)).sum(axis=1).mean())
+    def loss(sharpness: NDArray[np.float64]) -> float:
+        return float(
+            -(truth * np.log(sharpened(scores, right, sharpness) + 1e-9)).sum(axis=1).mean()
+        )
 
     grid = [np.array([a, b]) for a in np.linspace(-0.8, 1.2, 41) for b in np.linspace(0, 0.6, 25)]
     return min(grid, key=loss)
@@ -242,7 +244,7 @@ def fit_platt(odds: NDArray[np.floating], true: NDArray[np.bool_]) -> tuple[floa
     return float(model.coef_[0, 0]), float(model.intercept_[0])
 
 
-def train_doubt(
+def train_trust(
     features: NDArray[np.float64], person: NDArray[np.bool_], right: NDArray[np.bool_],
     epochs: int, seed: int,
 ) -> DenseNetwork:  # fmt: skip
@@ -313,7 +315,7 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
         chosen = Sights(sights.focal[rows], sights.centre[rows])
         return train_depth(train.take(rows), chosen, epochs, seed + number)
 
-    # Posture and doubt learn from depths that were corrected by a model of other photographs.
+    # Posture and trust learn from depths that were corrected by a model of other photographs.
     crossed = Depths(np.zeros((len(train), LANDMARKS)), np.zeros((len(train), LANDMARKS)))
     for number, half in enumerate((halves, ~halves)):
         network = part(teaches & half, number)
@@ -339,13 +341,13 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     found = apply_depth(depth, held, held_sights)
     report_depth(held, found, truth, seen & ~calibrates, say)
 
-    doubt = _doubt(train, crossed, epochs, seed)
-    doubt = _calibrated(doubt, held, found, calibrates)
-    report_doubt(doubt, held, found, say)
-    right = TrustModel(doubt).probabilities(_doubt_inputs(held, found))[:, 1]
+    trust = _trust(train, crossed, epochs, seed)
+    trust = _calibrated(trust, held, found, calibrates)
+    report_trust(trust, held, found, say)
+    right = TrustModel(trust).probabilities(_trust_inputs(held, found))[:, 1]
 
     seen_bodies = [
-        np.hstack([posture_inputs(rows, cameras, depths), _doubt_inputs(rows, depths)])
+        np.hstack([posture_inputs(rows, cameras, depths), _trust_inputs(rows, depths)])
         for rows, cameras, depths in ((train, sights, crossed), (held, held_sights, found))
     ]
     around = [region_features(rows.sampled) for rows in (train, held)]
@@ -362,12 +364,12 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
     scores = posture.scores(seen_bodies[1], around[1])
     # Windows without people that the network takes for people limit the certainty.
     asked = (held.presence > NOBODY_FROM) & calibrates
-    trust = fit_trust(scores[asked], right[asked], held.posture[asked])
-    say(f"posture: trust {trust[0]:.2f} {trust[1]:.2f}")
+    sharpness = fit_sharpness(scores[asked], right[asked], held.posture[asked])
+    say(f"posture: sharpness {sharpness[0]:.2f} {sharpness[1]:.2f}")
     tests = seen & ~calibrates
-    report_posture(sharpened(scores, right, trust)[tests], held.posture[tests], say)
-    arrays: dict[str, Any] = {"posture.trust": trust}
-    networks = {"depth": depth, "doubt": doubt, "posture.by_body": by_body,
+    report_posture(sharpened(scores, right, sharpness)[tests], held.posture[tests], say)
+    arrays: dict[str, Any] = {"posture.trust": sharpness}
+    networks = {"depth": depth, "doubt": trust, "posture.by_body": by_body,
                 "posture.by_surroundings": by_surroundings}  # fmt: skip
     for name, network in networks.items():
         arrays |= network.arrays(name)
@@ -375,11 +377,11 @@ def train_models(train: WindowRows, held: WindowRows, epochs: int, seed: int) ->
 
 
 def _calibrated(
-    doubt: DenseNetwork, held: WindowRows, depths: Depths, rows: NDArray[np.bool_]
+    trust: DenseNetwork, held: WindowRows, depths: Depths, rows: NDArray[np.bool_]
 ) -> DenseNetwork:
-    """The same doubt, its log odds fitted to the truth of some windows."""
+    """The same trust, its log odds fitted to the truth of some windows."""
     decided = _decided(held) & rows
-    odds = doubt(_doubt_inputs(held, depths))
+    odds = trust(_trust_inputs(held, depths))
     person = held.posture >= 0
     _, share = right_landmarks(held)
     fits = [
@@ -387,10 +389,10 @@ def _calibrated(
         fit_platt(odds[decided & person, 1], share[decided & person] >= RIGHT_SHARE),
     ]
     factors, offsets = np.array(fits).T
-    return moved_outputs(scaled_outputs(doubt, factors), offsets)
+    return moved_outputs(scaled_outputs(trust, factors), offsets)
 
 
-def _doubt_inputs(rows: WindowRows, depths: Depths) -> NDArray[np.float64]:
+def _trust_inputs(rows: WindowRows, depths: Depths) -> NDArray[np.float64]:
     return trust_features(rows.points, rows.world, rows.presence, rows.last, depths.sigmas)
 
 
@@ -399,12 +401,12 @@ def _decided(rows: WindowRows) -> NDArray[np.bool_]:
     return np.asarray((rows.posture < 0) | (rows.shown.sum(axis=1) >= MIN_SHOWN))
 
 
-def _doubt(train: WindowRows, depths: Depths, epochs: int, seed: int) -> DenseNetwork:
+def _trust(train: WindowRows, depths: Depths, epochs: int, seed: int) -> DenseNetwork:
     decided = _decided(train)
     _, share = right_landmarks(train)
     person = train.posture >= 0
-    return train_doubt(
-        _doubt_inputs(train, depths)[decided], person[decided],
+    return train_trust(
+        _trust_inputs(train, depths)[decided], person[decided],
         (person & (share >= RIGHT_SHARE))[decided], epochs, seed + 30,
     )  # fmt: skip
 
@@ -443,10 +445,10 @@ def report_posture(given: NDArray[np.float64], classes: NDArray[np.int64], say: 
         print(f"    {name:10s} {rows.sum():5d}  " + "  ".join(f"{s:.2f}" for s in shares))
 
 
-def report_doubt(network: DenseNetwork, held: WindowRows, depths: Depths, say: Any) -> None:
+def report_trust(network: DenseNetwork, held: WindowRows, depths: Depths, say: Any) -> None:
     """How well people and right landmarks are distinguished from others."""
     decided = _decided(held) & (held.scene % 2 == 1)
-    given = TrustModel(network).probabilities(_doubt_inputs(held, depths)[decided])
+    given = TrustModel(network).probabilities(_trust_inputs(held, depths)[decided])
     person = (held.posture >= 0)[decided]
     _, share = right_landmarks(held)
     right = person & (share[decided] >= RIGHT_SHARE)
