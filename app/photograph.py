@@ -8,13 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from app.estimation.finder import Models, PeopleFinder
-from app.estimation.poses import (
-    NormalisedPerson,
-    order_by_landmarks,
-    order_by_silhouette,
-    place_skeletons,
-)
-from app.estimation.posture import estimate_posture, vote_posture
+from app.estimation.poses import NormalisedPerson, place_skeletons
+from app.estimation.posture import Facing, estimate_posture, vote_posture
 from app.estimation.results import (
     Estimate,
     Evidence,
@@ -111,10 +106,8 @@ def fit_poses(
         roll_deg=normalised.roll_deg,
         whole=normalised.whole,
     )
-    if keypoints is None:
-        facing, hypotheses = order_by_silhouette(found.hypotheses, max(n, VOTERS), VOTERS)
-    else:
-        facing, hypotheses = order_by_landmarks(found.hypotheses, max(n, VOTERS), found.first_batch)
+    facing = Facing(found.front_probability, "none" if keypoints is None else "image")
+    hypotheses = found.hypotheses
     presence = 1.0 if observed.presence is None else observed.presence
     confidences = [presence * one.confidence for one in hypotheses]
     votes = vote_posture([one.posture for one in hypotheses[:VOTERS]], confidences[:VOTERS])

@@ -1,8 +1,8 @@
-"""The probability that a hypothesis is right, from features of the match alone.
+"""The probability that a hypothesis is right.
 
-:func:`index.build.calibrate.fit_calibration` fits it. With landmarks,
-:func:`app.estimation.poses.fused_confidences` computes the confidence instead, from constants
-that ``scripts/training/fit_people.py`` fits.
+For a silhouette alone it follows from features of the match, by a calibration that is stored with
+the index (:func:`index.build.calibrate.fit_calibration` fits it). With landmarks it follows from
+distance and adjustment of the hypothesis, by constants fitted to photographs.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from index.landmarks import DISTANCE_WEIGHT
 
 FEATURES = (
     "log_distance",
@@ -72,8 +74,7 @@ class Calibration:
     def probability(self, features: NDArray[np.floating]) -> NDArray[np.float64]:
         """Probabilities ``(B,)`` of hypotheses with features ``(B, F)``."""
         logit = np.asarray(features, np.float64) @ np.array(self.weights) + self.bias
-        probability: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-np.clip(logit, -30, 30)))
-        return probability
+        return _sigmoid(logit)
 
     def parameters(self) -> dict[str, Any]:
         """JSON values for a manifest."""
@@ -90,3 +91,34 @@ class Calibration:
                 f"got one over {', '.join(parameters.get('features', ())) or 'nothing'}"
             )
         return cls(tuple(parameters["weights"]), float(parameters["bias"]), features)
+
+
+# Fitted by `python -m scripts fit-people` to 2212 hypotheses of people in sport and in the street,
+# 55 % of them right.
+_AGREEMENT_WEIGHT, _ADJUSTED_WEIGHT, _OFFSET = 0.2189, 10.8758, 1.7765
+
+
+def fused_confidences(
+    distances: NDArray[np.float64], adjusted_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Probabilities ``(N,)`` of hypotheses that were fitted to landmarks.
+
+    Parameters
+    ----------
+    distances : (N,) float64 array
+        From :func:`index.landmarks.fused_distances`.
+    adjusted_m : (N,) float64 array
+        Mean joint distances by which the fit moved the hypotheses from their entries.
+    """
+    agreement = fused_agreement(distances)
+    return _sigmoid(_AGREEMENT_WEIGHT * agreement + _ADJUSTED_WEIGHT * adjusted_m + _OFFSET)
+
+
+def fused_agreement(distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Log likelihoods ``(N,)`` that distances from silhouette and landmarks stand for."""
+    return -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
+
+
+def _sigmoid(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
+    probability: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -30, 30)))
+    return probability

@@ -49,6 +49,15 @@ _FIT_STAGES = ((14.0, 0.7, 4), (7.0, 0.7, 10))
 # Total share of the way to the landmarks' depths by which the fit moves joints.
 _DEPTH_SHARE = 0.6
 
+DISTANCE_WEIGHT = 4.0
+"""Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood of
+the landmarks. Like the weight of sides, it was chosen on people in even-numbered photographs."""
+
+# Weight of the log odds of a hypothesis's sides.
+_SIDE_WEIGHT = 0.3
+# Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
+_TILT_SCALE_DEG = 60.0
+
 _HIP_POINTS = side_rows("hip")
 
 
@@ -194,6 +203,28 @@ class Keypoints:
     def _log_likelihoods(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sums ``(...)`` of the log likelihoods of points, each an inlier or an outlier."""
         return np.asarray(np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=-1))
+
+
+def fused_distances(
+    distances: NDArray[np.float64], agreement: Agreement, tilt_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
+
+    Parameters
+    ----------
+    distances : (N,) float64 array
+        Distances between descriptors.
+    agreement : Agreement
+        Agreement of the hypotheses with the landmarks.
+    tilt_deg : (N,) float64 array
+        In-plane tilt of the person according to each hypothesis.
+    """
+    likelihood = (
+        agreement.log_likelihood
+        + _SIDE_WEIGHT * agreement.side_log_odds
+        - np.abs(tilt_deg) / _TILT_SCALE_DEG
+    )
+    return np.asarray(distances * np.exp(-likelihood / DISTANCE_WEIGHT))
 
 
 def fit_to_keypoints(

@@ -20,11 +20,12 @@ from index.candidates import (
     seen_from,
     silhouette_rotations,
 )
-from index.confidence import RIGHT_BELOW_PX
-from index.landmarks import Agreement, Keypoints, fit_to_keypoints
+from index.confidence import RIGHT_BELOW_PX, fused_confidences
+from index.facing import azimuth_deg, front_share, heading_shares, nearest_of_both_facings
+from index.landmarks import Agreement, Keypoints, fit_to_keypoints, fused_distances
 from index.modes import Modes, candidate_weights, find_modes, mode_weights
 from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
-from index.ranking import NetworkRanking, fused_distances
+from index.ranking import NetworkRanking
 from index.search import NearestEntries
 from index.skeleton import (
     JOINTS,
@@ -198,8 +199,8 @@ class Hypothesis:
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame.
     confidence : float
-        Probability that the mean joint error in the normalised frame is below 5 px; 0 with
-        landmarks, from which :mod:`app.estimation.poses` computes it.
+        Probability that the mean joint error in the normalised frame is below 5 px; see
+        :mod:`index.confidence`.
     points_3d : (24, 3) float64 array
         Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     points_normalised : (24, 2) float64 array
@@ -241,23 +242,25 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Match:
-    """The hypotheses of a silhouette, nearest first.
+    """The hypotheses of a silhouette, in the order of their rank.
 
     Parameters
     ----------
     hypotheses : list of Hypothesis
-        Unless a network has ranked them, there are usually a few more than requested, so that a
-        caller may choose.
+        With ascending distances. With landmarks, some face the opposite way to the first, and a
+        nearer one after such a hypothesis gets its distance.
     features : (N, F) float64 array
         Features from which the confidences were computed: :data:`index.confidence.FEATURES`, or
         :data:`index.reranker.RERANKING_FEATURES`; none with landmarks.
-    first_batch : int
-        Number of hypotheses that do not depend on how many were requested.
+    front_probability : float
+        Probability that the camera sees the person from the front: the confidence of hypotheses
+        that face it, as a share of the confidence of all. It does not depend on how many were
+        requested.
     """
 
     hypotheses: list[Hypothesis]
     features: NDArray[np.float64]
-    first_batch: int
+    front_probability: float
 
 
 def match(
@@ -279,7 +282,8 @@ def match(
     silhouette : (128, 48) uint8 array
         Normalised; 1 on the person, 0 elsewhere.
     n : int
-        Number of hypotheses; fewer are returned if few distinct poses fit.
+        Number of hypotheses. At least :data:`DEFAULT_HYPOTHESES` are returned, for posture and
+        facing, but fewer than either if few distinct poses fit.
     roll_deg : float
         Roll of the camera in the silhouette and the keypoints; not 0 if they were rotated because
         the silhouette is wider than high. Skeletons are returned in the axes of the camera without
@@ -295,27 +299,43 @@ def match(
     """
     query = _Query(index, silhouette, keypoints, roll_deg, whole)
     size = DEFAULT_HYPOTHESES
-    found = query.batch(size)
-    while len(found.hypotheses) < n or size < n:
+    found, features = query.batch(size)
+    voters = slice(DEFAULT_HYPOTHESES if keypoints is None else len(found))
+    # For each rank, the number of hypotheses found for a request of that many.
+    pools = [len(found)] * min(size, len(found))
+    while len(found) < n or size < n:
         size *= 2
-        more = query.batch(size)
-        known = np.array([hypothesis.points_3d for hypothesis in found.hypotheses])
+        later, later_features = query.batch(size, at_least=found[-1].distance)
+        known = np.array([one.points_3d for one in found])
         new = [
             row
-            for row, hypothesis in enumerate(more.hypotheses)
-            if mean_joint_distance(hypothesis.points_3d[None], known).min() >= MIN_NEW_POSE_M
+            for row, one in enumerate(later)
+            if mean_joint_distance(one.points_3d[None], known).min() >= MIN_NEW_POSE_M
         ]
         if not new and size >= _MAX_BATCH_GROWTH * n:
             break
-        farthest = found.hypotheses[-1].distance
-        later = (more.hypotheses[row] for row in new)
-        found = Match(
-            found.hypotheses
-            + [replace(one, distance=max(one.distance, farthest)) for one in later],
-            np.concatenate([found.features, more.features[new]]),
-            found.first_batch,
+        found = found + [later[row] for row in new]
+        features = np.concatenate([features, later_features[new]])
+        pools += [len(found)] * (min(size, len(found)) - len(pools))
+    count = max(n, DEFAULT_HYPOTHESES)
+    azimuths = azimuth_deg(np.array([one.points_3d for one in found]))
+    confidences = np.array([one.confidence for one in found])
+    front_probability = front_share(azimuths[voters], confidences[voters])
+    if keypoints is None:
+        return Match(found[:count], features[:count], front_probability)
+    # A skeleton cannot be likelier right than its heading.
+    shares = heading_shares(azimuths, azimuths[voters], confidences[voters])
+    confidences = np.minimum(confidences, shares)
+    distances = np.array([one.distance for one in found])
+    chosen = nearest_of_both_facings(azimuths, distances, front_probability, pools[:count])
+    ascending = np.maximum.accumulate(distances[chosen])
+    hypotheses = [
+        replace(found[row], distance=distance, confidence=confidence)
+        for row, distance, confidence in zip(
+            chosen, ascending.tolist(), confidences[chosen].tolist(), strict=True
         )
-    return found
+    ]
+    return Match(hypotheses, features[chosen], front_probability)
 
 
 @dataclass(frozen=True)
@@ -335,8 +355,11 @@ class _Query:
             return None
         return NetworkRanking.of(self.index.reranker, self.silhouette)
 
-    def batch(self, n: int) -> Match:
-        """Find the hypotheses of one batch of about ``n``."""
+    def batch(self, n: int, at_least: float = 0.0) -> tuple[list[Hypothesis], NDArray[np.float64]]:
+        """Find about ``n`` hypotheses, nearest first, and the features of their confidences.
+
+        No distance is smaller than ``at_least``, the distance of the last one of earlier batches.
+        """
         index, ranking, keypoints = self.index, self.ranking, self.keypoints
         queries, candidates, modes = (
             self._modes_of_silhouette(n)
@@ -365,14 +388,18 @@ class _Query:
             features = match_features(candidates, modes, errors_px)
             if ranking is not None:
                 features = ranking.features(features, modes, distances)
-            confidences = index.calibration(reranked=ranking is not None).probability(features)
         else:
-            features, confidences = np.empty((len(modes), 0)), np.zeros(len(modes))
             points_3d, points_normalised = fit_to_keypoints(
                 keypoints, modes.points_3d, modes.points_normalised
             )
             modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
+            features = np.empty((len(modes), 0))
+        distances = np.maximum(distances, at_least)
         adjusted_m = mean_joint_distance(modes.points_3d, centres.points_3d)
+        if keypoints is None:
+            confidences = index.calibration(reranked=ranking is not None).probability(features)
+        else:
+            confidences = fused_confidences(distances, adjusted_m)
         points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
         postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
         hypotheses = [
@@ -393,7 +420,7 @@ class _Query:
                 strict=True,
             )
         ]
-        return Match(hypotheses, features, len(hypotheses))
+        return hypotheses, features
 
     def _modes_of_silhouette(self, n: int) -> tuple[list[RotatedQuery], Candidates, Modes]:
         """Take more and more candidates until they have ``n`` modes or the index has no more."""

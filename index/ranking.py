@@ -1,8 +1,6 @@
-"""The order of the hypotheses of a match, beyond the distance of the descriptors.
+"""The order of hypotheses by a network that predicts joints from the silhouette.
 
-With landmarks, the agreement with them decides; without, a network that predicts joints from the
-silhouette does. The network itself is in :mod:`index.network`, its file in :mod:`index.reranker`.
-The hypotheses that a client gets are chosen in :mod:`app.estimation.poses`.
+The network itself is in :mod:`index.network`, its file in :mod:`index.reranker`.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.landmarks import Agreement
 from index.modes import Modes
 from index.network import Distributions, joint_positions
 from index.reranker import RankingModel
@@ -24,15 +21,6 @@ from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
 # Hypotheses share the probability by the inverse of their distances to this power.
 _SHARE_POWER = 4.0
-
-DISTANCE_WEIGHT = 4.0
-"""Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood of
-the landmarks. Like the weight of sides, it was chosen on people in even-numbered photographs."""
-
-# Weight of the log odds of a hypothesis's sides.
-_SIDE_WEIGHT = 0.3
-# Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
-_TILT_SCALE_DEG = 60.0
 
 
 @dataclass(frozen=True)
@@ -122,25 +110,3 @@ class NetworkRanking:
                 error**2,
             ]
         )
-
-
-def fused_distances(
-    distances: NDArray[np.float64], agreement: Agreement, tilt_deg: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
-
-    Parameters
-    ----------
-    distances : (N,) float64 array
-        Distances between descriptors.
-    agreement : Agreement
-        Agreement of the hypotheses with the landmarks.
-    tilt_deg : (N,) float64 array
-        In-plane tilt of the person according to each hypothesis.
-    """
-    likelihood = (
-        agreement.log_likelihood
-        + _SIDE_WEIGHT * agreement.side_log_odds
-        - np.abs(tilt_deg) / _TILT_SCALE_DEG
-    )
-    return np.asarray(distances * np.exp(-likelihood / DISTANCE_WEIGHT))

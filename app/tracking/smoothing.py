@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import Facing, azimuth_deg, vote_posture
+from app.estimation.posture import Facing, vote_posture
 from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
 from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFilter
 from app.tracking.results import SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.odds import log_odds, probability_of
+from index.facing import azimuth_deg
 from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, UPRIGHT, Posture
 from index.skeleton import (
     POINT_NAMES,

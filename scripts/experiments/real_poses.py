@@ -212,7 +212,7 @@ def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[s
 
 
 def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias of the confidence of :mod:`app.estimation.poses`."""
+    """Fit slope and bias of the confidence of :mod:`index.confidence`."""
     agreement = np.concatenate([_agreement(t) for t in trials])
     model = LogisticRegression(C=1e3).fit(
         agreement[:, None], np.concatenate([t.right for t in trials])

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.estimation.posture import azimuth_deg
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import SMOOTHING, PoseSmoother, Smoothed
@@ -37,6 +36,7 @@ from index.build.garments import Wardrobe, make_avatars
 from index.build.motion import Segment, read_manifest
 from index.build.poses import read_poses
 from index.confidence import RIGHT_BELOW_PX
+from index.facing import azimuth_deg
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.film import FPS, Filmed, film

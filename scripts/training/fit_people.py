@@ -1,14 +1,15 @@
 """Fit detection scores and confidences to photographs, since simulation cannot teach them.
 
-Writes the parts `detection` and `confidence` of ``app/vision/models/fitted.json`` within about ten
-minutes. The data are street photographs (Penn-Fudan), frames of the street video, and sports
-photographs (LSP Extended). Pose2Sim, UP-Fall, the falls and the homes are not used, so that they
-remain a test.
+Writes the part `detection` of ``app/vision/models/fitted.json`` and prints the constants of
+:func:`index.confidence.fused_confidences`, within about ten minutes. The data are street
+photographs (Penn-Fudan), frames of the street video, and sports photographs (LSP Extended).
+Pose2Sim, UP-Fall, the falls and the homes are not used, so that they remain a test.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,9 +25,8 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
-from app.vision.models import write_fitted
-from index.confidence import RIGHT_BELOW_PX
-from index.ranking import DISTANCE_WEIGHT
+from app.vision.models import FITTED
+from index.confidence import RIGHT_BELOW_PX, fused_agreement
 from index.skeleton import LIMB_ROWS, LIMBS
 from scripts.datasets import (
     Marks,
@@ -151,7 +151,7 @@ def confidence_samples(
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
         for placed in person.hypotheses:
             errors = np.linalg.norm(placed.points_2d[LIMB_ROWS] - joints, axis=1)[seen]
-            agreement = -DISTANCE_WEIGHT * float(np.log(max(placed.distance, 1e-9)))
+            agreement = float(fused_agreement(np.array(placed.distance)))
             features.append((agreement, placed.adjusted_m))
             right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
 
@@ -176,15 +176,10 @@ def _holds(box: Box, place: NDArray[np.float64]) -> bool:
     return bool(box.x <= place[0] <= box.right and box.y <= place[1] <= box.bottom)
 
 
-def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> dict[str, float]:
-    """Fit the log odds that a hypothesis is right."""
+def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> list[float]:
+    """Fit the log odds that a hypothesis is right: weights of the features, and the offset."""
     model = LogisticRegression(C=100.0).fit(np.array(features), right)
-    slope, adjusted_m = model.coef_[0].tolist()
-    return {
-        "slope": round(slope, 4),
-        "adjusted_m": round(adjusted_m, 4),
-        "offset": round(float(model.intercept_[0]), 4),
-    }
+    return [round(value, 4) for value in (*model.coef_[0].tolist(), float(model.intercept_[0]))]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -197,10 +192,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     estimator = load_estimator(Settings())
     detection = detection_samples(estimator, shared)
     data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items())
-    write_fitted("detection", COMMAND, data, fit_detection(detection))
+    document = json.loads(FITTED.read_text())
+    constants = fit_detection(detection)
+    document["detection"] = {"command": COMMAND, "data": data, "constants": constants}
+    FITTED.write_text(json.dumps(document, indent=1) + "\n")
     features, right = confidence_samples(estimator, shared)
-    data = (
-        f"{len(right)} hypotheses of people in sport and in the street, "
+    print(
+        f"index/confidence.py: {fit_confidence(features, right)}, fitted to {len(right)} "
+        "hypotheses of people in sport and in the street, "
         f"{100 * np.mean(right):.0f} % of them right"
     )
-    write_fitted("confidence", COMMAND, data, fit_confidence(features, right))

@@ -1,4 +1,6 @@
-"""Calibration: a probability that survives the manifest."""
+"""Probabilities that hypotheses are right: by a calibration that survives the manifest, and by
+landmarks.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,11 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from index.confidence import FEATURES, Calibration
+from index.confidence import FEATURES, Calibration, fused_confidences
 
 COUNT = len(FEATURES)
 
@@ -54,3 +58,10 @@ def test_calibration_over_other_features_is_refused() -> None:
 def test_invalid_weights_are_refused(weights: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="finite weights and a finite bias"):
         Calibration(weights, 0.0)
+
+
+@given(distances=st.lists(st.floats(0, 1e4), min_size=2, max_size=20).map(sorted))
+def test_confidence_with_landmarks_falls_with_the_distance(distances: list[float]) -> None:
+    confidences = fused_confidences(np.array(distances), np.zeros(len(distances)))
+    assert ((confidences > 0) & (confidences < 1)).all()
+    assert (np.diff(confidences) <= 0).all()

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, find_candidates
-from index.landmarks import Agreement, Keypoints
+from index.landmarks import Agreement, Keypoints, fused_distances
 from index.matching import match
 from index.modes import find_modes
-from index.ranking import NetworkRanking, fused_distances
+from index.ranking import NetworkRanking
 from index.reranker import RankingModel
 from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
 from index.store import PoseIndex

@@ -50,22 +50,3 @@ def fitted_constants(name: str) -> dict[str, Any]:
     """The constants of one part of ``fitted.json``."""
     constants: dict[str, Any] = json.loads(FITTED.read_text())[name]["constants"]
     return constants
-
-
-def write_fitted(name: str, command: str, data: str, constants: dict[str, Any]) -> None:
-    """Replace one part of ``fitted.json``.
-
-    Parameters
-    ----------
-    name : str
-    command : str
-        The command that fits the constants.
-    data : str
-        The data they were fitted to.
-    constants : dict
-        JSON values.
-    """
-    document = json.loads(FITTED.read_text()) if FITTED.is_file() else {}
-    document[name] = {"command": command, "data": data, "constants": constants}
-    FITTED.write_text(json.dumps(document, indent=1) + "\n")
-    fitted_constants.cache_clear()

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.posture import azimuth_deg
 from app.estimation.results import Person
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
+from index.facing import azimuth_deg
 from index.posture import POSTURES
 from index.skeleton import POINTS, bone_lengths, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from

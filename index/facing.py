@@ -1,0 +1,122 @@
+"""Which way skeletons face, and hypotheses that face either way.
+
+A silhouette fits a pose and its reflection in depth equally well, and landmarks may be wrong in
+depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.skeleton import side_rows
+
+_CORNERS = np.array([side_rows("shoulder"), side_rows("hip")]).T
+"""Rows ``(2, 2)``: left and right, shoulder and hip."""
+
+HYPOTHESES_PER_OPPOSITE_FACING = 7
+"""At least one in this many hypotheses faces the opposite way to the first, since landmarks may be
+wrong."""
+
+
+def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Azimuth of the camera about shoulders and hips: 0 in front, 90 on the person's left.
+
+    It does not depend on the direction of the trunk in the picture, since people lying down may
+    face the camera as well.
+
+    Parameters
+    ----------
+    points_3d : (..., 24, 3) array
+        Camera axes; rows are ``POINT_NAMES``.
+
+    Returns
+    -------
+    (...) float64 array
+        Degrees from -180 to 180.
+    """
+    corners = np.asarray(points_3d[..., _CORNERS, :], np.float64)
+    across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
+    trunk = (corners[..., 0, :] - corners[..., 1, :]).sum(axis=-2)
+    length = np.maximum(np.hypot(trunk[..., 0], trunk[..., 1]), 1e-9)
+    # Component to the right of the trunk, if the trunk points up.
+    aside = (trunk[..., 0] * across[..., 1] - trunk[..., 1] * across[..., 0]) / length
+    return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], aside)))
+
+
+def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the camera is in front of the person, for each azimuth."""
+    return np.asarray(np.cos(np.deg2rad(azimuths_deg)) > 0)
+
+
+def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
+    """Share of the hypotheses' total confidence that faces the camera; arrays are ``(N,)``."""
+    return float(heading_shares(np.zeros(1), azimuths_deg, confidences)[0])
+
+
+def heading_shares(
+    azimuths_deg: NDArray[np.float64],
+    voters_deg: NDArray[np.float64],
+    confidences: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Share of the voters' confidence that lies within a right angle of each heading.
+
+    Seen from the side, a body turned slightly towards the camera and one turned slightly away
+    agree; seen from the front, a body and its reflection in depth do not.
+
+    Parameters
+    ----------
+    azimuths_deg : (N,) float64 array
+    voters_deg, confidences : (M,) float64 array
+        Azimuths and confidences of the hypotheses that decide.
+
+    Returns
+    -------
+    (N,) float64 array
+    """
+    weights = confidences + 1e-9  # Equal weights if all confidences are 0.
+    agree = faces_camera(azimuths_deg[:, None] - voters_deg)
+    return np.asarray(np.clip(agree @ weights / weights.sum(), 0, 1))
+
+
+def nearest_of_both_facings(
+    azimuths_deg: NDArray[np.float64],
+    distances: NDArray[np.float64],
+    front_probability: float,
+    pools: Sequence[int],
+) -> list[int]:
+    """Choose hypotheses, nearest first, with each facing as frequent as it is likely.
+
+    The nearest is first. Among the first k, the share that faces the opposite way equals the
+    probability of that facing. It is at least one in :data:`HYPOTHESES_PER_OPPOSITE_FACING`,
+    however far these hypotheses are, as long as there are any.
+
+    Parameters
+    ----------
+    azimuths_deg, distances : (N,) float64 array
+    front_probability : float
+        Probability that the camera sees the person from the front.
+    pools : sequence of int
+        For each hypothesis to choose, the number of leading rows among which it is chosen;
+        ascending, and enough for a choice.
+
+    Returns
+    -------
+    list of int
+        Rows.
+    """
+    order: list[int] = np.argsort(distances, kind="stable").tolist()
+    front = faces_camera(azimuths_deg)
+    first = next(i for i in order if i < pools[0])
+    opposite = front != front[first]
+    share = 1 - front_probability if front[first] else front_probability
+    share = max(share, 1 / HYPOTHESES_PER_OPPOSITE_FACING)
+    chosen = [first]
+    for pool in pools[1:]:
+        near = [i for i in order if i < pool and i not in chosen]
+        others = [i for i in near if opposite[i]]
+        wanted = int(share * (len(chosen) + 1) + 1e-9)  # Seven sevenths are one.
+        chosen.append(others[0] if others and opposite[chosen].sum() < wanted else near[0])
+    return chosen
