@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,7 +186,7 @@ class CameraSession:
         self._reset = reason
         self._detector = TrackedPeopleDetector(self._estimator.finder)
         for track in self._tracks:
-            self._emit("left", track, timestamp)
+            self._events += track.end(timestamp)
         self._tracks = []
 
     def _find(
@@ -231,10 +230,10 @@ class CameraSession:
         for sighting, known in zip(sightings, self._assign(sightings, timestamp), strict=True):
             track = known or self._begin(sighting, timestamp)
             if track is not None:
-                track.see(sighting, timestamp, zones)
+                track.see(sighting, timestamp)
                 seen.append((sighting.observed, track))
         seen += self._hidden_people(timestamp)
-        self._confirm(timestamp)
+        self._confirm(timestamp, zones)
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
         return sorted(confirmed, key=lambda pair: pair[0].box.x)
 
@@ -266,14 +265,13 @@ class CameraSession:
             if track.seen_at < timestamp and (box := self._hidden_box(track, timestamp)) is not None
         ]
 
-    def _confirm(self, timestamp: float) -> None:
+    def _confirm(self, timestamp: float, zones: Sequence[Zone]) -> None:
         """Count a frame of each track, and give an identity to those that now count as people."""
         for track in self._tracks:
             track.age_frames += 1
             if track.track_id is None and track.is_confirmed:
                 self._given_ids += 1
-                track.track_id = self._given_ids
-                self._emit("entered", track, timestamp)
+                self._events.append(track.confirm(self._given_ids, timestamp, zones))
 
     def _drop_unseen(self, timestamp: float) -> None:
         kept = []
@@ -285,7 +283,7 @@ class CameraSession:
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
-                self._emit("left", track, timestamp)
+                self._events += track.end(timestamp)
         self._tracks = kept
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
@@ -320,29 +318,15 @@ class CameraSession:
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
         """Estimate the poses of people with a silhouette, and update their tracks."""
-        rows = [row for row, (person, _) in enumerate(seen) if person.silhouette is not None]
-        scene = Scene(upload.frame, tuple(seen[row][0] for row in rows), upload.camera)
+        scene = Scene(upload.frame, tuple(person for person, _ in seen), upload.camera)
         persons = self._estimator.with_hypotheses(scene, max(n, DEFAULT_HYPOTHESES), job)
-        estimated = dict(zip(rows, persons, strict=True))
         tracked = []
-        for row, (observed, track) in enumerate(seen):
-            if row in estimated:
-                result, events = track.update(estimated[row], timestamp, zones)
-                self._events += events
-            else:
-                result = track.extrapolate(observed, timestamp)
-            if track.seen_at == timestamp:
-                self._events += track.cross_zones(timestamp, zones)
+        for person, (_, track) in zip(persons, seen, strict=True):
+            result, events = track.update(person, timestamp, zones)
+            self._events += events
             shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
             tracked.append(replace(result, person=shown))
         return tuple(tracked)
-
-    def _emit(self, event: Literal["entered", "left"], track: Track, timestamp: float) -> None:
-        if track.track_id is not None:
-            if event == "left":
-                self._events += track.leave_zones(timestamp)
-            moment = Event(event, track.track_id, "instant", timestamp, track.score)
-            self._events.append(track.annotated(moment))
 
 
 def _as_sent(tracked: TrackedPerson, pixels: SquarePixels) -> TrackedPerson:

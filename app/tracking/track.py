@@ -15,9 +15,9 @@ from app.estimation.posture import EstimatedPosture, Facing
 from app.estimation.results import ObservedPerson, Person
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector, HipHeight, PostureFilter, Reliability
-from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
+from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
-from app.tracking.zones import Zone, ZoneWatch, is_rest, zones_of
+from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
 from app.vision.people import Silhouette
@@ -130,8 +130,8 @@ APPEARANCE_GAIN = 0.1
 class Track:
     """One person of a camera session.
 
-    In each frame that shows the person, :meth:`see` adds the place, then :meth:`update` the poses.
-    If there are no poses, :meth:`extrapolate` keeps the last one.
+    In each frame that shows the person, :meth:`see` adds the place. Once the track is confirmed,
+    :meth:`update` adds the poses, also of a frame in which the person is hidden and has none.
 
     Parameters
     ----------
@@ -147,8 +147,6 @@ class Track:
         """None until the track is confirmed."""
         self.caller_id: str | None = None
         """The identity that the caller gave the person's box."""
-        self.zones: tuple[Zone, ...] = ()
-        """Zones in which the person was last seen."""
         self.box_filter = BoxFilter(observed.box, timestamp)
         self.age_frames = 0
         self.sightings = self._windows = 0
@@ -186,11 +184,10 @@ class Track:
         in_training = log_odds(PEOPLE_SHARE)
         return probability_of(log_odds(self.score) + shown_odds - in_training)
 
-    def see(self, sighting: Sighting, timestamp: float, zones: Sequence[Zone] = ()) -> None:
-        """Add where the person is in this frame, and in which of the camera's zones."""
+    def see(self, sighting: Sighting, timestamp: float) -> None:
+        """Add where the person is in this frame."""
         observed = sighting.observed
         truncated = observed.silhouette is not None and observed.silhouette.truncated
-        self._locate(observed, zones)
         if self.sightings:
             self.box_filter.update(observed.box, timestamp, whole=not truncated)
         self.sightings += 1
@@ -210,104 +207,123 @@ class Track:
             difference = sighting.appearance - self.appearance
             self.appearance = self.appearance + APPEARANCE_GAIN * difference
 
+    def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
+        """Give the track an identity; return the event of a person who has entered."""
+        self.track_id = track_id
+        self._zone_watch.locate(zones, self.box_filter.seen, None)
+        return self._moment("entered", track_id, timestamp)
+
     def update(
         self, person: Person, timestamp: float, zones: Sequence[Zone] = ()
-    ) -> tuple[TrackedPerson, tuple[Event, ...]]:
-        """Add the poses of this frame; return the person and what begins or ends with it."""
-        observed = person.observed
+    ) -> tuple[TrackedPerson, list[Event]]:
+        """Add the poses of a frame; without any, the last one is kept and moved with the person.
+
+        Parameters
+        ----------
+        person : Person
+            As estimated from this frame alone; without hypotheses if the person is hidden.
+        timestamp : float
+            Seconds.
+        zones : sequence of Zone
+            Zones of the camera.
+
+        Returns
+        -------
+        tracked : TrackedPerson
+        events : list of Event
+            What begins, ends or happens with this frame.
+        """
+        track_id = self._known_id()
         smoothed = self._smoother.update(person, timestamp)
-        if smoothed is None:
-            return self.extrapolate(observed, timestamp), ()
-        presence = 1.0 if observed.presence is None else observed.presence
-        weight = self._weight(observed)
+        shares = None if smoothed is None else self._add_poses(person, smoothed, timestamp)
+        crossings: list[Event] = []
+        if self.seen_at == timestamp:
+            # The posture says which part of the body has to be in a zone.
+            crossings = self._zone_watch.update(
+                track_id, timestamp, zones, self.box_filter.seen, self._known_posture()
+            )
+        if smoothed is None or shares is None:
+            return self._extrapolated(person.observed, timestamp), self._crossed(crossings)
+        events = self._event_detector.update(
+            track_id,
+            timestamp,
+            shares,
+            _reliability(person.observed, smoothed.pose),
+            hip_height(person, smoothed),
+            rests=is_rest(self._zone_watch.zones),
+        )
+        person = replace(person, facing=self._facing, posture=self._posture)
+        tracked = self._tracked(person, smoothed.pose)
+        return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
+
+    def _add_poses(
+        self, person: Person, smoothed: Smoothed, timestamp: float
+    ) -> NDArray[np.float64]:
+        """Update facing, posture and action; return the shares of postures of this frame."""
+        observed = person.observed
         self._facing = smoothed.facing
         self._posture, shares = self._posture_filter.update(
             timestamp,
             smoothed.votes,
             observed.frame_posture,
-            presence,
+            1.0 if observed.presence is None else observed.presence,
             observed.whole_box,
-            weight,
+            _weight(observed),
         )
         posture = self._posture if observed.landmarks is not None else None
         self._action = self._recogniser.update(timestamp, person, smoothed, posture)
-        # The posture says which part of the body has to be in a zone.
-        self._locate(observed, zones)
-        events: tuple[Event, ...] = ()
-        if self.track_id is not None:
-            events = self._event_detector.update(
-                self.track_id,
-                timestamp,
-                shares,
-                _reliability(observed, smoothed.pose, weight),
-                hip_height(person, smoothed),
-                rests=is_rest(self.zones),
-            )
-        person = replace(person, facing=self._facing, posture=self._posture)
-        return self._tracked(person, smoothed.pose), tuple(map(self.annotated, events))
+        return shares
 
-    def _weight(self, observed: ObservedPerson) -> float:
-        """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
-        presence = 1.0 if observed.presence is None else observed.presence
-        right = 1.0 if observed.trust is None else observed.trust.right
-        right = math.pow(right, RELIABILITY_EXPONENT)
-        return 1 - presence * (1 - right)
-
-    def extrapolate(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
+    def _extrapolated(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
         """Keep the pose of the last frames, at the place where the person is now."""
         pose = self._smoother.extrapolate(observed, timestamp)
         if pose is None:
             return self._tracked(Person(observed, None, None, ()), None)
         return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
-    def unconfirmed(self) -> tuple[Event, ...]:
+    def unconfirmed(self) -> list[Event]:
         """Events that had begun to show at the last frame but were not certain."""
         if self.track_id is None:
-            return ()
-        return tuple(map(self.annotated, self._event_detector.unconfirmed(self.track_id)))
+            return []
+        return [*map(self._annotated, self._event_detector.unconfirmed(self.track_id))]
 
-    def cross_zones(self, timestamp: float, zones: Sequence[Zone]) -> list[Event]:
-        """Add a frame in which the person was seen; return the zones entered and left."""
+    def end(self, timestamp: float) -> list[Event]:
+        """End the track; return the zones that the person leaves, and that they have left."""
         if self.track_id is None:
             return []
-        crossings = self._zone_watch.update(
-            self.track_id, timestamp, zones, self.box_filter.seen, self._known_posture()
-        )
-        return self._crossings(crossings)
+        crossings = self._zone_watch.end(self.track_id, timestamp, self.seen_at)
+        return [*self._crossed(crossings), self._moment("left", self.track_id, timestamp)]
 
-    def leave_zones(self, timestamp: float) -> list[Event]:
-        """Leave all zones because the track ends."""
-        if self.track_id is None:
-            return []
-        return self._crossings(self._zone_watch.end(self.track_id, timestamp, self.seen_at))
+    def _moment(self, name: EventName, track_id: int, timestamp: float) -> Event:
+        return self._annotated(Event(name, track_id, "instant", timestamp, self.score))
 
-    def annotated(self, event: Event) -> Event:
+    def _annotated(self, event: Event) -> Event:
         """An event of this track with the person's zones and the caller's identity."""
         return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)
 
-    def _crossings(self, events: Sequence[Event]) -> list[Event]:
+    def _crossed(self, events: Sequence[Event]) -> list[Event]:
         """Events of zones with the track's probability and the caller's identity."""
         return [
             replace(event, probability=self.score, caller_track_id=self.caller_id)
             for event in events
         ]
 
+    def _known_id(self) -> int:
+        if self.track_id is None:
+            raise ValueError("expected a confirmed track")
+        return self.track_id
+
     def _known_posture(self) -> Posture | None:
         label = self._posture.label if self._posture else None
         return None if label == "unclear" else label
 
-    def _locate(self, observed: ObservedPerson, zones: Sequence[Zone]) -> None:
-        self.zones = zones_of(zones, observed.box, self._known_posture())
-
     def _zone_names(self) -> tuple[str, ...]:
-        return tuple(zone.name for zone in self.zones)
+        return tuple(zone.name for zone in self._zone_watch.zones)
 
     def _tracked(self, person: Person, pose: SmoothedPose | None) -> TrackedPerson:
-        if self.track_id is None:
-            raise ValueError("expected a confirmed track")
         return TrackedPerson(
             person,
-            self.track_id,
+            self._known_id(),
             self.age_frames,
             pose,
             self._action,
@@ -316,11 +332,19 @@ class Track:
         )
 
 
-def _reliability(observed: ObservedPerson, pose: SmoothedPose, weight: float) -> Reliability:
+def _weight(observed: ObservedPerson) -> float:
+    """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
+    presence = 1.0 if observed.presence is None else observed.presence
+    right = 1.0 if observed.trust is None else observed.trust.right
+    right = math.pow(right, RELIABILITY_EXPONENT)
+    return 1 - presence * (1 - right)
+
+
+def _reliability(observed: ObservedPerson, pose: SmoothedPose) -> Reliability:
     """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
     if observed.presence is None:
         return Reliability(pose.confidence, pose.confidence)
-    presence = max(observed.presence, _score(observed))
+    weight, presence = _weight(observed), max(observed.presence, _score(observed))
     return Reliability(weight * observed.presence, weight * presence)
 
 

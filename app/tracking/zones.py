@@ -118,7 +118,13 @@ class ZoneWatch:
     """
 
     def __init__(self) -> None:
+        self.zones: tuple[Zone, ...] = ()
+        """Zones in which the person was last seen, however briefly."""
         self._stays: dict[str, _Stay] = {}
+
+    def locate(self, zones: Iterable[Zone], box: Box, posture: Posture | None) -> None:
+        """Set the zones in which a person is."""
+        self.zones = zones_of(zones, box, posture)
 
     def update(
         self,
@@ -132,13 +138,15 @@ class ZoneWatch:
 
         A zone that has been removed from the camera is left as well.
         """
+        self.locate(zones, box, posture)
         events = []
         removed = self._stays.keys() - {zone.name for zone in zones}
         for name in sorted(removed):
             events += self._leave(name, track_id, timestamp, timestamp)
         for zone in zones:
             stay = self._stays.get(zone.name)
-            if self._is_inside(zone, box, posture, stay is not None and stay.entered):
+            entered = stay is not None and stay.entered
+            if zone in self.zones or (entered and _is_near(zone, box, posture)):
                 stay = self._stays.setdefault(zone.name, _Stay(timestamp))
                 stay.outside_since = None
                 if not stay.entered and timestamp - stay.since >= SETTLING_S:
@@ -159,18 +167,18 @@ class ZoneWatch:
             event for name in names for event in self._leave(name, track_id, timestamp, seen_at)
         ]
 
-    def _is_inside(self, zone: Zone, box: Box, posture: Posture | None, entered: bool) -> bool:
-        point, margin_px = place(box, posture), MARGIN * max(box.width, box.height)
-        return contains(zone.polygon, point) or (
-            entered and distance(zone.polygon, point) <= margin_px
-        )
-
     def _leave(self, name: str, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
         stay = self._stays.pop(name)
         if not stay.entered:
             return []
         until = seen_at if stay.outside_since is None else stay.outside_since
         return [_crossing("zone_left", name, track_id, timestamp, max(0.0, until - stay.since))]
+
+
+def _is_near(zone: Zone, box: Box, posture: Posture | None) -> bool:
+    """Whether a person is at most the margin away from a zone's border."""
+    margin_px = MARGIN * max(box.width, box.height)
+    return distance(zone.polygon, place(box, posture)) <= margin_px
 
 
 def _crossing(

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.results import ObservedPerson
-from app.tracking.results import TrackedPerson
+from app.estimation.results import ObservedPerson, Person
 from app.tracking.track import BoxFilter, Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
@@ -102,21 +101,35 @@ def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
     corridor = Zone("corridor", "watch", np.array([[0.0, 0], [400, 0], [400, 400], [0, 400]]))
     person = person_of([seen_from(0.0)], [0.9], postures=["arms_raised"])
     track = Track(Sighting(person.observed), 0.0)
-    track.track_id, track.caller_id = 4, "17"
-    events, tracked = [], None
+    track.caller_id = "17"
+    events = [track.confirm(4, 0.0, [corridor])]
     for step in range(20):
-        track.see(Sighting(person.observed), step / 10, [corridor])
+        track.see(Sighting(person.observed), step / 10)
         tracked, new = track.update(person, step / 10, [corridor])
         events += new
-    assert isinstance(tracked, TrackedPerson) and tracked.pose is not None
-    assert [(e.event, e.state, e.track_id, e.zones, e.caller_track_id) for e in events] == [
-        ("arms_raised", "begin", 4, ("corridor",), "17")
-    ]
-    unseen = track.extrapolate(person.observed, 2.5)
-    assert unseen.pose is not None and unseen.person.posture is not None
-    assert track.extrapolate(person.observed, 9.0).pose is None
+        assert tracked.pose is not None
+    events += track.end(2.0)
+    assert {(event.track_id, event.zones, event.caller_track_id) for event in events} == {
+        (4, ("corridor",), "17")
+    }
+    assert [(event.event, event.state) for event in events] == [
+        ("entered", "instant"), ("arms_raised", "begin"), ("zone_entered", "instant"),
+        ("zone_left", "instant"), ("left", "instant"),
+    ]  # fmt: skip
+
+
+def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() -> None:
+    person = person_of([seen_from(0.0)], [0.9])
+    hidden = Person(person.observed, None, None, ())
+    track = track_of(Sighting(person.observed))
+    track.confirm(1, 0.0, [])
+    shown, _ = track.update(person, 0.0)
+    kept, _ = track.update(hidden, 0.5)
+    assert kept.pose is not None and kept.person.posture == shown.person.posture
+    lost, _ = track.update(hidden, 9.0)
+    assert lost.pose is None and lost.person.posture is None
 
 
 def test_only_a_confirmed_track_has_results() -> None:
     with pytest.raises(ValueError, match="expected a confirmed track"):
-        track_of(detected(0.1)).extrapolate(detected().observed, 0.1)
+        track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1)
