@@ -18,7 +18,6 @@ from index.build.calibrate import Queries, calibrate
 from index.build.descriptor_learning import learn_descriptor
 from index.build.garments import Wardrobe, make_avatars
 from index.build.motion import MANIFESTS, Segment, read_manifest
-from index.build.parameters import POSES
 from index.build.poses import Poses, farthest_points, joints_of, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
@@ -287,6 +286,14 @@ class IndexSpec:
     segments: tuple[Segment, ...] | None = None
 
 
+LOW_SHARE, LAID_DOWN_SHARE = 0.19, 0.33
+"""Shares of the chosen poses that are recorded in low postures, which takes nearly all such frames,
+and that are laid on the ground."""
+
+# Poses laid down for each that is chosen: about two of three lie on their trunk.
+_LAID_DOWN_TRIED = 3
+
+
 def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Poses:
     """Choose upright, low and laid-down poses, each group with its share.
 
@@ -305,13 +312,13 @@ def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Pose
     """
     joints = joints_of(poses, reference)
     low = np.isin(classify_postures(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
-    laid_count = round(POSES.laid_down_share * count)
-    laid = lay_down(poses, reference, POSES.laid_down_tried * laid_count, seed)
+    laid_count = round(LAID_DOWN_SHARE * count)
+    laid = lay_down(poses, reference, _LAID_DOWN_TRIED * laid_count, seed)
     at_random = np.random.default_rng(seed).permutation(len(laid))[:laid_count]
     chosen = [laid.take(at_random)]
     upright = poses.take(np.flatnonzero(~low))
     # Low postures take the places of missing upright ones.
-    low_count = max(round(POSES.low_share * count), count - len(chosen[0]) - len(upright))
+    low_count = max(round(LOW_SHARE * count), count - len(chosen[0]) - len(upright))
     chosen.append(_cover(poses.take(np.flatnonzero(low)), joints[low], low_count))
     chosen.append(_cover(upright, joints[~low], count - sum(map(len, chosen))))
     # Any prefix of the list holds the groups in their shares.

@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from index.build.descriptor_learning import view_joints
 from index.build.noise import degrade_all
-from index.build.parameters import VIEWS
 from index.build.simulate import Simulation
+from index.build.views import MAX_OWN_ROLL_DEG
 from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import DEFAULT_HYPOTHESES, match
 from index.posture import POSTURES
@@ -66,7 +66,7 @@ class Queries:
         joints_3d, joints_2d = view_joints(simulation)
         roll_deg = simulation.entries["roll_deg"].astype(np.float64)
         # A roll of a few degrees is the camera's own.
-        roll_deg = np.where(np.abs(roll_deg) > VIEWS.max_own_roll_deg, roll_deg, 0.0)
+        roll_deg = np.where(np.abs(roll_deg) > MAX_OWN_ROLL_DEG, roll_deg, 0.0)
         for row in np.flatnonzero(roll_deg):
             joints_3d[row] = rotate_clockwise(joints_3d[row], -roll_deg[row])
         return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d, roll_deg)

@@ -21,7 +21,6 @@ from scipy.linalg import eigh
 
 from descriptor.descriptor import DiscriminantDescriptor, moment_block
 from index.build.noise import degrade_all
-from index.build.parameters import LEARNING
 from index.build.simulate import BLOCK, Simulation
 from index.skeleton import JOINTS, camera_rotation, project
 
@@ -30,6 +29,13 @@ Faults = Callable[
     tuple[NDArray[np.uint8], NDArray[np.floating]],
 ]
 """Degrades silhouettes and moves their joints, as :func:`index.build.noise.degrade_all` does."""
+
+# Silhouettes whose nearest skeletons are searched, and nearest skeletons of each.
+_ANCHORS, _NEAREST = 20_000, 5
+# Weight of the faults of real silhouettes against differences of body, clothes and pose.
+_NOISE_WEIGHT = 0.25
+# Joint differences, in the normalised frame and in space, with equal weight.
+_SCALE_PX, _SCALE_M = 5.0, 0.11
 
 
 @dataclass(frozen=True)
@@ -142,8 +148,8 @@ def measure_scatter(
     import faiss
 
     poses = _pose_vectors(simulation)
-    anchors = np.random.default_rng(seed).permutation(len(poses))[: LEARNING.anchors]
-    squares, neighbours = faiss.knn(poses[anchors], poses, min(LEARNING.nearest + 1, len(poses)))
+    anchors = np.random.default_rng(seed).permutation(len(poses))[:_ANCHORS]
+    squares, neighbours = faiss.knn(poses[anchors], poses, min(_NEAREST + 1, len(poses)))
     # Nearer skeletons say more about what to ignore.
     closeness = 1.0 / (squares[:, 1:] / (2 * JOINTS) + 0.05)
     within = _within(simulation, anchors, neighbours[:, 1:], closeness, recipe)
@@ -157,8 +163,8 @@ def _pose_vectors(simulation: Simulation) -> NDArray[np.float32]:
     for start in range(0, len(vectors), BLOCK):
         rows = slice(start, start + BLOCK)
         joints_3d, joints_2d = view_joints(simulation, rows)
-        vectors[rows, : 2 * JOINTS] = joints_2d.reshape(-1, 2 * JOINTS) / LEARNING.scale_px
-        vectors[rows, 2 * JOINTS :] = joints_3d.reshape(-1, 3 * JOINTS) / LEARNING.scale_m
+        vectors[rows, : 2 * JOINTS] = joints_2d.reshape(-1, 2 * JOINTS) / _SCALE_PX
+        vectors[rows, 2 * JOINTS :] = joints_3d.reshape(-1, 3 * JOINTS) / _SCALE_M
     return vectors
 
 
@@ -171,7 +177,7 @@ def _within(
 ) -> NDArray[np.float64]:
     """Mean square difference ``(F, F)`` of anchors ``(A,)`` and neighbours ``(A, N)``, weighted."""
     products: NDArray[np.float64] | float = 0.0
-    step = BLOCK // (1 + LEARNING.nearest)
+    step = BLOCK // (1 + _NEAREST)
     for start in range(0, len(anchors), step):
         block = slice(start, start + step)
         rows = np.concatenate([anchors[block, None], neighbours[block]], axis=1)
@@ -222,11 +228,11 @@ def _noise_scatter(
     faults: Faults,
 ) -> NDArray[np.float64]:
     """Mean square change ``(F, F)`` of the moments by faults."""
-    some = np.sort(anchors[: LEARNING.anchors // 4])
+    some = np.sort(anchors[: _ANCHORS // 4])
     silhouettes, joints_2d = simulation.silhouettes(some), view_joints(simulation, some)[1]
     rough, _ = faults(silhouettes, joints_2d, np.random.default_rng(seed))
     noise = recipe.block(rough) - recipe.block(silhouettes)
-    return LEARNING.noise_weight * (noise.T.astype(np.float64) @ noise) / len(noise)
+    return _NOISE_WEIGHT * (noise.T.astype(np.float64) @ noise) / len(noise)
 
 
 def _directions(

@@ -23,12 +23,20 @@ import pybvh
 from numpy.typing import NDArray
 from pybvh.rotations import euler_to_rotmat
 
-from index.build.parameters import MOTION
-
 RIG_FILE = "rig.json"
 
 METRES_PER_UNIT = 0.05644
 """CMU's unit of length."""
+
+# Mean joint angle from the zero pose (arms out, legs straight) below which a frame is one: the
+# calibration poses at the start of some clips stay below 5.8, living ones above 6.1.
+_T_POSE_BELOW_DEG = 6.0
+# A bone is broken that turns more than this in 1/30 s, and so many times as far as around it.
+_JUMP_ABOVE_DEG, _JUMP_RATIO = 45.0, 4.0
+# Frames between two jumps that are as broken as the jumps: a bone flipped and flipped back.
+_SHORT_RUN = 8
+# Frames before and after over which speed is measured: half a second at 30 fps.
+_SPEED_WINDOW = 7
 
 
 class MotionError(ValueError):
@@ -234,7 +242,7 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
             rotations[:, bone] = rotations[:, parent] @ local[:, bone]
     reliable = [b for b, name in enumerate(names) if b and not _UNRELIABLE.search(name)]
     angles_deg = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2))
-    t_pose = angles_deg < MOTION.t_pose_below_deg
+    t_pose = angles_deg < _T_POSE_BELOW_DEG
     jump = _jumps(local[:, [0, *reliable]]) & ~t_pose
     bones, rows = _named(names, rig, file)
     positions = rig.metres_per_unit * np.asarray(bvh.root_pos, np.float64)
@@ -269,8 +277,8 @@ def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...
 def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.float64]:
     """Horizontal speed ``(F,)`` of a path ``(F, 3)`` in metres, y up."""
     frames = np.arange(len(positions))
-    start = np.maximum(frames - MOTION.speed_window, 0)
-    end = np.minimum(frames + MOTION.speed_window, len(positions) - 1)
+    start = np.maximum(frames - _SPEED_WINDOW, 0)
+    end = np.minimum(frames + _SPEED_WINDOW, len(positions) - 1)
     path = positions[:, (0, 2)]
     lengths = np.linalg.norm(path[end] - path[start], axis=1)
     return np.asarray(lengths / (np.maximum(end - start, 1) * frame_time_s))
@@ -293,13 +301,11 @@ def _jumps(local: NDArray[np.float64]) -> NDArray[np.bool_]:
     steps = np.rad2deg(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
     padded = np.pad(steps, ((2, 2), (0, 0)), mode="edge")
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
-    broke = np.flatnonzero(
-        ((steps > MOTION.jump_above_deg) & (steps > MOTION.jump_ratio * around)).any(axis=1)
-    )
+    broke = np.flatnonzero(((steps > _JUMP_ABOVE_DEG) & (steps > _JUMP_RATIO * around)).any(axis=1))
     for step in broke:
         marked[step : step + 2] = True
     for step, following in pairwise(broke):
-        if following - step <= MOTION.short_run:
+        if following - step <= _SHORT_RUN:
             marked[step : following + 2] = True
     return marked
 

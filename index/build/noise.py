@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, Placement, normalise
-from index.build.parameters import NOISE
 from index.skeleton import JOINT_NAMES
 
 _ENDS = tuple(
@@ -22,6 +21,23 @@ _ENDS = tuple(
 )  # fmt: skip
 _TRUNK = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine", "chest", "neck"))
 _TRUNK_WIDTH_SHARE = 0.12
+# Pixels around the silhouette for an outline that moves outwards.
+_MARGIN_PX = 8
+# Length of an error along the outline (one standard deviation).
+_GRAIN_PX = 3.5
+# Range of the standard deviation of the shift across the outline of an upright person.
+_OUTLINE_STD_PX = (0.6, 2.4)
+# Mean distance of the outline outside the body's.
+_WIDER_PX = 0.4
+# Shares of silhouettes with filled gaps or background, and of those that lack a part.
+_EXTRA_SHARE, _MISSING_SHARE = 0.4, 0.3
+# Range of the radius of a filled gap.
+_GAP_PX = (3, 8)
+# Range of the area of background that sticks to the body, as a share of the body's.
+_BLOB_SHARE = (0.02, 0.12)
+# Range of the radius that is cut off around a hand, a foot or the head, as a share of the height of
+# the frame.
+_CUT_SHARE = (0.03, 0.09)
 
 
 def degrade(
@@ -46,18 +62,18 @@ def degrade(
     placement : Placement
         From the old normalised frame to the new one, which shifts where parts were lost.
     """
-    padded = np.pad(silhouette, NOISE.margin_px)
-    places = np.asarray(joints, np.float64) + NOISE.margin_px
+    padded = np.pad(silhouette, _MARGIN_PX)
+    places = np.asarray(joints, np.float64) + _MARGIN_PX
     # Beyond its bounding box nothing sticks to a person: that is where the detector's box ends.
     box = tuple(cv2.boundingRect(padded))
-    if generator.random() < NOISE.extra_share:
+    if generator.random() < _EXTRA_SHARE:
         padded = _with_extra(padded, box, generator)
-    if generator.random() < NOISE.missing_share:
+    if generator.random() < _MISSING_SHARE:
         padded = _with_less(padded, places, box, generator)
     moved = _with_ragged_outline(padded, box[3] / HEIGHT, generator)
     kept = _largest(moved) if moved.any() else padded
     degraded, placement = normalise(kept)
-    shift = placement.to_normalised([NOISE.margin_px, NOISE.margin_px])
+    shift = placement.to_normalised([_MARGIN_PX, _MARGIN_PX])
     return degraded, Placement(placement.scale, float(shift[0]), float(shift[1]))
 
 
@@ -68,13 +84,13 @@ def _with_extra(
     kind = generator.integers(3)
     scale = box[3] / HEIGHT
     if kind != 0:
-        size = 2 * max(1, round(generator.uniform(*NOISE.gap_px) * scale)) + 1
+        size = 2 * max(1, round(generator.uniform(*_GAP_PX) * scale)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
         mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc), np.uint8)
     if kind != 1:
         rows, columns = np.nonzero(mask != cv2.erode(mask, np.ones((3, 3), np.uint8)))
         at = generator.integers(len(rows))
-        area = generator.uniform(*NOISE.blob_share) * int(mask.sum())
+        area = generator.uniform(*_BLOB_SHARE) * int(mask.sum())
         stretch = generator.uniform(1.0, 2.5)
         radius = np.sqrt(area / np.pi)
         axes = (max(1, round(radius / np.sqrt(stretch))), max(1, round(radius * np.sqrt(stretch))))
@@ -101,7 +117,7 @@ def _with_less(
     cut = np.zeros_like(mask)
     for _ in range(int(generator.integers(1, 3))):
         centre = np.rint(joints[generator.choice(_ENDS)]).astype(int).tolist()
-        cv2.circle(cut, centre, max(1, round(generator.uniform(*NOISE.cut_share) * box[3])), 1, -1)
+        cv2.circle(cut, centre, max(1, round(generator.uniform(*_CUT_SHARE) * box[3])), 1, -1)
     less = mask & ~(cut & ~trunk)
     return less if less.any() else mask
 
@@ -113,8 +129,8 @@ def _with_ragged_outline(
     inside = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
     outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3)
     white = generator.standard_normal(mask.shape, np.float32)
-    grain = cv2.GaussianBlur(white, (0, 0), NOISE.grain_px)
-    shift = grain * (generator.uniform(*NOISE.outline_std_px) / float(grain.std())) + NOISE.wider_px
+    grain = cv2.GaussianBlur(white, (0, 0), _GRAIN_PX)
+    shift = grain * (generator.uniform(*_OUTLINE_STD_PX) / float(grain.std())) + _WIDER_PX
     return (inside - outside + scale * shift > 0).astype(np.uint8)
 
 

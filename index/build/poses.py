@@ -24,9 +24,17 @@ from index.build.body import (
     turned_to_front,
 )
 from index.build.motion import Clip, MotionError, Segment, read_clip, read_rig
-from index.build.parameters import POSES
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
+
+# Tilt of the trunk up to which a frame counts as upright.
+_UPRIGHT_WITHIN_DEG = 25.0
+
+MIN_UPRIGHT_FRAMES = 100
+"""Subjects with fewer upright frames are given the median pitch of the others."""
+
+TRUNK_BELOW_M = 0.3
+"""Pelvis and chest of a lying body are at most this far above its lowest joint."""
 
 
 def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Clip, ...]:
@@ -43,7 +51,7 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
         pitches[subject].append(_upright_pitches(clip))
     all_pitches = {subject: np.concatenate(parts) for subject, parts in pitches.items()}
     middle = {
-        s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= POSES.min_upright_frames
+        s: float(np.median(p)) for s, p in all_pitches.items() if len(p) >= MIN_UPRIGHT_FRAMES
     }
     usual = float(np.median(list(middle.values()))) if middle else 0.0
     return tuple(
@@ -54,7 +62,7 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
 
 def _upright_pitches(clip: Clip) -> NDArray[np.float64]:
     """How far the head looks up, in radians, in upright frames."""
-    upright_above = np.cos(np.deg2rad(POSES.upright_within_deg))
+    upright_above = np.cos(np.deg2rad(_UPRIGHT_WITHIN_DEG))
     upright = clip.rotations[:, clip.bone("Spine1"), 1, 1] > upright_above
     forward = clip.rotations[upright & ~clip.broken, clip.bone("Head"), :, 2]
     return np.asarray(np.arcsin(np.clip(forward[:, 1], -1, 1)))
@@ -255,7 +263,7 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
     heights = joints[..., 1] - joints[..., 1].min(axis=1, keepdims=True)
     trunk = heights[:, [JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("chest")]].max(axis=1)
     lies = classify_postures(joints, BODY_UP) == POSTURES.index("lying")
-    return laid.take(np.flatnonzero(lies & (trunk < POSES.trunk_below_m)))
+    return laid.take(np.flatnonzero(lies & (trunk < TRUNK_BELOW_M)))
 
 
 def merged(parts: Sequence[Poses]) -> Poses:

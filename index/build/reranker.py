@@ -26,7 +26,7 @@ from index.build.calibrate import Queries, calibrate
 from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.noise import degrade
-from index.build.parameters import NETWORK, VIEWS
+from index.build.views import MAX_OWN_ROLL_DEG
 from index.network import (
     AXES,
     BINS,
@@ -49,6 +49,15 @@ from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 
 _BLOCK = 4096
+# Share of the silhouettes that are also shown degraded.
+_DEGRADED_SHARE = 0.5
+# Share of the silhouettes whose border pixels are flipped at random, and the largest share of the
+# border pixels that are flipped.
+_FLIPPED_SHARE, _MAX_FLIPS = 0.25, 0.2
+# Silhouettes that show how large values become within the network.
+_SCALE_SAMPLE = 400
+# Passes over all silhouettes, as a share of those without the clips kept for the confidence.
+_FINISHING_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -163,7 +172,7 @@ class Examples:
         cls, index: PoseIndex, rows: NDArray[np.integer], generator: np.random.Generator
     ) -> Examples:
         """Examples of some entries of an index, and of a degraded share of them."""
-        worse = generator.random(len(rows)) < NETWORK.degraded_share
+        worse = generator.random(len(rows)) < _DEGRADED_SHARE
         numbers = np.concatenate([rows, rows[worse]])
         degraded = np.arange(len(numbers)) >= len(rows)
         bits = np.empty((len(numbers), HEIGHT * WIDTH // 32), np.uint8)
@@ -180,7 +189,7 @@ class Examples:
             bits[block] = np.packbits(pictures.reshape(len(pictures), -1), axis=1)
             points[block, :, :2], points[block, :, 2] = points_2d, points_3d[..., 2]
         rolls_deg = np.abs(index.entries["roll_deg"][numbers])
-        return cls(bits, points, rolls_deg > VIEWS.max_own_roll_deg)
+        return cls(bits, points, rolls_deg > MAX_OWN_ROLL_DEG)
 
     def take(
         self, rows: NDArray[np.integer], generator: np.random.Generator
@@ -205,7 +214,7 @@ class Examples:
         turned = self.stood_up[rows] & (generator.random(len(rows)) < 0.5)
         pictures[turned] = pictures[turned, ::-1, ::-1]
         points[turned, :, :2] = (WIDTH - 1, HEIGHT - 1) - points[turned, :, :2]
-        noisy = generator.random(len(rows)) < NETWORK.flipped_share
+        noisy = generator.random(len(rows)) < _FLIPPED_SHARE
         pictures[noisy] = _flipped(pictures[noisy], generator)
         return input_planes(pictures), bin_positions(points[:, :JOINTS])
 
@@ -218,7 +227,7 @@ def _flipped(pictures: NDArray[np.uint8], generator: np.random.Generator) -> NDA
         for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1))
     ]
     border = np.any([neighbour != pictures for neighbour in shifted], axis=0)
-    share = NETWORK.max_flips * generator.random((len(pictures), 1, 1))
+    share = _MAX_FLIPS * generator.random((len(pictures), 1, 1))
     flips = border & (generator.random(pictures.shape, np.float32) < share)
     return np.where(flips, 1 - pictures, pictures)
 
@@ -367,7 +376,7 @@ def train_reranker(
     reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
     everything = entries_of(index, segments)
     log(f"Going on with {len(everything):,} silhouettes.")
-    finish = replace(config, passes=NETWORK.finishing_share * config.passes, rate=config.rate / 2)
+    finish = replace(config, passes=_FINISHING_SHARE * config.passes, rate=config.rate / 2)
     layers = train(index, everything, finish, start=layers, log=log)
     training: dict[str, Any] = {
         "index": index.version,
@@ -383,7 +392,7 @@ def train_reranker(
 
 def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
     """The trained network in whole numbers, scaled to the values of some of the entries."""
-    some = rows[:: max(1, len(rows) // NETWORK.scale_sample)]
+    some = rows[:: max(1, len(rows) // _SCALE_SAMPLE)]
     return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg
 from index.build.body import Avatar, posed_points
-from index.build.parameters import VIEWS
 from index.build.render import render, skin
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
@@ -20,11 +19,27 @@ VIEW_DTYPE = np.dtype(
     [("azimuth_deg", "<f4"), ("elevation_deg", "<f4"), ("roll_deg", "<f4"), ("distance", "<f4")]
 )
 
+ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG = (-5.0, 60.0), (5.0, 70.0)
+"""From a little below the height of the pelvis to a steep surveillance view; and the same of bodies
+that lie or crawl."""
+
+DISTANCES_M = (3.0, 20.0)
+"""From a room to a car park."""
+
+MAX_OWN_ROLL_DEG = 30.0
+"""Roll above which a camera was rolled for a silhouette wider than high."""
+
+# Cameras are rolled a little.
+_ROLL_STD_DEG = 2.0
+# Cameras sampled for each one kept of a pose laid down: a body that lies across the picture looks
+# like one that stands.
+_FORESHORTENED_OF = 2
+
 
 def sample_views(
     count: int,
     generator: np.random.Generator,
-    elevations_deg: tuple[float, float] = VIEWS.elevations_deg,
+    elevations_deg: tuple[float, float] = ELEVATIONS_DEG,
 ) -> NDArray[np.void]:
     """Cameras spread over the hemisphere, with jitter.
 
@@ -43,8 +58,8 @@ def sample_views(
     # Stratified as well, in another order; the power crowds them towards eye level.
     heights = generator.permutation((np.arange(count) + generator.random(count)) / count)
     views["elevation_deg"] = low + (high - low) * heights**1.8
-    views["roll_deg"] = generator.normal(0.0, VIEWS.roll_std_deg, count)
-    nearest, farthest = np.log(VIEWS.distances_m)
+    views["roll_deg"] = generator.normal(0.0, _ROLL_STD_DEG, count)
+    nearest, farthest = np.log(DISTANCES_M)
     views["distance"] = np.exp(generator.uniform(nearest, farthest, count))
     return views
 
@@ -119,9 +134,9 @@ def render_bodies(shard: Shard, avatars: Sequence[Avatar]) -> RenderedShard:
         # As SeedSequence.spawn would give the body, whatever its shard.
         seed = np.random.SeedSequence(shard.seed, spawn_key=(number,))
         cameras = sample_views(
-            (VIEWS.foreshortened_of if foreshortened else 1) * views,
+            (_FORESHORTENED_OF if foreshortened else 1) * views,
             np.random.default_rng(seed),
-            VIEWS.ground_elevations_deg if near_ground else VIEWS.elevations_deg,
+            GROUND_ELEVATIONS_DEG if near_ground else ELEVATIONS_DEG,
         )
         if foreshortened:
             cameras = most_foreshortened(cameras, points[0], views)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.people import LANDMARK_NAMES
 from index.build.body import about_vertical, pose_transforms, posed_points, retarget
-from index.build.parameters import POSES
+from index.build.poses import TRUNK_BELOW_M
 from index.build.render import skin
 from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
 from scripts.training.render import furniture
@@ -228,7 +228,7 @@ class Studio:
 def _rests(joints: NDArray[np.float64]) -> bool:
     """Whether the trunk of a body that lies is on the ground rather than on the limbs."""
     trunk = joints[[_PELVIS, JOINT_NAMES.index("chest")], 1]
-    return bool(trunk.max() - joints[:JOINTS, 1].min() < POSES.trunk_below_m)
+    return bool(trunk.max() - joints[:JOINTS, 1].min() < TRUNK_BELOW_M)
 
 
 def _light(room: Room, generator: np.random.Generator) -> NDArray[np.float32]:

@@ -14,6 +14,8 @@ from numpy.testing import assert_array_equal
 from index.artefact import load_index
 from index.build.body import Avatar
 from index.build.builder import (
+    LAID_DOWN_SHARE,
+    LOW_SHARE,
     Plan,
     QueryCounts,
     choose_poses,
@@ -24,7 +26,6 @@ from index.build.builder import (
     spread,
 )
 from index.build.motion import MANIFESTS, Segment, read_manifest
-from index.build.parameters import POSES
 from index.build.poses import SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.posture import LOW, POSTURES, classify_postures
@@ -131,8 +132,8 @@ class TestChoosePoses:
     def test_each_group_has_its_share(self, pool: Poses, avatars: list[Avatar], count: int) -> None:
         groups = self.groups(choose_poses(pool, avatars[0], count, seed=0), avatars[0])
         assert len(groups) == count
-        assert groups.count("laid") == round(POSES.laid_down_share * count)
-        assert groups.count("low") == round(POSES.low_share * count)
+        assert groups.count("laid") == round(LAID_DOWN_SHARE * count)
+        assert groups.count("low") == round(LOW_SHARE * count)
 
     def test_so_has_each_beginning(self, pool: Poses, avatars: list[Avatar]) -> None:
         groups = self.groups(choose_poses(pool, avatars[0], 50, seed=0), avatars[0])
@@ -152,7 +153,7 @@ class TestChoosePoses:
         self, poses: Poses, avatars: list[Avatar]
     ) -> None:
         groups = self.groups(choose_poses(poses, avatars[0], 20, seed=0), avatars[0])
-        laid = round(POSES.laid_down_share * 20)
+        laid = round(LAID_DOWN_SHARE * 20)
         assert (groups.count("laid"), groups.count("upright")) == (laid, 20 - laid)
 
 

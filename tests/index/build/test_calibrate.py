@@ -12,8 +12,8 @@ from index.build.calibrate import (
     expected_calibration_error,
     run_trial,
 )
-from index.build.parameters import VIEWS
 from index.build.simulate import Simulation
+from index.build.views import MAX_OWN_ROLL_DEG
 from index.posture import POSTURES
 from index.skeleton import JOINTS, camera_rotation
 from index.store import PoseIndex
@@ -46,7 +46,7 @@ def test_queries_of_wide_bodies_have_the_roll_of_their_camera(
     ground_simulation: Simulation, queries: Queries
 ) -> None:
     roll_deg = ground_simulation.entries["roll_deg"]
-    stood_up = np.abs(roll_deg) > VIEWS.max_own_roll_deg
+    stood_up = np.abs(roll_deg) > MAX_OWN_ROLL_DEG
     assert 0.2 < stood_up.mean() < 0.8
     assert_array_equal(queries.roll_deg, np.where(stood_up, roll_deg, 0))
     # A camera's own roll of a few degrees is nobody's to know.

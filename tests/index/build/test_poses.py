@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from index.build.body import Avatar, facing_yaw
 from index.build.motion import Clip, MotionError, Segment
-from index.build.parameters import POSES
 from index.build.poses import (
+    MIN_UPRIGHT_FRAMES,
     SIDES,
+    TRUNK_BELOW_M,
     Poses,
     farthest_points,
     joints_of,
@@ -177,7 +178,7 @@ class TestLayDown:
         heights = joints_of(laid, avatars[0])[..., 1]
         heights -= heights.min(axis=1, keepdims=True)
         trunk = heights[:, [JOINT_NAMES.index(name) for name in ("pelvis", "chest")]]
-        assert trunk.max() < POSES.trunk_below_m
+        assert trunk.max() < TRUNK_BELOW_M
 
     def test_same_seed_same_poses(self, poses: Poses, laid: Poses, avatars: list[Avatar]) -> None:
         again = lay_down(poses, avatars[0], len(poses), seed=0)
@@ -271,13 +272,13 @@ def test_frames_that_are_not_upright_or_broken_do_not_count(clip: Clip) -> None:
 
 def test_who_is_hardly_seen_upright_is_corrected_as_the_others_are(clip: Clip) -> None:
     clips = [hanging(clip, degrees, seed=seed) for seed, degrees in enumerate((10.0, 20.0, 60.0))]
-    rare = hanging(clip, 50.0, frames=POSES.min_upright_frames - 1, seed=4)
+    rare = hanging(clip, 50.0, frames=MIN_UPRIGHT_FRAMES - 1, seed=4)
     usual = np.median([np.median(pitches_deg(one)) for one in clips])
     *_, after = with_level_heads([*clips, rare], ["a", "b", "c", "d"])
     assert_allclose(pitches_deg(after), pitches_deg(rare) - usual, atol=1e-6)
 
 
 def test_without_enough_upright_frames_nothing_moves(clip: Clip) -> None:
-    rare = hanging(clip, 50.0, frames=POSES.min_upright_frames - 1)
+    rare = hanging(clip, 50.0, frames=MIN_UPRIGHT_FRAMES - 1)
     (after,) = with_level_heads([rare], ["a"])
     assert_array_equal(after.rotations, rare.rotations)

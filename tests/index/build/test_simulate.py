@@ -16,9 +16,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build.body import Avatar
 from index.build.descriptor_learning import view_joints
-from index.build.parameters import VIEWS
 from index.build.poses import Poses, joints_of, merged
 from index.build.simulate import Simulation, bounded_map, simulate
+from index.build.views import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 from index.skeleton import JOINT_NAMES
 
 
@@ -101,7 +101,7 @@ def test_cameras_look_down_on_who_lies(
     lies = np.repeat(ground_simulation.skeleton_labels["action"] > 1, 12)
     assert lies.sum() == 12 * len(laid)
     elevations = ground_simulation.entries["elevation_deg"]
-    for rows, (low, high) in ((lies, VIEWS.ground_elevations_deg), (~lies, VIEWS.elevations_deg)):
+    for rows, (low, high) in ((lies, GROUND_ELEVATIONS_DEG), (~lies, ELEVATIONS_DEG)):
         assert ((elevations[rows] >= low) & (elevations[rows] <= high)).all()
         assert elevations[rows].min() < low + 2
 

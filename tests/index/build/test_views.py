@@ -8,11 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from index.build.parameters import VIEWS
-from index.build.views import sample_views
+from index.build.views import DISTANCES_M, ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
 
 
-@pytest.mark.parametrize("elevations_deg", [VIEWS.elevations_deg, VIEWS.ground_elevations_deg])
+@pytest.mark.parametrize("elevations_deg", [ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG])
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 40))
 def test_within_the_documented_ranges(
     elevations_deg: tuple[float, float], seed: int, count: int
@@ -22,7 +21,7 @@ def test_within_the_documented_ranges(
     assert ((views["azimuth_deg"] >= 0) & (views["azimuth_deg"] <= 360)).all()
     low, high = elevations_deg
     assert ((views["elevation_deg"] >= low) & (views["elevation_deg"] <= high)).all()
-    near, far = VIEWS.distances_m
+    near, far = DISTANCES_M
     inside = (views["distance"] >= near * 0.999) & (views["distance"] <= far * 1.001)
     assert inside.all()
 
@@ -36,10 +35,10 @@ def test_views_of_a_pose_surround_it(seed: int, count: int) -> None:
 
 
 def test_bodies_near_the_ground_are_looked_down_on() -> None:
-    assert VIEWS.ground_elevations_deg[0] > 0
+    assert GROUND_ELEVATIONS_DEG[0] > 0
     ground, usual = (
         sample_views(2000, np.random.default_rng(0), elevations_deg)
-        for elevations_deg in (VIEWS.ground_elevations_deg, VIEWS.elevations_deg)
+        for elevations_deg in (GROUND_ELEVATIONS_DEG, ELEVATIONS_DEG)
     )
     assert (ground["elevation_deg"] > usual["elevation_deg"]).all()
     for other in ("azimuth_deg", "roll_deg", "distance"):
