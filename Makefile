@@ -31,7 +31,7 @@ test: $(DEV)/.stamp
 coverage: $(DEV)/.stamp
 	$(DEV)/bin/python -m pytest -q -n 2 --dist loadfile --cov $(ARGS)
 
-# Also what is slow, and what needs the build extra (torch), ../shared, Chromium, Node.js or Java;
+# Also what is slow, and what needs an extra (torch, Milvus), ../shared, Chromium, Node.js or Java;
 # -rs says which of them are missing.
 test-all: $(BUILD)/.stamp
 	$(BUILD)/bin/python -m pytest -q -rs -m "slow or not slow" $(ARGS)
@@ -78,7 +78,7 @@ constraints:
 	@$(PYTHON) -m venv --clear $(NEWEST)
 	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check \
 	  -e '.[browser,cluster,contract,evaluate,milvus,test]'
-	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip) > $@.new
+	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip --exclude setuptools) > $@.new
 	mv $@.new $@.txt
 
 $(RUN)/.stamp: pyproject.toml constraints.txt
@@ -98,7 +98,7 @@ $(BUILD)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
 	@$(PYTHON) -m venv $(BUILD)
 	@$(BUILD)/bin/$(PIP_INSTALL) torch==2.13.0
-	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,evaluate,test]'
+	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,evaluate,milvus,test]'
 	@touch $@
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.

@@ -16,12 +16,10 @@ import uvicorn
 
 from app.http.access_log import log_config
 from app.serving.loading import read_cameras
-from app.serving.milvus import MissingPackageError, check_milvus_package
 from app.serving.runtime import VERSION
 from app.settings import Settings, SettingsError, read_settings
 from app.vision.models import check_networks
 from app.vision.tflite import NetworkError
-from index.milvus_address import MilvusAddress
 
 SHUTDOWN_GRACE_S = 15
 # This is longer than the interval of a camera that sends a frame a minute.
@@ -42,9 +40,7 @@ def main() -> None:
         check_address(settings.host, settings.port)
         check_networks()
         read_cameras(settings.cameras_file)
-        if isinstance(settings.index, MilvusAddress):
-            check_milvus_package()
-    except (SettingsError, NetworkError, MissingPackageError) as error:
+    except (SettingsError, NetworkError) as error:
         sys.exit(str(error))
     serve(settings)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,7 +16,6 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from app.messages import expected_and_got, shortened, suggestion
 from app.scheduling.process import available_cores
 from index import DEFAULT_PATH
-from index.milvus_address import SCHEME, MilvusAddress
 
 PREFIX = "POSE_"
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
@@ -47,16 +47,14 @@ class Settings(BaseSettings):
         description="Number of server processes; see below.",
     )
 
-    index: Annotated[Path | MilvusAddress, NoDecode] = Field(
+    index: Path = Field(
         default=DEFAULT_PATH,
-        description="Folder of the index artefact, or `milvus://host:port/alias`.",
+        description="Folder of the index artefact; with `POSE_MILVUS`, also one of several.",
     )
-    artefacts: Path = Field(
-        default=DEFAULT_PATH,
-        description="With an index in Milvus: folder of its artefact, or of several artefacts.",
-    )
-    search_timeout_s: float = Field(
-        default=2.0, gt=0, allow_inf_nan=False, description="Seconds for a search in Milvus."
+    milvus: str | None = Field(
+        default=None,
+        description="Milvus that searches the index, `http://host:19530`; see "
+        "[an index in Milvus](#an-index-in-milvus).",
     )
     min_person_px: int | None = Field(
         default=None,
@@ -167,12 +165,12 @@ class Settings(BaseSettings):
     )
     revision: str = Field(default="unknown", description="Git revision of this build.")
 
-    @field_validator("index", mode="before")
+    @field_validator("milvus")
     @classmethod
-    def _parse_address(cls, value: object) -> object:
-        if isinstance(value, str) and value.startswith(SCHEME):
-            return MilvusAddress.parse(value)
-        return value
+    def _check_milvus_package(cls, uri: str | None) -> str | None:
+        if uri is not None and find_spec("pymilvus") is None:
+            raise ValueError("expected the extra milvus to be installed; pymilvus is missing")
+        return uri
 
     @field_validator("api_keys", "cors_origins", mode="before")
     @classmethod

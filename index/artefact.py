@@ -6,6 +6,7 @@ import hashlib
 import json
 import lzma
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -151,31 +152,12 @@ def load_index(
 
 
 def find_artefact(folder: Path, version: str) -> Path:
-    """Return the artefact of a version.
-
-    Parameters
-    ----------
-    folder : Path
-        The artefact itself, or a folder with several.
-    version : str
-
-    Raises
-    ------
-    ArtefactError
-        If there is no usable artefact of that version.
-    """
-    found = []
+    """Return the artefact of a version: ``folder`` or one in it; raise :class:`ArtefactError`."""
     for manifest in sorted([*folder.glob(MANIFEST), *folder.glob(f"[!.]*/{MANIFEST}")]):
-        try:
-            version_there = _read_manifest(manifest.parent)["version"]
-        except ArtefactError:
-            continue
-        if version_there == version:
-            return manifest.parent
-        found.append(version_there)
-    raise ArtefactError(
-        f"expected an artefact of version {version} in {folder}, found {', '.join(found) or 'none'}"
-    )
+        with suppress(ArtefactError):
+            if _read_manifest(manifest.parent)["version"] == version:
+                return manifest.parent
+    raise ArtefactError(f"expected an artefact of version {version} in {folder}, found none")
 
 
 def _files(index: PoseIndex) -> dict[str, bytes]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 # With several OpenMP threads FAISS answers a single query more slowly and less exactly.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -32,22 +32,9 @@ _ZERO = np.float32(128)
 _VECTORS_PER_BLOCK = 65_536
 """Vectors converted at a time: converting all of a large index would take gigabytes."""
 
-FailureReason = Literal["deadline", "unreachable", "refused"]
-"""Why a search on a server failed: too slow, not reachable, or answered with an error."""
-
 
 class UnavailableError(Exception):
-    """A search on a server failed, but may succeed later.
-
-    Parameters
-    ----------
-    message : str
-        One sentence for the operator.
-    """
-
-    def __init__(self, message: str, reason: FailureReason) -> None:
-        super().__init__(message)
-        self.reason: FailureReason = reason
+    """A search on a server failed, but may succeed later; the message is for the operator."""
 
 
 class Neighbours(Protocol):

@@ -1,6 +1,6 @@
 """Load an index into Milvus, and move running services over to it.
 
-python -m scripts publish milvus://host:19530/poses --index /srv/artefacts/large
+python -m scripts publish http://milvus:19530 --index /srv/artefacts/large
 """
 
 from __future__ import annotations
@@ -9,42 +9,73 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from pymilvus import DataType, MilvusClient
 from tqdm import tqdm
 
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.milvus import Milvus, publish, remove_older
-from index.milvus_address import MilvusAddress
+from index.milvus import ALIAS, METRIC, NUMBER, PREFIX, VECTOR, MilvusNeighbours, milvus_errors
 from index.search import UnavailableError
+from index.store import PoseIndex
 
-TIMEOUT_S = 120.0
+BATCH = 10_000
+"""Rows written in one call: 2 MB."""
+
+ONCE = {"timeout": 120.0}
 """Milvus stores and indexes what was written within one call."""
+
+
+def publish(uri: str, index: PoseIndex) -> None:
+    """Write an index into a collection of its own, then have the alias name that.
+
+    A publication that was interrupted can be repeated, and an earlier index published again.
+
+    Raises
+    ------
+    ArtefactError
+        If a collection of that name holds other vectors.
+    UnavailableError
+        If Milvus does not answer. The alias then names what it named before.
+    """
+    name = PREFIX + index.version.removeprefix("sha256:")
+    with milvus_errors():
+        client = MilvusClient(uri, **ONCE)
+        names = client.list_collections(**ONCE)
+        is_named = any(ALIAS in client.list_aliases(one, **ONCE)["aliases"] for one in names)
+        is_there = name in names
+        if is_there and client.get_collection_stats(name, **ONCE)["row_count"] != len(index):
+            client.drop_collection(name, **ONCE)
+            is_there = False
+        if not is_there:
+            _write(client, name, index)
+        client.load_collection(name, **ONCE)
+        MilvusNeighbours(client, name).check(index)
+        (client.alter_alias if is_named else client.create_alias)(name, ALIAS, **ONCE)
+
+
+def _write(client: MilvusClient, name: str, index: PoseIndex) -> None:
+    schema = client.create_schema(auto_id=False)
+    schema.add_field(NUMBER, DataType.INT64, is_primary=True)
+    schema.add_field(VECTOR, DataType.FLOAT_VECTOR, dim=index.descriptor.dimension)
+    client.create_collection(name, schema=schema, **ONCE)
+    exact = client.prepare_index_params(VECTOR, index_type="FLAT", **METRIC)
+    client.create_index(name, exact, **ONCE)
+    for start in tqdm(range(0, len(index), BATCH), unit="batch"):
+        rows = enumerate(index.vectors[start : start + BATCH].astype(np.float32), start)
+        client.insert(name, [{NUMBER: number, VECTOR: row} for number, row in rows], **ONCE)
+    client.flush(name, **ONCE)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Publish as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    add = parser.add_argument
-    add("address", help="milvus://host:port/alias")
-    add("--index", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
-    add("--shards", type=int, default=1, help="of a new collection")
-    add("--replicas", type=int, default=1, help="of a new collection in memory")
-    add("--keep", type=int, help="remove older collections but these; by default all stay")
+    parser.add_argument("uri", help="as POSE_MILVUS")
+    parser.add_argument("--index", type=Path, default=DEFAULT_PATH, help="folder of the artefact")
     options = parser.parse_args(arguments)
-    address = MilvusAddress.parse(options.address)
-    milvus = Milvus(address.server, TIMEOUT_S)
+    index = load_index(options.index)
     try:
-        collection = publish(
-            milvus,
-            load_index(options.index),
-            address.alias,
-            shards=options.shards,
-            replicas=options.replicas,
-            progress=lambda starts: tqdm(starts, unit="batch"),
-        )
-        print(f"{address} names {collection.name}: {collection.contents.entries} entries")
-        if options.keep is not None:
-            for name in remove_older(milvus, collection, options.keep):
-                print(f"removed {name}")
+        publish(options.uri, index)
     except UnavailableError as error:
         raise SystemExit(f"publish: {error}") from None
+    print(f"{index.version} is published: {len(index)} entries")

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import httpx
@@ -32,7 +31,6 @@ from index.confidence import FEATURES, Calibration
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
-from tests.support.milvus_server import MilvusProcess, why_milvus_cannot_run
 from tests.support.ports import free_ports
 
 # No deadlines: the machine may be busy.
@@ -297,27 +295,6 @@ def server(index_path: Path) -> Iterator[Server]:
     """A server process over the tiny index, ready."""
     with running_server(index_path) as running:
         yield running
-
-
-@pytest.fixture(scope="session")
-def milvus_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MilvusProcess]:
-    """A Milvus server."""
-    reason = why_milvus_cannot_run()
-    if reason is not None:
-        pytest.skip(reason)
-    with MilvusProcess(tmp_path_factory.mktemp("milvus")) as running:
-        running.wait_until_healthy()
-        yield running
-
-
-@pytest.fixture(scope="module")
-def milvus(milvus_process: MilvusProcess) -> Iterator[Any]:
-    """A connection to it."""
-    from index.milvus import Milvus
-
-    connection = Milvus(milvus_process.address, 30.0)
-    yield connection
-    connection.close()
 
 
 Serving = Callable[..., TestClient]

@@ -21,7 +21,6 @@ from app.cameras import CameraTraffic
 from app.estimation.results import Person
 from app.settings import Settings
 from app.tracking.results import Event
-from index.search import FailureReason
 
 # A frame with a mask takes milliseconds; a search for people takes a tenth of a second.
 _MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 350, 500, 750)
@@ -121,10 +120,6 @@ class Metrics:
         self._build = gauge(
             "pose_build_info", "Always 1; the labels say which build serves, and how it is set.",
             ["version", "revision", "concurrency", "max_wait_s", "request_timeout_s"])
-        self._search_failures = counter(
-            "pose_search_failures", "Searches in Milvus that failed, by reason.", ["reason"])
-        self._search_failing = gauge(
-            "pose_search_breaker_open", "1 while the last search in Milvus failed.")
         self._index = gauge(
             "pose_index_info", "Always 1; the labels say which index is loaded.",
             ["name", "version"])
@@ -172,12 +167,6 @@ class Metrics:
         """Report the loaded index, in place of the one before."""
         self._index.clear()
         self._index.labels(name, version).set(1)
-
-    def observe_search(self, failure: FailureReason | None) -> None:
-        """Report why a search in Milvus failed, or with None that it succeeded."""
-        self._search_failing.set(failure is not None)
-        if failure is not None:
-            self._search_failures.labels(failure).inc()
 
     def observe_stages(self, milliseconds: Mapping[str, float]) -> None:
         """Count the time of one frame in each stage; skipped stages are not counted."""

@@ -1,13 +1,12 @@
-"""Loads the index once the service answers probes, and follows an alias in Milvus."""
+"""Loads the index once the service answers probes; with Milvus, also later versions of it."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import anyio
 from pydantic import StringConstraints, TypeAdapter, ValidationError
@@ -24,13 +23,11 @@ from app.scheduling.process import (
     native_lines_logged,
     trim_heap,
 )
-from app.serving.milvus import MissingPackageError, RemoteIndex, check_milvus_package
 from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, SettingsError
 from app.vision.tflite import NetworkError
 from index.artefact import load_index
 from index.files import ArtefactError
-from index.milvus_address import MilvusAddress
 from index.search import UnavailableError
 from index.store import PoseIndex
 
@@ -68,15 +65,10 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     raise SettingsError(f"POSE_CAMERAS_FILE: {sentence}")
 
 
-T = TypeVar("T")
-
 log = logging.getLogger("app")
 
 POLL_S = 3.0
-"""Interval in which Milvus is asked which collection the alias names."""
-
-RETRY_S, MAX_RETRY_S = 1.0, 5.0
-"""First and longest pause between attempts to reach Milvus; pauses double in between."""
+"""Interval in which Milvus is asked which index is published."""
 
 
 def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estimator:
@@ -89,11 +81,8 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
     NetworkError
         If a network file shipped with the package is missing or has been modified.
     """
-    if index is None:
-        assert isinstance(settings.index, Path), "an index in Milvus is loaded beforehand"
-        index = load_index(settings.index)
     return Estimator(
-        index,
+        load_index(settings.index) if index is None else index,
         load_models(settings.concurrency, settings.min_person_px),
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
@@ -102,16 +91,24 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
 
 
 async def keep_index_loaded(runtime: Runtime) -> None:
-    """Get the service ready, and follow the alias if the index is in Milvus."""
-    address = runtime.settings.index
-    if isinstance(address, MilvusAddress):
-        await _follow(runtime, address)
-    else:
+    """Get the service ready; with Milvus, serve the index that is published there, always."""
+    if runtime.settings.milvus is None:
         # Loading runs in a thread of the executor, since the networks' own threads inherit its low
         # priority.
         loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, None))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
         runtime.loading = False
+        return
+    # This thread is separate because Milvus may take long to answer, and frames need the executor's
+    # threads.
+    thread = ThreadPoolExecutor(1, "index", initializer=lower_thread_priority)
+    try:
+        while True:
+            polling = asyncio.wrap_future(thread.submit(_published_estimator, runtime))
+            await _become_ready_or_say_why(runtime, polling)
+            await anyio.sleep(POLL_S)
+    finally:
+        thread.shutdown(wait=False, cancel_futures=True)
 
 
 def become_ready(runtime: Runtime, estimator: Estimator) -> None:
@@ -137,88 +134,35 @@ def _prepare_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
     return estimator
 
 
-async def _become_ready_or_say_why(runtime: Runtime, loading: asyncio.Future[Estimator]) -> None:
-    """Wait for an estimator; if it cannot be loaded, the service stays up and says why."""
+def _published_estimator(runtime: Runtime) -> Estimator | None:
+    """Load the index that is published in Milvus; None if it is served already."""
+    from index.milvus import load_published
+
+    before, settings = runtime.estimator, runtime.settings
+    assert settings.milvus is not None
+    known = before.index.version if before else ""
+    index = load_published(settings.milvus, settings.index, known)
+    if index is None:
+        return None
+    return before.with_index(index) if before else _prepare_estimator(runtime, index)
+
+
+async def _become_ready_or_say_why(
+    runtime: Runtime, loading: asyncio.Future[Estimator] | asyncio.Future[Estimator | None]
+) -> None:
+    """Wait for an estimator; without it, the service goes on as it is and says why."""
+    state = "not ready" if runtime.estimator is None else "still serving the index before"
     try:
         estimator = await loading
-    except (ArtefactError, NetworkError, UnavailableError, MissingPackageError) as error:
+    except (ArtefactError, NetworkError, UnavailableError) as error:
         if runtime.not_ready_because != str(error):
-            log.error("not ready: %s", error)
+            log.error("%s: %s", state, error)
         runtime.not_ready_because = str(error)
     except Exception:
         # A process that ended here would be restarted for ever, and probes would not learn why.
         runtime.not_ready_because = "the index could not be loaded; the log says more"
-        log.exception("not ready")
+        log.exception(state)
     else:
-        become_ready(runtime, estimator)
-
-
-async def _follow(runtime: Runtime, address: MilvusAddress) -> None:
-    """Get ready as soon as Milvus answers; from then on, serve the index that the alias names."""
-    # This thread is separate because Milvus may take long to answer, and frames need the executor's
-    # threads.
-    thread = ThreadPoolExecutor(1, "index", initializer=lower_thread_priority)
-
-    def call(function: Callable[[], T]) -> asyncio.Future[T]:
-        return asyncio.wrap_future(thread.submit(function))
-
-    try:
-        follower = _Follower(runtime, address)
-        pause_s = RETRY_S
-        while runtime.estimator is None:
-            await _become_ready_or_say_why(runtime, call(follower.first))
-            if runtime.estimator is None:
-                await anyio.sleep(pause_s)
-                pause_s = min(2 * pause_s, MAX_RETRY_S)
-        while True:
-            await anyio.sleep(POLL_S)
-            estimator = await call(follower.next)
-            if estimator is not None:
-                become_ready(runtime, estimator)
-    finally:
-        thread.shutdown(wait=False, cancel_futures=True)
-
-
-class _Follower:
-    """Loads the index that the alias names, in a thread."""
-
-    def __init__(self, runtime: Runtime, address: MilvusAddress) -> None:
-        self._runtime = runtime
-        self._address = address
-        self._remote: RemoteIndex | None = None
-        self._index: PoseIndex | None = None
-        self._last_problem = ""
-
-    def first(self) -> Estimator:
-        """Load everything."""
-        if self._remote is None:
-            check_milvus_package()
-            settings, metrics = self._runtime.settings, self._runtime.metrics
-            self._remote = RemoteIndex(
-                self._address, settings.artefacts, settings.search_timeout_s, metrics.observe_search
-            )
-        self._index = self._remote.load() or self._index
-        return _prepare_estimator(self._runtime, self._index)
-
-    def next(self) -> Estimator | None:
-        """Load the index if the alias names another one.
-
-        Returns None if nothing has changed, or if the other index cannot be loaded: the service
-        then keeps its index and logs why.
-        """
-        before = self._runtime.estimator
-        assert before is not None and self._remote is not None
-        try:
-            index = self._remote.load()
-        except UnavailableError:
-            return None  # Failed searches have been reported already.
-        except ArtefactError as error:
-            if self._last_problem != str(error):
-                log.error("still serving the index before: %s", error)
-            self._last_problem = str(error)
-            return None
-        except Exception:
-            log.exception("the index that the alias names could not be loaded")
-            return None
-        self._last_problem = ""
-        return None if index is None else before.with_index(index)
+        runtime.not_ready_because = ""
+        if estimator is not None:
+            become_ready(runtime, estimator)

@@ -82,6 +82,13 @@ def test_kubernetes_service_variables_are_no_settings(
     assert read_settings() == Settings()
 
 
+def test_milvus_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.settings.find_spec", lambda name: None)
+    monkeypatch.setenv("POSE_MILVUS", "http://milvus:19530")
+    with pytest.raises(SettingsError, match="POSE_MILVUS: expected the extra milvus"):
+        read_settings()
+
+
 def test_valid_values_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {
         "HOST": "0.0.0.0",

@@ -36,7 +36,7 @@ def test_every_command_is_there(name: str) -> None:
     try:
         imported = importlib.import_module(module)
     except ModuleNotFoundError as error:
-        pytest.skip(f"needs {error.name}, of the build extra")
+        pytest.skip(f"needs {error.name}, of an extra")
     inspect.signature(imported.main).bind([])
 
 

@@ -82,7 +82,7 @@ async def test_every_frame_has_a_line(drawn: Estimator, executor: Executor) -> N
         ({"last": VideoError("undecodable", "video: cut off")}, 3, "broken", "video: cut off"),
         ({"timeout_s": 0.05}, 1, "timeout", "longer than 0.05 seconds"),
         ({"failure": DeadlineError("too late")}, 1, "timeout", "too late"),
-        ({"failure": UnavailableError("gone", "refused")}, 1, "unavailable", "cannot be searched"),
+        ({"failure": UnavailableError("gone")}, 1, "unavailable", "cannot be searched"),
         ({"failure": ClientGoneError()}, 1, "shutdown", "being stopped"),
         ({"failure": ShutdownError()}, 1, "shutdown", "being stopped"),
         ({"failure": LateFrameError("late")}, 1, "failed", "error of the service"),
