@@ -19,6 +19,9 @@ from scripts.results import ROOT
 
 MAX_PIXELS = 50_000_000
 HIPS = [LIMBS.index("left_hip"), LIMBS.index("right_hip")]
+LOW, UPRIGHT, SITTING = "on the ground", "upright", "sitting"
+"""Postures that the labels of films know."""
+
 POSE2SIM_CAMERAS = ("cam01", "cam03")
 VTEST_FRAMES = 20
 """Frames of the street video that are marked, evenly chosen."""
@@ -225,6 +228,15 @@ def read_frames(video: Path) -> Iterator[tuple[int, NDArray[np.uint8]]]:
         number += 1
 
 
+def frames_at(video: Path, per_second: float) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Yield frames of a video at a rate, each with its time in seconds."""
+    rate, due = cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FPS) or 25.0, 0.0
+    for number, frame in read_frames(video):
+        if number / rate + 1e-6 >= due:
+            yield number / rate, frame
+            due += 1 / per_second
+
+
 def read_vtest(folder: Path, count: int = VTEST_FRAMES) -> list[tuple[int, NDArray[np.uint8]]]:
     """Read ``count`` evenly chosen frames of the street video."""
     video = folder / "vtest.avi"
@@ -243,6 +255,70 @@ def read_marks(file: Path = ROOT / "tests" / "data" / "vtest-people.json") -> li
         )
         for one in _read(file)["frames"]
     ]
+
+
+@dataclass(frozen=True)
+class HomeFilm:
+    """A film of ``real/homes`` and what its labels say.
+
+    Parameters
+    ----------
+    name, source, about : str
+        File, data set, description.
+    path : Path
+    classes : list of (str, float, float)
+        Activity, and from when to when, seconds.
+    fall : float or None
+        Begin of the fall, seconds.
+    crop : (4,) tuple of float
+        Part of the frame that shows the scene: left, top, width, height as shares.
+    """
+
+    name: str
+    source: str
+    about: str
+    path: Path
+    classes: list[tuple[str, float, float]]
+    fall: float | None
+    crop: tuple[float, float, float, float]
+
+    def frames(self, per_second: float) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Frames at a rate, cropped, each with its time in seconds."""
+        x, y, width, height = self.crop
+        for at, frame in frames_at(self.path, per_second):
+            rows, columns = frame.shape[:2]
+            top, left = int(y * rows), int(x * columns)
+            part = frame[top : int((y + height) * rows), left : int((x + width) * columns)]
+            yield at, np.ascontiguousarray(part)
+
+    def truth(self, at: float) -> str | None:
+        """The posture at a time; None where the labels do not say it."""
+        truths = {"Sitting": SITTING, "Standing": UPRIGHT, "Walking": UPRIGHT, "Sleeping": LOW}
+        if any(name.startswith("Fall") and at > begin + 1.5 for name, begin, _ in self.classes):
+            return LOW
+        now = {c for c, begin, end in self.classes if begin + 0.3 <= at <= end - 0.3}
+        known = {truths[name] for name in now if name in truths}
+        return known.pop() if len(known) == 1 else None
+
+
+def home_films(real: Path) -> Iterator[HomeFilm]:
+    """Films of homes, in the order of their names."""
+    sources = {"gmdcsa": "GMDCSA24", "assist": "ASSIST-IoT", "t2vbed": "T2V-Bed-Fall"}
+    for name, about in sorted(json.loads((real / "homes" / "labels.json").read_text()).items()):
+        classes, fall = [tuple(row) for row in about["classes"]], about["fall"]
+        if not classes and "_roll_" in name:
+            classes = [("Sleeping", -1.0, 9.0)]
+        if not classes and ("walking" in name or "jogging" in name):
+            classes = [("Walking", 0.5, 99.0)]
+        if "imm_stomach" in name:
+            classes = [("Sleeping", -1.0, 99.0)]
+        if "t2vbed" in name and fall is not None:
+            # On the ground from two seconds after the fall begins.
+            classes = [("Sleeping", fall + 1.7, 99.0)]
+        yield HomeFilm(
+            name, sources.get(name.split("_")[0], "phones"), about["description"],
+            real / "homes" / name, classes, fall, tuple(about.get("crop", (0, 0, 1, 1))),
+        )  # fmt: skip
 
 
 def _read(file: Path) -> Any:

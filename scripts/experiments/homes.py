@@ -20,7 +20,7 @@ from app.photograph import Estimator
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from index import posture
-from scripts.experiments.photograph_sources import LOW, SITTING, UPRIGHT, HomeFilm, home_films
+from scripts.datasets import LOW, SITTING, UPRIGHT, HomeFilm, home_films
 from scripts.helpers import track
 from scripts.metrics import percent
 

@@ -1,37 +1,52 @@
-"""The models of rendered people on real frames, by source: depth, posture, doubt.
+"""The models of rendered people on real frames, by source: depth, posture, trust.
 
-Every real frame is a test: nothing is chosen on them. ``--cache FOLDER`` keeps what the networks
-read, and ``--models FILE`` asks others than those that ship.
+Every real frame is a test: nothing is chosen on them. Each is read as the service reads it, and the
+largest person counts. ``--models FILE`` asks other models than those that ship.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
-from app.vision.depth import Depths, body_of, network_depths
-from app.vision.judgement import FRAME_POSTURES, Judgement, PhotographModels, load_photograph_models
+from app.estimation.finder import Models
+from app.photograph import load_models
+from app.settings import Settings
+from app.vision.blazepose import PoseReading
+from app.vision.depth import Body3D, Depths, body_of, network_depths
+from app.vision.geometry import Box
+from app.vision.judgement import FRAME_POSTURES, Trust, load_photograph_models
 from app.vision.optics import PinholeCamera
+from app.vision.people import Detection
+from app.vision.person_reader import attenuate_visibility_at_border
 from index.build.calibrate import expected_calibration_error
-from scripts.datasets import HIPS, about_hips
-from scripts.experiments.photograph_sources import (
+from scripts.datasets import (
+    HIPS,
     LOW,
     SITTING,
-    SOURCES,
     UPRIGHT,
-    ReadFrame,
-    read_sources,
+    about_hips,
+    frames_at,
+    home_films,
+    read_lsp,
+    read_pose2sim,
 )
 from scripts.metrics import percent
-from scripts.training.train_photograph_models import LANDMARK_LIMBS
+from scripts.training.train_photograph_models import LANDMARK_LIMBS, RIGHT_SHARE, RIGHT_WITHIN
 
-SURE = 0.8
+SURE, CLEAR = 0.8, 0.5
+"""Probabilities from which a posture is counted as sure, and as clear."""
 
+LONGEST_PX = 1280
 GROUPS = {
     UPRIGHT: ("standing",),
     SITTING: ("sitting",),
@@ -41,96 +56,186 @@ GROUPS = {
 }
 """Which postures answer a truth: people on the ground lie or crawl."""
 
-TRUTHS = (UPRIGHT, SITTING, LOW)
-
 Figures = dict[str, Any]
-Asked = tuple[ReadFrame, NDArray[np.float64]]
+Answer = tuple[str, str, NDArray[np.float64]]
+"""Source and true posture of a person, and the probabilities of :data:`GROUPS`."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A frame of a source, and what is known of the person in it.
+
+    Parameters
+    ----------
+    source : str
+    frame : (H, W, 3) uint8 array
+        BGR.
+    truth : str, optional
+        Posture, one of :data:`GROUPS`.
+    box : Box, optional
+    joints_3d, joints_2d : (12, 3) and (12, 2) float64 arrays, optional
+        Limb joints in camera axes and in pixels.
+    visible : (12,) bool array, optional
+        Which limb joints are visible.
+    """
+
+    source: str
+    frame: NDArray[np.uint8]
+    truth: str | None = None
+    box: Box | None = None
+    joints_3d: NDArray[np.float64] | None = None
+    joints_2d: NDArray[np.float64] | None = None
+    visible: NDArray[np.bool_] | None = None
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
-    """Options of this experiment alone."""
+    """Add this experiment's options to the command line."""
     parser.add_argument("--models", type=Path, help="others than those that ship")
-    parser.add_argument("--cache", type=Path, help="keeps what the networks read in this folder")
 
 
 def run(options: argparse.Namespace) -> Figures:
-    """Measure everything."""
+    """Run the experiment."""
+    settings, real = Settings(), options.shared / "real"
+    if not real.is_dir():
+        raise FileNotFoundError(f"expected real frames in {real}, found none")
+    networks = load_models(settings.concurrency, settings.min_person_px)
     models = load_photograph_models(options.models)
-    frames = read_sources(options.shared / "real", list(SOURCES), options.cache)
-    asked = [
-        (frame, grouped(judge(models, frame).posture.probabilities))
-        for frame in frames
-        if frame.readings and frame.truth
-    ]
+    depths: dict[str, list[list[float]]] = defaultdict(list)
+    answers: list[Answer] = []
+    trusted: list[tuple[Trust, bool]] = []
+    for source in (pose2sim, homes, upfall, falls, lsp):
+        for shown in tqdm(source(real), desc=source.__name__, unit="frame"):
+            camera = PinholeCamera.of_frame(shown.frame.shape)
+            readings = read(networks, shown)
+            judged = [models.judge(reading, camera) for reading in readings]
+            if readings and shown.joints_3d is not None:
+                row = depth_errors(readings[0], judged[0].body, camera, shown.joints_3d)
+                depths[shown.source].append(row)
+            if readings and shown.truth is not None:
+                groups = grouped(judged[0].posture.probabilities)
+                answers.append((shown.source, shown.truth, groups))
+            for reading, judgement in zip(readings, judged, strict=True):
+                right = landmarks_are_right(reading, shown)
+                if right is not None:
+                    trusted.append((judgement.trust, right))
     return {
-        "depth": measure_depth(frames, models),
-        "postures": measure_postures(asked),
-        "confusions": measure_confusions(asked),
-        "ground": measure_ground(asked),
-        "doubt": measure_doubt(frames, models),
-        "odd": ask_odd(frames, models),
+        "depth": {source: depth_figures(np.array(rows)) for source, rows in depths.items()},
+        "postures": posture_figures(answers),
+        "confusions": confusions(answers),
+        "trust": trust_figures(trusted),
     }
 
 
-def judge(models: PhotographModels, frame: ReadFrame, number: int = 0) -> Judgement:
-    """What the models make of one of the people in a frame, the largest first."""
-    return models.judge(frame.readings[number], PinholeCamera.of_frame(frame.shape))
+def pose2sim(real: Path) -> Iterator[Shown]:
+    """Every eighth frame of three cameras, with its true box."""
+    for camera in ("cam01", "cam02", "cam03"):
+        for found in read_pose2sim(real / "pose2sim", camera, 8):
+            joints_3d, joints_2d = found.reference.joints_3d, found.reference.joints_2d
+            yield Shown(f"pose2sim {camera}", found.frame, UPRIGHT, found.box, joints_3d, joints_2d)
+
+
+def homes(real: Path) -> Iterator[Shown]:
+    """Frames of homes whose posture is known, two a second."""
+    for film in home_films(real):
+        for at, frame in film.frames(2.0):
+            truth = film.truth(at)
+            if truth is not None:
+                yield Shown(film.source, shrunk(frame), truth)
+
+
+def upfall(real: Path) -> Iterator[Shown]:
+    """A frame a second of activities, and the last second of falls."""
+    truths = {6: UPRIGHT, 7: UPRIGHT, 8: SITTING, 10: UPRIGHT, 11: LOW}
+    for path in sorted((real / "upfall").glob("*.mp4")):
+        activity = int(path.name.split("_")[0].removeprefix("activity"))
+        if activity <= 5:
+            frames = list(frames_at(path, 6.0))[-6::2]
+        elif activity in truths:
+            # Before, people sit or lie down.
+            begin = 4 if activity in (8, 11) else -1
+            frames = [one for one in frames_at(path, 1.0) if one[0] > begin]
+        else:
+            continue
+        for _, frame in frames:
+            yield Shown(f"UP-Fall {path.stem[-4:]}", shrunk(frame), truths.get(activity, LOW))
+
+
+def falls(real: Path) -> Iterator[Shown]:
+    """Photographs of people who fell."""
+    for path in sorted((real / "falls" / "fall").glob("*.jpg")):
+        image = cv2.imread(str(path))
+        if image is not None:
+            yield Shown("Ambianic", shrunk(np.asarray(image, np.uint8)), LOW)
+
+
+def lsp(real: Path) -> Iterator[Shown]:
+    """Sports photographs with limb joints: whether landmarks are right."""
+    for one in read_lsp(real / "lsp"):
+        yield Shown("LSP", one.frame, joints_2d=one.limbs, visible=one.visible)
+
+
+def shrunk(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a frame of at most :data:`LONGEST_PX`."""
+    scale = LONGEST_PX / max(frame.shape)
+    if scale >= 1:
+        return frame
+    smaller = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(smaller, np.uint8)
+
+
+def read(networks: Models, shown: Shown) -> list[PoseReading]:
+    """Read the people of a frame, the largest first, as the service does."""
+    found = [Detection(shown.box, 1.0)] if shown.box else networks.detector.detect(shown.frame)
+    readings = [
+        networks.reader.read(shown.frame, one.box, one.keypoints, one.windows)
+        for one in sorted(found, key=lambda one: -one.box.area)
+    ]
+    return [
+        replace(one, landmarks=attenuate_visibility_at_border(one, shown.frame.shape))
+        for one in readings
+    ]
 
 
 def grouped(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probabilities of :data:`GROUPS`."""
-    return np.array(
-        [
-            sum(probabilities[FRAME_POSTURES.index(name)] for name in names)
-            for names in GROUPS.values()
-        ]
-    )
+    """Return the probabilities of :data:`GROUPS`."""
+    rows = [[FRAME_POSTURES.index(name) for name in names] for names in GROUPS.values()]
+    return np.array([probabilities[some].sum() for some in rows])
 
 
-def distance_mm(joints: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Mean distance about the hips, mm."""
-    return float(1e3 * np.linalg.norm(about_hips(joints) - about_hips(truth), axis=1).mean())
+def depth_errors(
+    reading: PoseReading, body: Body3D, camera: PinholeCamera, truth: NDArray[np.float64]
+) -> list[float]:
+    """Return errors in metres: own, on lines of sight, corrected, along the sight; and sigma."""
+    own_depths = Depths(network_depths(reading.raw.world[None])[0], np.ones(33))
+    plain = body_of(reading, camera, own_depths)
+    found = (reading.landmarks.metres, plain.points, body.points)
+    apart = [about_hips(points[LANDMARK_LIMBS]) - about_hips(truth) for points in found]
+    return [
+        *(float(np.linalg.norm(one, axis=1).mean()) for one in apart),
+        float(np.abs(apart[2] @ body.sight[2]).mean()),
+        float(body.sigmas[LANDMARK_LIMBS].mean()),
+    ]
 
 
-def measure_depth(frames: Sequence[ReadFrame], models: PhotographModels) -> Figures:
-    """Distances of limb joints: the network's own, on lines of sight, corrected."""
-    figures = {}
-    known = [frame for frame in frames if frame.joints_3d is not None and frame.readings]
-    for source in sorted({frame.source for frame in known}):
-        rows, errors, sigmas = [], [], []
-        for frame in known:
-            if frame.source != source:
-                continue
-            truth, reading = frame.joints_3d, frame.readings[0]
-            assert truth is not None
-            camera, body = PinholeCamera.of_frame(frame.shape), judge(models, frame).body
-            own_depths = Depths(network_depths(reading.raw.world[None])[0], np.ones(33))
-            plain = body_of(reading, camera, own_depths)
-            points = (reading.landmarks.metres, plain.points, body.points)
-            rows.append([distance_mm(one[LANDMARK_LIMBS], truth) for one in points])
-            along = (about_hips(body.points[LANDMARK_LIMBS]) - about_hips(truth)) @ body.sight[2]
-            errors.append(np.abs(along))
-            sigmas.append(body.sigmas[LANDMARK_LIMBS])
-        own, on_sight, corrected = np.mean(rows, axis=0).tolist()
-        figures[source] = {
-            "frames": len(rows),
-            "own_mm": own,
-            "on_sight_mm": on_sight,
-            "corrected_mm": corrected,
-            "error_over_sigma": float(np.mean(errors) / np.mean(sigmas)),
-        }
-    return figures
+def depth_figures(rows: NDArray[np.float64]) -> Figures:
+    """Return the means of rows of :func:`depth_errors`."""
+    own, on_sight, corrected, along, sigma = rows.mean(axis=0).tolist()
+    return {
+        "frames": len(rows),
+        "own_mm": 1000 * own,
+        "on_sight_mm": 1000 * on_sight,
+        "corrected_mm": 1000 * corrected,
+        "error_over_sigma": along / sigma,
+    }
 
 
-def measure_postures(asked: Sequence[Asked]) -> Figures:
-    """Share right and calibration by source, the worst first."""
+def posture_figures(answers: Sequence[Answer]) -> Figures:
+    """Return the share right and the calibration by source, the worst first."""
     names, figures = list(GROUPS), {}
-    for source in sorted({frame.source for frame, _ in asked}):
-        some = [(f.truth, p) for f, p in asked if f.source == source and f.truth in TRUTHS]
-        if not some:
-            continue
-        sure = np.array([p.max() for _, p in some])
-        right = np.array([names[p.argmax()] == truth for truth, p in some])
+    for source in {one[0] for one in answers}:
+        some = [one[1:] for one in answers if one[0] == source]
+        sure = np.array([given.max() for _, given in some])
+        right = np.array([names[given.argmax()] == truth for truth, given in some])
         figures[source] = {
             "frames": len(some),
             "right": percent(right),
@@ -141,73 +246,45 @@ def measure_postures(asked: Sequence[Asked]) -> Figures:
     return dict(sorted(figures.items(), key=lambda item: item[1]["right"]))
 
 
-def measure_confusions(asked: Sequence[Asked]) -> Figures:
-    """For each source and truth: the share of each answer, that below one half being unclear."""
-    figures: Figures = {}
-    for source in sorted({frame.source for frame, _ in asked}):
-        for truth in TRUTHS:
-            some = np.array([p for f, p in asked if (f.source, f.truth) == (source, truth)])
-            if not len(some):
-                continue
-            clear = some.max(axis=1) >= 0.5
-            answers = {
+def confusions(answers: Sequence[Answer]) -> Figures:
+    """Return the share of each answer by source and truth."""
+    figures: Figures = defaultdict(dict)
+    for source, truth in sorted({one[:2] for one in answers}):
+        some = np.array([one[2] for one in answers if one[:2] == (source, truth)])
+        clear = some.max(axis=1) >= CLEAR
+        figures[source][truth.replace(" ", "_")] = {
+            "frames": len(some),
+            **{
                 name.replace(" ", "_"): percent(clear & (some.argmax(axis=1) == number))
                 for number, name in enumerate(GROUPS)
-            }
-            figures.setdefault(source, {})[truth.replace(" ", "_")] = {
-                "frames": len(some), **answers, "unclear": percent(~clear),
-            }  # fmt: skip
+            },
+            "unclear": percent(~clear),
+        }
     return figures
 
 
-def measure_ground(asked: Sequence[Asked]) -> Figures:
-    """People on the ground against all others, by source."""
-    figures: Figures = {}
-    for source in sorted({frame.source for frame, _ in asked}):
-        some = [(f.truth == LOW, p[2] > 0.5) for f, p in asked if f.source == source]
-        truth, found = np.array(some).T
-        if truth.any():
-            others = percent(found[~truth]) if (~truth).any() else None
-            figures[source] = {"recall": percent(found[truth]), "false": others}
-    return dict(sorted(figures.items(), key=lambda item: item[1]["recall"]))
+def landmarks_are_right(reading: PoseReading, shown: Shown) -> bool | None:
+    """Return whether three of four visible limb joints are right; None for another person."""
+    if shown.visible is None or shown.joints_2d is None:
+        return None
+    x, y = middle = shown.joints_2d[HIPS].mean(axis=0)
+    box = reading.landmarks.box()
+    if not (box.x <= x <= box.right and box.y <= y <= box.bottom):
+        return None
+    trunk = float(np.linalg.norm(shown.joints_2d[:2].mean(axis=0) - middle))
+    size = max(trunk, 0.2 * float(np.ptp(shown.joints_2d, axis=0).max()))
+    apart = np.linalg.norm(reading.landmarks.positions[LANDMARK_LIMBS] - shown.joints_2d, axis=1)
+    return bool((apart[shown.visible] < RIGHT_WITHIN * size).mean() >= RIGHT_SHARE)
 
 
-def measure_doubt(frames: Sequence[ReadFrame], models: PhotographModels) -> Figures:
-    """Whether the landmarks of sports photographs are as often right as they are said to be."""
-    given, right = [], []
-    for frame in frames:
-        if frame.joints_2d is None or frame.visible is None:
-            continue
-        middle = frame.joints_2d[HIPS].mean(axis=0)
-        for number, reading in enumerate(frame.readings):
-            box = reading.landmarks.box()
-            if not (box.x <= middle[0] <= box.right and box.y <= middle[1] <= box.bottom):
-                continue
-            trunk = np.linalg.norm(frame.joints_2d[:2].mean(0) - middle)
-            places = reading.landmarks.positions[LANDMARK_LIMBS]
-            apart = np.linalg.norm(places - frame.joints_2d, axis=1)
-            size = max(float(trunk), 0.2 * float(np.ptp(frame.joints_2d, axis=0).max()))
-            given.append(judge(models, frame, number).trust)
-            right.append(bool((apart[frame.visible] < 0.2 * size).mean() >= 0.75))
-    stated = np.array([trust.right for trust in given])
+def trust_figures(trusted: Sequence[tuple[Trust, bool]]) -> Figures:
+    """Return whether landmarks are as often right as they are said to be."""
+    stated = np.array([trust.right for trust, _ in trusted])
+    right = np.array([right for _, right in trusted])
     return {
         "readings": len(right),
-        "people": percent([trust.person > 0.5 for trust in given]),
+        "people": percent([trust.person > CLEAR for trust, _ in trusted]),
         "right": percent(right),
         "stated": percent(stated),
-        "ece": expected_calibration_error(stated, np.array(right)),
+        "ece": expected_calibration_error(stated, right),
     }
-
-
-def ask_odd(frames: Sequence[ReadFrame], models: PhotographModels) -> Figures:
-    """Animals, bags, desks, riders: what is answered of each detection."""
-    figures = {}
-    for frame in frames:
-        if frame.source != "odd":
-            continue
-        answers = []
-        for number in range(len(frame.readings)):
-            posture = judge(models, frame, number).posture
-            answers.append(f"{posture.likeliest} {posture.probabilities.max():.2f}")
-        figures[frame.name] = {"answers": ", ".join(answers) or "nobody"}
-    return figures
