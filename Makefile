@@ -77,7 +77,7 @@ openapi: $(DEV)/.stamp
 constraints:
 	@$(PYTHON) -m venv --clear $(NEWEST)
 	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check \
-	  -e '.[browser,cluster,contract,evaluate,milvus,test]'
+	  -e '.[browser,cluster,contract,milvus,test]'
 	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip --exclude setuptools) > $@.new
 	mv $@.new $@.txt
 
@@ -98,7 +98,7 @@ $(BUILD)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
 	@$(PYTHON) -m venv $(BUILD)
 	@$(BUILD)/bin/$(PIP_INSTALL) torch==2.13.0
-	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,evaluate,milvus,test]'
+	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,milvus,test]'
 	@touch $@
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.

@@ -133,16 +133,6 @@ def padded_box(joints: NDArray[np.float64], share: float = 0.05) -> Box:
     return Box(float(low[0]) - pad, float(low[1]) - pad, width, height)
 
 
-def rotate_box(box: Box, shape: tuple[int, ...], quarter_turns: int) -> Box:
-    """Rotate a box with its frame of a shape, as ``numpy.rot90`` does: counterclockwise."""
-    x, y, width, height = box.x, box.y, box.width, box.height
-    rows, columns = shape[:2]
-    for _ in range(quarter_turns % 4):
-        x, y, width, height = y, columns - 1 - x - width, height, width
-        rows, columns = columns, rows
-    return Box(x, y, width, height)
-
-
 def as_array(boxes: Sequence[Box]) -> Boxes:
     """Boxes as an ``(N, 4)`` array."""
     return np.array([[b.x, b.y, b.width, b.height] for b in boxes], np.float64).reshape(-1, 4)

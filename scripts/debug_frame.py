@@ -36,6 +36,8 @@ CELL_PX = 360
 """Height of the pictures of a person."""
 
 Picture = NDArray[np.uint8]
+Cell = tuple[str, Picture]
+"""A picture with its title."""
 
 
 def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
@@ -57,32 +59,49 @@ def draw_detections(frame: Picture, found: list[Detection]) -> Picture:
 
 def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
     """Draw the steps of one person, and below them the hypotheses."""
-    observed = person.observed
-    window = observed.next_window or PersonWindow.about_box(observed.whole_box)
-    to_cell = np.asarray(cv2.invertAffineTransform(window.to_frame(CELL_PX)), np.float64)
+    rows = [
+        titled(cells) for cells in (draw_steps(frame, person), draw_poses(frame, index, person))
+    ]
+    widest = max(row.shape[1] for row in rows)
+    return np.vstack([np.pad(row, ((0, 0), (0, widest - row.shape[1]), (0, 0))) for row in rows])
+
+
+def draw_steps(frame: Picture, person: Person) -> list[Cell]:
+    """Draw what is read of a person: window, landmarks, silhouette, normalised silhouette."""
+    observed, (window, to_cell) = person.observed, _window(person)
     photograph = sample_window(frame, window, CELL_PX)
-    cells = [_titled(sample_window(frame, window, LANDMARK_PX), "window")]
-    cells.append(_titled(_landmarks(photograph, to_cell, observed), "landmarks"))
+    cells = [("window", sample_window(frame, window, LANDMARK_PX))]
+    cells.append(("landmarks", _landmarks(photograph, to_cell, observed)))
     if observed.silhouette is not None:
-        mask = observed.silhouette.mask(frame.shape)
-        cells.append(_titled(_warped(mask, to_cell), "silhouette"))
+        cells.append(("silhouette", _warped(observed.silhouette.mask(frame.shape), to_cell)))
         normalised = NormalisedPerson.of(observed.silhouette, observed.landmarks)
         enlarged = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
         title = f"128x48, roll {normalised.roll_deg:.0f} deg"
-        cells.append(_titled(np.repeat(enlarged[..., None], 3, axis=2), title))
-        steps, cells = cells, []
-        for rank, hypothesis in enumerate(person.hypotheses, start=1):
+        cells.append((title, np.repeat(enlarged[..., None], 3, axis=2)))
+    return cells
+
+
+def draw_poses(frame: Picture, index: PoseIndex, person: Person) -> list[Cell]:
+    """Draw for each hypothesis the silhouette of its entry, and its skeleton on the photograph."""
+    silhouette, (window, to_cell) = person.observed.silhouette, _window(person)
+    cells: list[Cell] = []
+    for rank, hypothesis in enumerate(person.hypotheses, start=1):
+        if silhouette is not None:
+            normalised = NormalisedPerson.of(silhouette, person.observed.landmarks)
             entry, to_frame = place_entry(index, normalised, hypothesis)
             drawn = _warped(entry, np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]])))
-            cells.append(_titled(drawn, f"{rank}: entry {hypothesis.entry_id}"))
-            skeleton = photograph.copy()
-            points = hypothesis.points_2d[list(NATIVE.indices)]
-            draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
-            cells.append(_titled(skeleton, f"confidence {hypothesis.confidence:.2f}"))
-        rows = [np.hstack(steps), np.hstack(cells)]
-        widest = max(row.shape[1] for row in rows)
-        return np.vstack([np.pad(r, ((0, 0), (0, widest - r.shape[1]), (0, 0))) for r in rows])
-    return np.hstack(cells)
+            cells.append((f"{rank}: entry {hypothesis.entry_id}", drawn))
+        skeleton = sample_window(frame, window, CELL_PX)
+        points = hypothesis.points_2d[list(NATIVE.indices)]
+        draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
+        cells.append((f"confidence {hypothesis.confidence:.2f}", skeleton))
+    return cells
+
+
+def _window(person: Person) -> tuple[PersonWindow, NDArray[np.float64]]:
+    """Return the window about a person, and the transform from the frame to a cell of it."""
+    window = person.observed.next_window or PersonWindow.about_box(person.observed.whole_box)
+    return window, np.asarray(cv2.invertAffineTransform(window.to_frame(CELL_PX)), np.float64)
 
 
 def describe(number: int, person: Person) -> str:
@@ -123,13 +142,15 @@ def _warped(mask: NDArray[np.generic], matrix: NDArray[np.float64]) -> Picture:
     return np.where(drawn[..., None] >= 0.5, OUTLINE, (30, 30, 30)).astype(np.uint8)
 
 
-def _titled(picture: Picture, title: str) -> Picture:
-    """Scale a picture to the height of a cell, with a line of text above and a gap beside it."""
-    width = round(CELL_PX * picture.shape[1] / picture.shape[0])
-    cell = np.asarray(cv2.resize(picture, (width, CELL_PX), interpolation=cv2.INTER_AREA), np.uint8)
-    framed = np.pad(cell, ((22, 0), (0, 8), (0, 0)))
-    write_text(framed, title, (2, 16), 11, OUTLINE)
-    return framed
+def titled(cells: Sequence[Cell]) -> Picture:
+    """Put pictures of one height side by side, each with a line of text above."""
+    framed = [np.zeros((CELL_PX + 22, 0, 3), np.uint8)]
+    for title, picture in cells:
+        width = round(CELL_PX * picture.shape[1] / picture.shape[0])
+        cell = cv2.resize(picture, (width, CELL_PX), interpolation=cv2.INTER_AREA)
+        framed.append(np.pad(np.asarray(cell, np.uint8), ((22, 0), (0, 8), (0, 0))))
+        write_text(framed[-1], title, (2, 16), 11, OUTLINE)
+    return np.hstack(framed)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -108,6 +108,12 @@ def _render_section(section: str, figures: Figures) -> str:
     return f"{_fill(section, figures, figures)}\n{verdict}\n"
 
 
+def measured(page: str) -> Figures:
+    """Return the figures of a page."""
+    figures: Figures = json.loads((RESULTS / f"{page}.json").read_text())["figures"]
+    return figures
+
+
 def updated(text: str, results: Path = RESULTS) -> str:
     """Return a document whose parts with figures say what was measured.
 
@@ -118,11 +124,11 @@ def updated(text: str, results: Path = RESULTS) -> str:
     """
 
     def part(match: re.Match[str]) -> str:
-        measured = {}
+        pages = {}
         for file in results.glob("*.json"):
             document = json.loads(file.read_text())
-            measured[file.stem] = {**document, **document["figures"]}
-        return match[1] + _fill(f"documents/{match[2]}", measured) + match[3]
+            pages[file.stem] = {**document, **document["figures"]}
+        return match[1] + _fill(f"documents/{match[2]}", pages) + match[3]
 
     return _PART.sub(part, text)
 

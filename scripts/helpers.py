@@ -34,14 +34,6 @@ def estimate(
     return estimator.estimate(upload, DEFAULT_HYPOTHESES, Job()).persons
 
 
-def find_people(
-    estimator: Estimator, photograph: NDArray[np.uint8], *boxes: Box
-) -> tuple[ObservedPerson, ...]:
-    """Find the people of a photograph, or those in some boxes of it, without poses."""
-    upload = Upload(photograph, boxes=boxes or None)
-    return estimator.find_people(upload, Job()).people
-
-
 def track(session: CameraSession, frame: NDArray[np.uint8], timestamp: float) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
     return session.process(Upload(encoded(frame)), timestamp, DEFAULT_HYPOTHESES, Job())

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from app.vision.geometry import Boxes, iou_matrix
 
 Scored = tuple[Boxes, NDArray[np.float64]]
-"""Detections of one photograph and their scores."""
+"""Detections of one photograph, and a score or features of each."""
 
 FOUND_FROM = 0.5
 """Minimum overlap (IoU) at which a labelled person counts as found."""
@@ -26,13 +26,16 @@ def percent(values: ArrayLike) -> float:
 
 
 def detection_figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[str, float]:
-    """Return average precision, and recall and precision at a score of 0.5."""
+    """Return average precision, recall at a precision of 0.9, and both at a score of 0.5."""
     people = sum(map(len, truths))
     table = matches(found, truths)
+    hits = np.cumsum(table[:, 1])
+    precise = hits / np.arange(1, len(table) + 1) >= 0.9
     sure = table[table[:, 0] >= 0.5]
     return {
         "people": people,
         "average_precision": average_precision(table, people),
+        "recall_at_90": float(hits[precise].max(initial=0) / people),
         "recall": float(sure[:, 1].sum() / people),
         "precision": float(sure[:, 1].mean()) if len(sure) else 0.0,
         "highest_recall": float(table[:, 1].sum() / people),
@@ -40,20 +43,20 @@ def detection_figures(found: Sequence[Scored], truths: Sequence[Boxes]) -> dict[
 
 
 def matches(found: Sequence[Scored], truths: Sequence[Boxes]) -> NDArray[np.float64]:
-    """Return score and rightness of every detection, best first, ``(N, 2)``.
+    """Return score of every detection and whether it is right, best first, ``(N, 2)``.
 
     A detection is right if it overlaps, by half, a labelled person that no better one took.
     """
     rows = [
-        np.stack([one[1], rightness(one, truth)], axis=1)
+        np.stack([one[1], true_positives(one, truth)], axis=1)
         for one, truth in zip(found, truths, strict=True)
     ]
     table = np.concatenate([np.zeros((0, 2)), *rows])
     return table[np.argsort(-table[:, 0], kind="stable")]
 
 
-def rightness(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
-    """Return whether each detection of a photograph is right, ``(N,)``; see :func:`matches`."""
+def true_positives(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
+    """Return which detections of a photograph are right ``(N,)``; see :func:`matches`."""
     boxes, scores = found
     right, free = np.zeros(len(boxes), bool), np.ones(len(truth), bool)
     overlaps = iou_matrix(boxes, truth) if len(truth) else np.zeros((len(boxes), 0))
@@ -63,13 +66,6 @@ def rightness(found: Scored, truth: Boxes) -> NDArray[np.bool_]:
             right[index] = True
             free[reachable.argmax()] = False
     return right
-
-
-def recall_at(table: NDArray[np.float64], people: int, *, precision: float) -> float:
-    """Return the highest recall at which the precision of :func:`matches` is reached."""
-    hits = np.cumsum(table[:, 1])
-    precise = hits / np.arange(1, len(table) + 1) >= precision
-    return float(hits[precise].max() / people) if precise.any() else 0.0
 
 
 def average_precision(table: NDArray[np.float64], people: int) -> float:

@@ -36,7 +36,7 @@ from scripts.datasets import (
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import all_candidates, measure_detection, measure_lying
+from scripts.experiments.real_detection import measure_detection
 from scripts.experiments.real_poses import (
     BOTH,
     LIMBS_RIGHT_BELOW_PX,
@@ -51,7 +51,7 @@ from scripts.experiments.real_poses import (
     pose_figures,
     trials_of,
 )
-from scripts.metrics import FOUND_FROM, reliability, rightness
+from scripts.metrics import FOUND_FROM, reliability, true_positives
 
 SCORES = {"default": MIN_DETECTION_SCORE, "sure": 0.5}
 """Minimum detection scores."""
@@ -82,8 +82,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     own = cross_validated(street[BOTH])
     frames = read_vtest(folder / "vtest")
     return {
-        "detection": measure_detection(photographs, all_candidates(photographs, detector)),
-        "lying": measure_lying(photographs, estimator),
+        "detection": measure_detection(photographs, detector),
         "silhouettes": measure_silhouettes(photographs, estimator),
         "street": by_half(street),
         "landmarks": observed_pck(people, estimator),
@@ -137,7 +136,7 @@ def measure_pose2sim(
 
 
 def measure_silhouettes(photographs: Sequence[Photograph], estimator: Estimator) -> Figures:
-    """Return the overlap with the true masks in true boxes; 0 where nobody is made out."""
+    """Return the overlap with the true masks in true boxes; 0 where none is found."""
     values, spent = [], 0.0
     for photograph in tqdm(photographs, desc="true boxes", unit="photograph"):
         started = time.perf_counter()
@@ -193,6 +192,6 @@ def measure_vtest(
 def compare(boxes: Sequence[Box], marks: Marks) -> tuple[int, int]:
     """Count walkers found and false boxes; boxes come best first."""
     places = as_array(boxes)
-    right = rightness((places, -np.arange(float(len(places)))), as_array(marks.people))
+    right = true_positives((places, -np.arange(float(len(places)))), as_array(marks.people))
     ignored = iou_matrix(places, as_array(marks.ignored)).max(axis=1, initial=0) >= IGNORED_FROM
     return int(right.sum()), int((~right & ~ignored).sum())

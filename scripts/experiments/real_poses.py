@@ -88,7 +88,7 @@ def cut_out(
 
 
 def in_photographs(people: Sequence[StreetPerson], estimator: Estimator) -> list[Shown]:
-    """Return the street people that are made out."""
+    """Return the street people whose silhouettes are found."""
     known: dict[str, list[Silhouette | None]] = {}
     shown = []
     for person in people:
@@ -103,7 +103,7 @@ def in_photographs(people: Sequence[StreetPerson], estimator: Estimator) -> list
 
 
 def in_video(frames: Sequence[VideoFrame], estimator: Estimator) -> list[Shown]:
-    """Return the person of a video in the frames where they are made out."""
+    """Return the frames of a video in which the person could be segmented."""
     shown = []
     for one in frames:
         (silhouette,) = cut_out(estimator, one.frame, [one.box])

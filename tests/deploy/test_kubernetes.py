@@ -193,7 +193,7 @@ class TestService:
         assert VALUES["POSE_CONCURRENCY"] == container(REPLICAS)["resources"]["limits"]["cpu"]
 
     def test_the_memory_limit_fits_the_settings(self) -> None:
-        peak = measured("reliability.fuzz.max_memory_mb")
+        peak = measured("reliability")["fuzz"]["max_memory_mb"]
         defaults = {name: field.default for name, field in Settings.model_fields.items()}
         uploads = defaults["max_requests"] * defaults["max_upload_bytes"] // 1024**2
         cameras = int(VALUES["POSE_CAMERA_MEMORY_MB"] or 0)
