@@ -97,16 +97,16 @@ def fit_poses(
     """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette."""
     if normalised is None:
         return Person(observed, None, None, ())
-    keypoints = normalised.keypoints()
+    landmarks = normalised.normalised_landmarks()
     found = match(
         index,
         normalised.silhouette,
         n,
-        keypoints,
+        landmarks,
         roll_deg=normalised.roll_deg,
         whole=normalised.whole,
     )
-    facing = Facing(found.front_probability, "none" if keypoints is None else "image")
+    facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses
     presence = 1.0 if observed.presence is None else observed.presence
     confidences = [presence * one.confidence for one in hypotheses]
@@ -116,7 +116,7 @@ def fit_poses(
     placed = place_skeletons(
         np.array([one.points_3d for one in hypotheses[:n]]),
         normalised.points_in_frame(points_normalised),
-        None if keypoints is None else observed.landmarks,
+        None if landmarks is None else observed.landmarks,
         camera,
     )
     projected = []

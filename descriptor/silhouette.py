@@ -1,4 +1,4 @@
-"""Normalisation of a silhouette to 128x48 and its inverse transform."""
+"""Silhouettes: normalised to 128x48, rotated, compared by their outlines, packed."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ HEIGHT = 128
 WIDTH = 48
 
 # Silhouettes whose longer side is twice this or more are averaged over blocks before they are
-# resampled: for a mask a million pixels wide the resampling matrices alone would take 512 MB.
-_AXIS_PX = 512
-"""Longer side above which the principal axis is that of block means."""
-
+# resampled or rotated: for a mask a million pixels wide the resampling matrices alone would take
+# 512 MB, and OpenCV accepts sides of at most 32,767 pixels.
 _LARGEST_PX = 1024
-
-INSIDE = 0.4999
-"""Coverage from which a pixel is the person's, as a share of that of the most covered pixel.
-
-It is relative, so that a mask too thin to cover half of any pixel is not lost. It is a little below
-a half, since many pixels are covered by exactly half and rounding differs between processors.
-"""
+# The same for the principal axis.
+_AXIS_PX = 512
+# Longer side of a mask while it is rotated.
+_CANVAS_PX = 256
+# Coverage from which a pixel is the person's, as a share of that of the most covered pixel. It is
+# relative, so that a mask too thin to cover half of any pixel is not lost. It is a little below a
+# half, since many pixels are covered by exactly half and rounding differs between processors.
+_INSIDE = 0.4999
 
 
 @dataclass(frozen=True)
@@ -91,36 +90,62 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
         float((HEIGHT - 1) / 2 - scale * (top + bottom - 1) / 2),
     )
     block = max(1, max(height, width) // _LARGEST_PX)
-    crop = averaged(filled[top:bottom, left:right], block)
+    crop = _averaged(filled[top:bottom, left:right], block)
     vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
     horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
     grey = vertical @ crop @ horizontal.T
-    return (grey >= INSIDE * grey.max()).astype(np.uint8), placement
+    return (grey >= _INSIDE * grey.max()).astype(np.uint8), placement
+
+
+def rotate_silhouette(
+    mask: NDArray[np.uint8] | NDArray[np.bool_], angle_deg: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Rotate a silhouette clockwise and normalise it.
+
+    Parameters
+    ----------
+    mask : (H, W) uint8 or bool array
+        0 is background.
+
+    Returns
+    -------
+    rotated : (128, 48) uint8 array
+    inverse : (2, 3) float64 array
+        Affine transform from its pixels to those of ``mask``.
+    """
+    block = max(1, max(mask.shape) // _LARGEST_PX)
+    covered = _averaged(mask != 0, block)
+    height, width = covered.shape
+    scale = _CANVAS_PX / max(height, width)
+    sine, cosine = abs(np.sin(np.deg2rad(angle_deg))), abs(np.cos(np.deg2rad(angle_deg)))
+    # The canvas holds the whole rotated mask; its sides are even.
+    size = 2 * np.ceil(
+        scale / 2 * np.array([width * cosine + height * sine, width * sine + height * cosine])
+    )
+    # Pixel p of the block means lies at scale * p + corner on the canvas.
+    corner = (size - 1 - scale * np.array([width - 1, height - 1])) / 2
+    # OpenCV rotates counterclockwise.
+    rotation = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), -angle_deg, 1.0)
+    to_canvas = np.column_stack(
+        [scale * rotation[:, :2], rotation[:, :2] @ corner + rotation[:, 2]]
+    )
+    canvas = cv2.warpAffine(covered, to_canvas, size.astype(int).tolist())
+    rotated, placement = normalise(canvas >= _INSIDE * canvas.max())
+    offset = np.array([placement.offset_x, placement.offset_y])
+    from_canvas = cv2.invertAffineTransform(to_canvas)
+    linear = from_canvas[:, :2] / placement.scale
+    inverse = np.column_stack([linear, from_canvas[:, 2] - linear @ offset])
+    # Blocks and mask share their centre.
+    inverse[:, 2] -= (np.array([width, height]) - 1) / 2
+    inverse *= block
+    inverse[:, 2] += (np.array([mask.shape[1], mask.shape[0]]) - 1) / 2
+    return rotated, inverse
 
 
 def bounding_box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """Left, top, width and height of the tight bounding box of a mask; all 0 of an empty one."""
     left, top, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     return left, top, width, height
-
-
-def averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
-    """Means of the blocks of ``block`` x ``block`` pixels, whose grid is centred on the crop.
-
-    Pixels of a block beyond the crop are background.
-    """
-    if block == 1:
-        return crop.astype(np.float32)
-    means: NDArray[np.generic] = crop
-    # The longer side comes first, since the shorter one may be padded to many times its length.
-    for axis in sorted((0, 1), key=lambda axis: -crop.shape[axis]):
-        missing = -means.shape[axis] % block
-        margins = [(0, 0), (0, 0)]
-        margins[axis] = missing // 2, missing - missing // 2
-        padded = np.pad(means, margins)
-        before, after = padded.shape[:axis], padded.shape[axis + 1 :]
-        means = padded.reshape(*before, -1, block, *after).mean(axis + 1, dtype=np.float32)
-    return np.asarray(means, np.float32)
 
 
 def is_wide(mask: NDArray[np.generic]) -> bool:
@@ -132,11 +157,49 @@ def is_wide(mask: NDArray[np.generic]) -> bool:
 def principal_axis_deg(mask: NDArray[np.generic]) -> float:
     """Angle of a mask's long axis from the vertical, clockwise, from -90 to 90 degrees."""
     block = max(1, max(mask.shape) // _AXIS_PX)
-    grey = averaged(mask != 0, block)
+    grey = _averaged(mask != 0, block)
     y, x = np.nonzero(grey)
     (across, both), (_, along) = np.cov(x, y, bias=True, aweights=grey[y, x] if block > 1 else None)
     from_horizontal = np.rad2deg(np.arctan2(2 * both, across - along)) / 2
     return float(from_horizontal % 180.0 - 90.0)
+
+
+def outline_distances(
+    silhouette: NDArray[np.uint8], others: NDArray[np.uint8]
+) -> NDArray[np.float64]:
+    """Mean distance from each outline to the nearest point of the other, averaged both ways.
+
+    Parameters
+    ----------
+    silhouette : (128, 48) uint8 array
+    others : (B, 128, 48) uint8 array
+
+    Returns
+    -------
+    (B,) float64 array
+        Pixels.
+    """
+    silhouettes = np.concatenate([silhouette[None], others])
+    # Shortest paths between two pixels stay within the bounding box of all silhouettes.
+    left, top, width, height = cv2.boundingRect(silhouettes.max(axis=0))
+    outlines = _outlines(silhouettes[:, top : top + max(1, height), left : left + max(1, width)])
+    # Sums of float32 would depend on how many others there are, and on the processor.
+    distances = _distance_transforms(outlines).reshape(len(outlines), -1).astype(np.float64)
+    on_outline = outlines.reshape(len(outlines), -1).astype(np.float64)
+    lengths = np.maximum(on_outline.sum(axis=1), 1)
+    from_others = on_outline[1:] @ distances[0] / lengths[1:]
+    to_others = distances[1:] @ on_outline[0] / lengths[0]
+    return np.asarray((from_others + to_others) / 2)
+
+
+def pack(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Pack silhouettes ``(B, 128, 48)`` of 0 and 1 into bits ``(B, 768)``, row by row."""
+    return np.packbits(silhouettes.reshape(len(silhouettes), HEIGHT * WIDTH), axis=1)
+
+
+def unpack(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Inverse of :func:`pack`: bits ``(B, 768)`` to silhouettes ``(B, 128, 48)``."""
+    return np.unpackbits(bits, axis=1).reshape(len(bits), HEIGHT, WIDTH)
 
 
 def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.float32]:
@@ -166,11 +229,44 @@ def _tents(
     return np.maximum(tents, 0, out=tents)
 
 
-def pack(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Pack silhouettes ``(B, 128, 48)`` of 0 and 1 into bits ``(B, 768)``, row by row."""
-    return np.packbits(silhouettes.reshape(len(silhouettes), HEIGHT * WIDTH), axis=1)
+def _averaged(crop: NDArray[np.bool_], block: int) -> NDArray[np.float32]:
+    """Means of the blocks of ``block`` x ``block`` pixels, whose grid is centred on the crop.
+
+    Pixels of a block beyond the crop are background.
+    """
+    if block == 1:
+        return crop.astype(np.float32)
+    means: NDArray[np.generic] = crop
+    # The longer side comes first, since the shorter one may be padded to many times its length.
+    for axis in sorted((0, 1), key=lambda axis: -crop.shape[axis]):
+        missing = -means.shape[axis] % block
+        margins = [(0, 0), (0, 0)]
+        margins[axis] = missing // 2, missing - missing // 2
+        padded = np.pad(means, margins)
+        before, after = padded.shape[:axis], padded.shape[axis + 1 :]
+        means = padded.reshape(*before, -1, block, *after).mean(axis + 1, dtype=np.float32)
+    return np.asarray(means, np.float32)
 
 
-def unpack(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Inverse of :func:`pack`: bits ``(B, 768)`` to silhouettes ``(B, 128, 48)``."""
-    return np.unpackbits(bits, axis=1).reshape(len(bits), HEIGHT, WIDTH)
+def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Outermost pixels of silhouettes ``(B, H, W)``, found in one tall picture."""
+    count, height, width = silhouettes.shape
+    # A row of background below each separates them.
+    padded = np.zeros((count, height + 1, width), np.uint8)
+    padded[:, :height] = silhouettes != 0
+    eroded = cv2.erode(
+        padded.reshape(-1, width),
+        np.ones((3, 3), np.uint8),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    ).reshape(padded.shape)
+    return np.asarray((padded != eroded)[:, :height])
+
+
+def _distance_transforms(outlines: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distance ``(B, H, W)`` of each pixel to the outline; the frame's diagonal if it is empty."""
+    distances = np.empty(outlines.shape, np.float32)
+    for background, distance in zip((~outlines).view(np.uint8), distances, strict=True):
+        cv2.distanceTransform(background, cv2.DIST_L2, 3, distance)
+    distances[~outlines.any(axis=(1, 2))] = np.hypot(HEIGHT, WIDTH)
+    return distances

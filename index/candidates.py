@@ -1,18 +1,113 @@
-"""The entries and mirror images of entries nearest to a silhouette."""
+"""The entries nearest to a silhouette, in each rotation that the person may have.
+
+Few cameras of an index are rolled; rotating the query has the same effect. The mirror image of a
+pose, seen by the mirror image of its camera, is as likely as the pose, so the mirror images of all
+entries are searched as well.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import INSIDE, averaged, normalise, principal_axis_deg
+from descriptor.silhouette import principal_axis_deg, rotate_silhouette
 from index.search import NearestEntries
 from index.skeleton import mirror_3d, mirror_normalised, rotate_clockwise, wrap_degrees
 from index.store import PoseIndex
+
+
+@dataclass(frozen=True)
+class RotatedQuery:
+    """A query silhouette with an assumed in-plane rotation of the person undone.
+
+    Parameters
+    ----------
+    rotation_deg : float
+        Assumed rotation of the person, clockwise in the frame of the silhouette.
+    silhouette : (128, 48) uint8 array
+        The silhouette with that rotation undone, normalised.
+    to_query : (2, 3) float64 array
+        Affine transform from pixels of ``silhouette`` to pixels of the query.
+    """
+
+    rotation_deg: float
+    silhouette: NDArray[np.uint8]
+    to_query: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, silhouette: NDArray[np.uint8], rotation_deg: float) -> RotatedQuery:
+        """Undo a rotation of a silhouette ``(128, 48)``."""
+        if rotation_deg == 0:
+            return cls(0.0, silhouette, np.eye(2, 3))
+        return cls(rotation_deg, *rotate_silhouette(silhouette, -rotation_deg))
+
+
+# Ratio of width to height from which a silhouette is searched both as it is and rotated.
+_NEARLY_SQUARE = 0.75
+
+
+def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
+    """Rotations in degrees that the silhouette by itself suggests.
+
+    Parameters
+    ----------
+    silhouette : (128, 48) uint8 array
+    roll_deg : float
+        Roll of its camera; not 0 if the silhouette was rotated upright.
+    """
+    if roll_deg:
+        both_ends: tuple[float, ...] = (0.0, -180.0)
+        unrolled, _ = rotate_silhouette(silhouette, -roll_deg)
+        return (*both_ends, roll_deg) if _ratio(unrolled) < 1 / _NEARLY_SQUARE else both_ends
+    if _ratio(silhouette) < _NEARLY_SQUARE:
+        return (0.0,)
+    axis_deg = principal_axis_deg(silhouette)
+    return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
+
+
+def _ratio(silhouette: NDArray[np.uint8]) -> float:
+    """Width over height of a silhouette's bounding box."""
+    _, _, width, height = cv2.boundingRect(silhouette)
+    return width / max(height, 1)
+
+
+ROTATION_STEP_DEG = 15.0
+"""With landmarks, rotations are searched in multiples of this."""
+
+MAX_ROTATIONS = 2
+"""Most rotations that are searched with landmarks."""
+
+MIN_ROTATION_SHARE = 0.2
+"""Smallest share of the entries near the landmarks for which a rotation is searched."""
+
+
+def landmark_rotations(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
+    """Rotations in degrees that the entries near the landmarks suggest.
+
+    Parameters
+    ----------
+    usual : sequence of float
+        From :func:`silhouette_rotations`.
+    roll_deg : (K,) float64 array
+        Rotations of the entries near the landmarks; see :class:`index.search.NearestEntries`.
+
+    Returns
+    -------
+    list of float
+        Usual ones or multiples of :data:`ROTATION_STEP_DEG`, the most frequent first.
+    """
+    rounded = wrap_degrees(np.rint(roll_deg / ROTATION_STEP_DEG) * ROTATION_STEP_DEG)
+    apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
+    nearest = np.array(usual)[apart.argmin(axis=1)]
+    rounded = np.where(apart.min(axis=1) <= ROTATION_STEP_DEG / 2, nearest, rounded)
+    rotations, counts = np.unique(rounded, return_counts=True)
+    order = np.argsort(-counts, kind="stable")[:MAX_ROTATIONS]
+    likely = rotations[order][counts[order] >= MIN_ROTATION_SHARE * len(rounded)]
+    return [float(one) for one in (likely if len(likely) else rotations[order[:1]])]
 
 
 @dataclass(frozen=True)
@@ -53,33 +148,53 @@ class Candidates:
         """Select candidates by row, in the order given."""
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def in_order(self) -> Candidates:
-        """Sort by distance; candidates at the same distance keep their order."""
-        return self.take(np.argsort(self.distances, kind="stable"))
 
+def find_candidates(
+    index: PoseIndex,
+    queries: Sequence[RotatedQuery],
+    k: int,
+    nearest: NearestEntries | None = None,
+) -> Candidates:
+    """Find the ``k`` entries nearest to each rotation of a silhouette, and compare other entries.
 
-def find_candidates(index: PoseIndex, silhouette: NDArray[np.uint8], k: int) -> Candidates:
-    """Find the ``k`` nearest among all entries and all their mirror images, or all if fewer."""
-    vectors = index.descriptor.describe(silhouette[None])
-    entry_ids, mirrored, rows = nearest_entries(index, vectors, k)
-    return compare_entries(index, vectors[rows], entry_ids, mirrored).in_order()
-
-
-def nearest_entries(
-    index: PoseIndex, vectors: NDArray[np.float32], k: int
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """Find the ``k`` entries nearest to each of several descriptors ``(Q, D)`` in one search.
-
-    The mirror image of a pose, seen by the mirror image of its camera, is as likely as the pose.
-    Searching for the mirrored descriptor as well doubles the poses that an index covers.
+    Parameters
+    ----------
+    queries : sequence of RotatedQuery
+        Rotations of the same silhouette.
+    k : int
+        Number of candidates per rotation; 0 if only ``nearest`` are wanted.
+    nearest : NearestEntries, optional
+        Entries near the landmarks; each is compared with the rotation nearest to its own.
 
     Returns
     -------
-    entry_ids : (K,) int64 array
-    mirrored : (K,) bool array
-        Whether the mirror image of the entry was found.
-    rows : (K,) int64 array
-        Row of the descriptor to which each entry is near.
+    Candidates
+        Nearest first, each of them once, with the skeletons rotated to fit the query.
+    """
+    vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
+    found = []
+    if nearest is not None:
+        rotations_deg = np.array([query.rotation_deg for query in queries])
+        apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
+        found.append((nearest.entry_ids, nearest.mirrored, apart.argmin(axis=1)))
+    if k:
+        found.append(_nearest_entries(index, vectors, k))
+    entry_ids, mirrored, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    keys = (2 * entry_ids + mirrored) * len(queries) + rows
+    once = np.sort(np.unique(keys, return_index=True)[1])
+    rows = rows[once]
+    candidates = _compare(index, vectors[rows], entry_ids[once], mirrored[once])
+    for row, query in enumerate(queries):
+        _rotate(candidates, rows == row, query)
+    return candidates.take(np.argsort(candidates.distances, kind="stable"))
+
+
+def _nearest_entries(
+    index: PoseIndex, vectors: NDArray[np.float32], k: int
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+    """Rows of the ``k`` entries nearest to each of several descriptors ``(Q, D)`` in one search.
+
+    Also returns whether each was found as its mirror image, and the descriptor to which it is near.
     """
     variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
     _, entry_ids, nearest_variant = index.search(variants, k)
@@ -87,7 +202,7 @@ def nearest_entries(
     return entry_ids.ravel(), nearest_variant.ravel() == 1, rows
 
 
-def compare_entries(
+def _compare(
     index: PoseIndex,
     queries: NDArray[np.float32],
     entry_ids: NDArray[np.int64],
@@ -112,202 +227,6 @@ def compare_entries(
         points_3d,
         points_normalised,
     )
-
-
-CANVAS_PX = 256
-"""Longer side of a mask while it is rotated."""
-
-MAX_SOURCE_PX = 1024
-"""Longest side of a mask that is rotated pixel by pixel; larger ones are rotated as the means of
-blocks."""
-
-# Ratio of width to height from which a silhouette is searched both as it is and rotated.
-_NEARLY_SQUARE = 0.75
-
-ROTATION_STEP_DEG = 15.0
-"""With landmarks, rotations are searched in multiples of this."""
-
-MAX_ROTATIONS = 2
-"""Most rotations that are searched with landmarks."""
-
-MIN_ROTATION_SHARE = 0.2
-"""Smallest share of the entries near the landmarks for which a rotation is searched."""
-
-
-@dataclass(frozen=True)
-class RotatedQuery:
-    """A query silhouette with an assumed in-plane rotation of the person undone.
-
-    Parameters
-    ----------
-    rotation_deg : float
-        Assumed rotation of the person, clockwise in the frame of the silhouette.
-    silhouette : (128, 48) uint8 array
-        The silhouette with that rotation undone, normalised.
-    to_query : (2, 3) float64 array
-        Affine transform from pixels of ``silhouette`` to pixels of the query.
-    """
-
-    rotation_deg: float
-    silhouette: NDArray[np.uint8]
-    to_query: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, silhouette: NDArray[np.uint8], rotation_deg: float) -> RotatedQuery:
-        """Undo a rotation of a silhouette ``(128, 48)``."""
-        if rotation_deg == 0:
-            return cls(0.0, silhouette, np.eye(2, 3))
-        return cls(rotation_deg, *rotate_silhouette(silhouette, -rotation_deg))
-
-
-def find_rotated_candidates(
-    index: PoseIndex,
-    queries: Sequence[RotatedQuery],
-    k: int,
-    nearest: NearestEntries | None = None,
-) -> Candidates:
-    """Find the ``k`` entries nearest to each rotation of a silhouette, and compare other entries.
-
-    Few cameras of an index are rolled; rotating the query has the same effect.
-
-    Parameters
-    ----------
-    queries : sequence of RotatedQuery
-        Rotations of the same silhouette.
-    k : int
-        Number of candidates per rotation; 0 if only ``nearest`` are wanted.
-    nearest : NearestEntries, optional
-        Entries near the landmarks; each is compared with the rotation nearest to its own.
-
-    Returns
-    -------
-    Candidates
-        Nearest first, each of them once, with the skeletons rotated to fit the query.
-    """
-    vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
-    found = []
-    if nearest is not None:
-        rotations_deg = np.array([query.rotation_deg for query in queries])
-        apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
-        found.append((nearest.entry_ids, nearest.mirrored, apart.argmin(axis=1)))
-    if k:
-        found.append(nearest_entries(index, vectors, k))
-    entry_ids, mirrored, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    keys = (2 * entry_ids + mirrored) * len(queries) + rows
-    once = np.sort(np.unique(keys, return_index=True)[1])
-    rows = rows[once]
-    candidates = compare_entries(index, vectors[rows], entry_ids[once], mirrored[once])
-    for row, query in enumerate(queries):
-        _rotate(candidates, rows == row, query)
-    return candidates.in_order()
-
-
-def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
-    """Rotations in degrees that the silhouette by itself suggests.
-
-    Parameters
-    ----------
-    silhouette : (128, 48) uint8 array
-    roll_deg : float
-        Roll of its camera; not 0 if the silhouette was rotated upright.
-    """
-    if roll_deg:
-        both_ends: tuple[float, ...] = (0.0, -180.0)
-        unrolled, _ = rotate_silhouette(silhouette, -roll_deg)
-        return (*both_ends, roll_deg) if _ratio(unrolled) < 1 / _NEARLY_SQUARE else both_ends
-    if _ratio(silhouette) < _NEARLY_SQUARE:
-        return (0.0,)
-    axis_deg = principal_axis_deg(silhouette)
-    return (0.0, axis_deg, float(wrap_degrees(axis_deg + 180.0)))
-
-
-def landmark_rotations(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
-    """Rotations in degrees that the entries near the landmarks suggest.
-
-    Parameters
-    ----------
-    usual : sequence of float
-        From :func:`silhouette_rotations`.
-    roll_deg : (K,) float64 array
-        Rotations of the entries near the landmarks; see :class:`index.search.NearestEntries`.
-
-    Returns
-    -------
-    list of float
-        Usual ones or multiples of :data:`ROTATION_STEP_DEG`, the most frequent first.
-    """
-    rounded = wrap_degrees(np.rint(roll_deg / ROTATION_STEP_DEG) * ROTATION_STEP_DEG)
-    apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
-    nearest = np.array(usual)[apart.argmin(axis=1)]
-    rounded = np.where(apart.min(axis=1) <= ROTATION_STEP_DEG / 2, nearest, rounded)
-    rotations, counts = np.unique(rounded, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[:MAX_ROTATIONS]
-    likely = rotations[order][counts[order] >= MIN_ROTATION_SHARE * len(rounded)]
-    return [float(one) for one in (likely if len(likely) else rotations[order[:1]])]
-
-
-def _ratio(silhouette: NDArray[np.uint8]) -> float:
-    """Width over height of a silhouette's bounding box."""
-    _, _, width, height = cv2.boundingRect(silhouette)
-    return width / max(height, 1)
-
-
-def seen_from(index: PoseIndex, nearest: NearestEntries, roll_deg: float) -> NearestEntries:
-    """Convert rolls, relative to unrolled cameras, into rotations of a query.
-
-    Parameters
-    ----------
-    roll_deg : float
-        Roll of the query's camera.
-    """
-    entry_roll_deg = index.roll_deg(nearest.entry_ids, nearest.mirrored)
-    return replace(nearest, roll_deg=nearest.roll_deg - entry_roll_deg + roll_deg)
-
-
-def rotate_silhouette(
-    mask: NDArray[np.uint8] | NDArray[np.bool_], angle_deg: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Rotate a silhouette clockwise and normalise it.
-
-    Parameters
-    ----------
-    mask : (H, W) uint8 or bool array
-        0 is background.
-
-    Returns
-    -------
-    rotated : (128, 48) uint8 array
-    inverse : (2, 3) float64 array
-        Affine transform from its pixels to those of ``mask``.
-    """
-    # OpenCV accepts sides of at most 32,767 pixels, and huge masks are slow.
-    block = max(1, max(mask.shape) // MAX_SOURCE_PX)
-    covered = averaged(mask != 0, block)
-    height, width = covered.shape
-    scale = CANVAS_PX / max(height, width)
-    sine, cosine = abs(np.sin(np.deg2rad(angle_deg))), abs(np.cos(np.deg2rad(angle_deg)))
-    # The canvas holds the whole rotated mask; its sides are even.
-    size = 2 * np.ceil(
-        scale / 2 * np.array([width * cosine + height * sine, width * sine + height * cosine])
-    )
-    # Pixel p of the block means lies at scale * p + corner on the canvas.
-    corner = (size - 1 - scale * np.array([width - 1, height - 1])) / 2
-    # OpenCV rotates counterclockwise.
-    rotation = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), -angle_deg, 1.0)
-    to_canvas = np.column_stack(
-        [scale * rotation[:, :2], rotation[:, :2] @ corner + rotation[:, 2]]
-    )
-    canvas = cv2.warpAffine(covered, to_canvas, size.astype(int).tolist())
-    rotated, placement = normalise(canvas >= INSIDE * canvas.max())
-    offset = np.array([placement.offset_x, placement.offset_y])
-    from_canvas = cv2.invertAffineTransform(to_canvas)
-    linear = from_canvas[:, :2] / placement.scale
-    inverse = np.column_stack([linear, from_canvas[:, 2] - linear @ offset])
-    # Blocks and mask share their centre.
-    inverse[:, 2] -= (np.array([width, height]) - 1) / 2
-    inverse *= block
-    inverse[:, 2] += (np.array([mask.shape[1], mask.shape[0]]) - 1) / 2
-    return rotated, inverse
 
 
 def _rotate(candidates: Candidates, chosen: NDArray[np.bool_], query: RotatedQuery) -> None:

@@ -1,8 +1,8 @@
-"""Landmarks of a photograph: the agreement of skeletons with them, and the fit to them.
+"""Landmarks of a person: how well skeletons agree with them, and skeletons fitted to them.
 
 The index provides the nearest of its recorded poses. The fit moves joints towards the landmarks and
 restores the bone lengths. In the picture it goes from coarse to fine, so that it also reaches limbs
-far from their keypoints. Points without a landmark keep their position relative to their parents.
+far from their landmarks. Points without a landmark keep their position relative to their parents.
 
 In depth, landmarks and poses may disagree. The first skeleton moves most of the way to the
 landmarks; the others move only where they nearly agree, so that they remain alternatives.
@@ -28,73 +28,24 @@ from index.skeleton import (
     with_bone_lengths,
 )
 
-# Standard deviation of a point about its keypoint, pixels of the normalised frame.
-_SIGMA_PX = 8.0
-# Standard deviation of a point about its landmark in three dimensions, metres.
-_SIGMA_M = 0.15
+# Standard deviation of a point about its landmark in the picture, and in three dimensions.
+_SIGMA_PX, _SIGMA_M = 8.0, 0.15
 # Weight of the landmarks in three dimensions beside their places in the picture, which are more
 # certain.
 _LIMB_WEIGHT = 0.25
 
 OUTLIER_WEIGHT = 0.05
-"""Weight of outliers among keypoints, so that no single keypoint rules a pose out."""
+"""Weight of outliers among landmarks, so that no single landmark rules a pose out."""
 
 # Likelihoods below this are set to zero, since arithmetic on denormal numbers is slow.
 _MIN_MASS = 1e-6
 # Factors by which a body may differ in size from its landmarks.
 _SIZE_RANGE = (0.8, 1.25)
-# Stages of the fit: standard deviation in pixels, share of the way that a point moves in an
-# iteration, and iterations. Chosen on the street people of even-numbered photographs.
-_FIT_STAGES = ((14.0, 0.7, 4), (7.0, 0.7, 10))
-# Total share of the way to the landmarks' depths by which the fit moves joints.
-_DEPTH_SHARE = 0.6
-
-DISTANCE_WEIGHT = 4.0
-"""Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood of
-the landmarks. Like the weight of sides, it was chosen on people in even-numbered photographs."""
-
-# Weight of the log odds of a hypothesis's sides.
-_SIDE_WEIGHT = 0.3
-# Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
-_TILT_SCALE_DEG = 60.0
-
-_HIP_POINTS = side_rows("hip")
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """How skeletons agree with keypoints.
-
-    Parameters
-    ----------
-    log_likelihood : (K,) float64 array
-        Log likelihood of the keypoints, given each skeleton or its twin with left and right
-        exchanged, whichever is likelier; at most 0.
-    side_log_odds : (K,) float64 array
-        Log odds of the skeleton against that twin. They are separate because keypoints show more
-        reliably where a joint is than whether it is the left or the right one.
-    residuals : (K, P, 2) float64 array
-        Offset from each point of the likelier of the two to its keypoint, in pixels of the
-        normalised frame, scaled down by the probability that the keypoint is an outlier.
-    """
-
-    log_likelihood: NDArray[np.float64]
-    side_log_odds: NDArray[np.float64]
-    residuals: NDArray[np.float64]
-
-    def take(self, rows: NDArray[np.integer]) -> Agreement:
-        """Select skeletons by row, in the order given."""
-        return Agreement(self.log_likelihood[rows], self.side_log_odds[rows], self.residuals[rows])
-
-    def weights(self, exponent: float) -> NDArray[np.float64]:
-        """Likelihoods ``(K,)`` to the power of ``exponent``, relative to the likeliest."""
-        relative = self.log_likelihood - self.log_likelihood.max()
-        return np.asarray(np.exp(exponent * relative))
-
-
-@dataclass(frozen=True)
-class Keypoints:
-    """Landmarks of a person: positions in the picture, and the limbs in three dimensions.
+class NormalisedLandmarks:
+    """Landmarks of a person in the normalised frame, and the limbs in three dimensions.
 
     Parameters
     ----------
@@ -104,46 +55,39 @@ class Keypoints:
         Pixels of the normalised frame.
     scores : (P,) float64 array
         Confidence of each, above 0 and at most 1.
-    limbs_3d : (12, 3) float64 array, optional
+    limbs_3d : (12, 3) float64 array
         Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
-    limb_scores : (12,) float64 array, optional
+    limb_scores : (12,) float64 array
         Confidence of each limb joint, from 0 to 1.
     sigma_px : float
-        Standard deviation of a point about its keypoint.
+        Standard deviation of a point about its landmark in the picture.
     """
 
     rows: tuple[int, ...]
     positions: NDArray[np.float64]
     scores: NDArray[np.float64]
-    limbs_3d: NDArray[np.float64] | None = None
-    limb_scores: NDArray[np.float64] | None = None
+    limbs_3d: NDArray[np.float64]
+    limb_scores: NDArray[np.float64]
     sigma_px: float = _SIGMA_PX
 
     def __post_init__(self) -> None:
-        count = len(self.rows)
-        if self.positions.shape != (count, 2) or self.scores.shape != (count,):
-            raise ValueError(
-                f"expected positions of shape ({count}, 2) and scores of shape ({count},), "
-                f"got {self.positions.shape} and {self.scores.shape}"
-            )
+        count, limbs = len(self.rows), len(LIMBS)
+        arrays = (self.positions, self.scores, self.limbs_3d, self.limb_scores)
+        shapes, expected = (
+            tuple(a.shape for a in arrays),
+            ((count, 2), (count,), (limbs, 3), (limbs,)),
+        )
+        if shapes != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
         if not count or not all(0 <= row < POINTS for row in self.rows):
             raise ValueError(f"expected rows from 0 to {POINTS - 1}, got {self.rows}")
         if not ((self.scores > 0) & (self.scores <= 1)).all():
             raise ValueError(f"expected scores above 0 and at most 1, got {self.scores}")
-        if (self.limbs_3d is None) != (self.limb_scores is None):
-            raise ValueError("expected limbs in three dimensions with their scores, or neither")
-        if self.limbs_3d is not None and self.limb_scores is not None:
-            shapes = (self.limbs_3d.shape, self.limb_scores.shape)
-            if shapes != ((len(LIMBS), 3), (len(LIMBS),)):
-                raise ValueError(
-                    f"expected limbs of shape ({len(LIMBS)}, 3) and scores of shape "
-                    f"({len(LIMBS)},), got {shapes[0]} and {shapes[1]}"
-                )
 
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]
     ) -> Agreement:
-        """Compare skeletons with the keypoints.
+        """Compare skeletons with the landmarks.
 
         Parameters
         ----------
@@ -156,18 +100,17 @@ class Keypoints:
         # Each skeleton beside its twin: (K, 2, P, 2).
         offsets = self.positions - points.take(_with_other_side(self.rows), axis=1)
         mass = self._mass(offsets)
-        likelihood = self._log_likelihoods(mass)
-        if self.limb_scores is not None:
-            limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
-            squares = _squares(self._offsets_of_limbs(limbs))
-            near = self.limb_scores * np.exp(-squares / (2 * _SIGMA_M**2))
-            likelihood += _LIMB_WEIGHT * self._log_likelihoods(near)
+        likelihood = _log_likelihoods(mass)
+        limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
+        squares = _squares(self._offsets_of_limbs(limbs))
+        near = self.limb_scores * np.exp(-squares / (2 * _SIGMA_M**2))
+        likelihood += _LIMB_WEIGHT * _log_likelihoods(near)
         likelier = likelihood.argmax(axis=1)
         each = np.arange(len(points))
         return Agreement(
             likelihood[each, likelier],
             likelihood[:, 0] - likelihood[:, 1],
-            self._inlier_share(mass[each, likelier])[..., None] * offsets[each, likelier],
+            _inlier_share(mass[each, likelier])[..., None] * offsets[each, likelier],
         )
 
     def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -178,31 +121,62 @@ class Keypoints:
         return self._offsets_of_limbs(np.asarray(points_3d[:, LIMB_ROWS], np.float64))
 
     def inlier_probability(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Probability ``(K, P)`` that keypoints at offsets ``(K, P, 2)`` are not outliers."""
-        return self._inlier_share(self._mass(offsets))
+        """Probability ``(K, P)`` that landmarks at offsets ``(K, P, 2)`` are not outliers."""
+        return _inlier_share(self._mass(offsets))
 
     def _offsets_of_limbs(self, limbs: NDArray[np.float64]) -> NDArray[np.float64]:
         """Offsets ``(..., 12, 3)`` from limbs to the landmarks; see :meth:`limb_offsets`."""
-        assert self.limbs_3d is not None and self.limb_scores is not None
         limbs = limbs - limbs.take(LIMB_HIPS, axis=-2).mean(axis=-2, keepdims=True)
         weighted = self.limb_scores[:, None] * self.limbs_3d
         inner = limbs.reshape(*limbs.shape[:-2], -1) @ weighted.ravel()
         size = inner / max(float((weighted * self.limbs_3d).sum()), 1e-9)
-        size = np.clip(size, *_SIZE_RANGE)[..., None, None]
-        return np.asarray(size * self.limbs_3d - limbs)
+        return np.clip(size, *_SIZE_RANGE)[..., None, None] * self.limbs_3d - limbs
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Likelihoods ``(..., P)`` of keypoints at offsets ``(..., P, 2)`` if not outliers."""
+        """Likelihoods ``(..., P)`` of landmarks at offsets ``(..., P, 2)`` if not outliers."""
         mass = self.scores * np.exp(_squares(offsets) / (-2 * self.sigma_px**2))
         mass[mass < _MIN_MASS] = 0
-        return np.asarray(mass)
+        return mass
 
-    def _inlier_share(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(mass / (mass + OUTLIER_WEIGHT))
 
-    def _log_likelihoods(self, mass: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums ``(...)`` of the log likelihoods of points, each an inlier or an outlier."""
-        return np.asarray(np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT)).sum(axis=-1))
+@dataclass(frozen=True)
+class Agreement:
+    """How skeletons agree with landmarks.
+
+    Parameters
+    ----------
+    log_likelihood : (K,) float64 array
+        Log likelihood of the landmarks, given each skeleton or its twin with left and right
+        exchanged, whichever is likelier; at most 0.
+    side_log_odds : (K,) float64 array
+        Log odds of the skeleton against that twin. They are separate because landmarks show more
+        reliably where a joint is than whether it is the left or the right one.
+    residuals : (K, P, 2) float64 array
+        Offset from each point of the likelier of the two to its landmark, in pixels of the
+        normalised frame, scaled down by the probability that the landmark is an outlier.
+    """
+
+    log_likelihood: NDArray[np.float64]
+    side_log_odds: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+
+    def take(self, rows: NDArray[np.integer]) -> Agreement:
+        """Select skeletons by row, in the order given."""
+        return Agreement(self.log_likelihood[rows], self.side_log_odds[rows], self.residuals[rows])
+
+    def weights(self, exponent: float) -> NDArray[np.float64]:
+        """Likelihoods ``(K,)`` to the power of ``exponent``, relative to the likeliest."""
+        return np.exp(exponent * (self.log_likelihood - self.log_likelihood.max()))
+
+
+DISTANCE_WEIGHT = 4.0
+"""Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood of
+the landmarks. Like the weight of sides, it was chosen on people in even-numbered photographs."""
+
+# Weight of the log odds of a hypothesis's sides.
+_SIDE_WEIGHT = 0.3
+# Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
+_TILT_SCALE_DEG = 60.0
 
 
 def fused_distances(
@@ -224,13 +198,24 @@ def fused_distances(
         + _SIDE_WEIGHT * agreement.side_log_odds
         - np.abs(tilt_deg) / _TILT_SCALE_DEG
     )
-    return np.asarray(distances * np.exp(-likelihood / DISTANCE_WEIGHT))
+    return distances * np.exp(-likelihood / DISTANCE_WEIGHT)
 
 
-def fit_to_keypoints(
-    keypoints: Keypoints, points_3d: NDArray[np.float64], points_normalised: NDArray[np.float64]
+# Stages of the fit: standard deviation in pixels, share of the way that a point moves in an
+# iteration, and iterations. Chosen on the street people of even-numbered photographs.
+_FIT_STAGES = ((14.0, 0.7, 4), (7.0, 0.7, 10))
+# Total share of the way to the landmarks' depths by which the fit moves joints.
+_DEPTH_SHARE = 0.6
+
+_HIP_POINTS = side_rows("hip")
+
+
+def fit_to_landmarks(
+    landmarks: NormalisedLandmarks,
+    points_3d: NDArray[np.float64],
+    points_normalised: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit skeletons to keypoints.
+    """Fit skeletons to landmarks.
 
     Parameters
     ----------
@@ -245,34 +230,31 @@ def fit_to_keypoints(
     points_3d, points_normalised
         Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
-    fitted, placed = points_3d, points_normalised
     lengths = bone_lengths(points_3d)
     px_per_metre = pixels_per_metre(points_3d, points_normalised)[:, None, None]
-    if keypoints.limbs_3d is not None:
-        fitted = with_bone_lengths(_move_to_landmark_depth(keypoints, points_3d), lengths)
-        placed = placed + (fitted - points_3d)[..., :2] * px_per_metre
+    fitted = with_bone_lengths(_moved_in_depth(landmarks, points_3d), lengths)
+    placed = points_normalised + (fitted - points_3d)[..., :2] * px_per_metre
     for sigma_px, share, iterations in _FIT_STAGES:
-        blurred = replace(keypoints, sigma_px=sigma_px)
+        blurred = replace(landmarks, sigma_px=sigma_px)
         rows = _match_sides(blurred, blurred.compare(placed, fitted).side_log_odds < 0)
         for _ in range(iterations):
             moves = share * _residuals(blurred, placed, rows)
             moved = fitted.copy()
             moved[..., :2] += moves / px_per_metre
             moved = with_bone_lengths(moved, lengths)
-            # The pelvis has no keypoint and follows the hips.
+            # The pelvis has no landmark and follows the hips.
             placed = placed + moves[:, _HIP_POINTS].mean(axis=1, keepdims=True)
             placed += (moved - fitted)[..., :2] * px_per_metre
             fitted = moved
     return fitted, placed
 
 
-def _move_to_landmark_depth(
-    keypoints: Keypoints, points_3d: NDArray[np.float64]
+def _moved_in_depth(
+    landmarks: NormalisedLandmarks, points_3d: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Move skeletons ``(M, 24, 3)`` towards the landmarks in three dimensions."""
-    assert keypoints.limb_scores is not None
-    offsets = keypoints.limb_offsets(points_3d)
-    shares = np.repeat(_DEPTH_SHARE * keypoints.limb_scores[None], len(points_3d), axis=0)
+    offsets = landmarks.limb_offsets(points_3d)
+    shares = np.repeat(_DEPTH_SHARE * landmarks.limb_scores[None], len(points_3d), axis=0)
     near = np.exp(-_squares(offsets) / (2 * _SIGMA_M**2))
     shares[1:] *= near[1:]
     moved = points_3d.copy()
@@ -280,13 +262,52 @@ def _move_to_landmark_depth(
     return moved
 
 
+def _match_sides(landmarks: NormalisedLandmarks, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows ``(M, P)`` of each skeleton's points that the landmarks show.
+
+    Left and right are exchanged if that is likelier, but never for the first skeleton, because it
+    follows the landmarks.
+    """
+    rows = np.where(exchanged[:, None], OTHER_SIDE[list(landmarks.rows)], landmarks.rows)
+    rows[0] = landmarks.rows
+    return rows
+
+
+def _residuals(
+    landmarks: NormalisedLandmarks,
+    points_normalised: NDArray[np.float64],
+    rows: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Offsets ``(M, 24, 2)`` to the landmarks from the points in ``rows`` ``(M, P)``.
+
+    The first skeleton follows the landmarks however far they are.
+    """
+    skeletons = np.arange(len(points_normalised))[:, None]
+    offsets = landmarks.positions - points_normalised[skeletons, rows]
+    trust = landmarks.inlier_probability(offsets)
+    trust[0] = landmarks.scores
+    residuals = np.zeros_like(points_normalised)
+    residuals[skeletons, rows] = trust[..., None] * offsets
+    return residuals
+
+
+def _inlier_share(mass: NDArray[np.float64]) -> NDArray[np.float64]:
+    return mass / (mass + OUTLIER_WEIGHT)
+
+
+def _log_likelihoods(mass: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums ``(...)`` of the log likelihoods of points, each an inlier or an outlier."""
+    likelihoods: NDArray[np.float64] = np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT))
+    return likelihoods.sum(axis=-1)
+
+
 def _squares(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared lengths; NumPy is several times slower along axes of length two or three."""
     x, y, *more = np.moveaxis(vectors, -1, 0)
-    squares = x * x + y * y
+    squares: NDArray[np.float64] = x * x + y * y
     for z in more:
         squares += z * z
-    return np.asarray(squares)
+    return squares
 
 
 def _with_other_side(rows: Sequence[int]) -> NDArray[np.int64]:
@@ -295,32 +316,3 @@ def _with_other_side(rows: Sequence[int]) -> NDArray[np.int64]:
 
 
 _BOTH_LIMBS = _with_other_side(LIMB_ROWS)
-
-
-def _match_sides(keypoints: Keypoints, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Rows ``(M, P)`` of each skeleton's points that the keypoints show.
-
-    Left and right are exchanged if that is likelier, but never for the first skeleton if landmarks
-    have a depth, because it follows them.
-    """
-    rows = np.where(exchanged[:, None], OTHER_SIDE[list(keypoints.rows)], keypoints.rows)
-    if keypoints.limbs_3d is not None:
-        rows[0] = keypoints.rows
-    return rows
-
-
-def _residuals(
-    keypoints: Keypoints, points_normalised: NDArray[np.float64], rows: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Offsets ``(M, 24, 2)`` to the keypoints from the points in ``rows`` ``(M, P)``.
-
-    If landmarks have a depth, the first skeleton follows them however far they are.
-    """
-    skeletons = np.arange(len(points_normalised))[:, None]
-    offsets = keypoints.positions - points_normalised[skeletons, rows]
-    trust = keypoints.inlier_probability(offsets)
-    if keypoints.limbs_3d is not None:
-        trust[0] = keypoints.scores
-    residuals = np.zeros_like(points_normalised)
-    residuals[skeletons, rows] = trust[..., None] * offsets
-    return residuals

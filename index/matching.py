@@ -1,4 +1,10 @@
-"""From a silhouette and an index to distinct hypotheses."""
+"""From a silhouette, and landmarks if there are any, to distinct poses in the order of their rank.
+
+Entries near the query are candidates; poses at which they gather are modes. Hypotheses are modes in
+the order of their distances, with a confidence. With landmarks, the entries nearest to them are
+candidates as well, candidates are weighted by their agreement with them, modes are fitted to them,
+and both facings are among the hypotheses.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +13,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import HEIGHT, WIDTH
+from descriptor.silhouette import outline_distances
 from index.candidates import (
     Candidates,
     RotatedQuery,
-    find_rotated_candidates,
+    find_candidates,
     landmark_rotations,
-    seen_from,
     silhouette_rotations,
 )
 from index.confidence import RIGHT_BELOW_PX, fused_confidences
 from index.facing import azimuth_deg, front_share, heading_shares, nearest_of_both_facings
-from index.landmarks import Agreement, Keypoints, fit_to_keypoints, fused_distances
+from index.landmarks import Agreement, NormalisedLandmarks, fit_to_landmarks, fused_distances
 from index.modes import Modes, candidate_weights, find_modes, mode_weights
 from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
 from index.ranking import NetworkRanking
@@ -38,148 +42,21 @@ from index.skeleton import (
 )
 from index.store import PoseIndex
 
-AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
-"""Mean joint distances below which a candidate agrees with a mode."""
-
-AGREEMENT_FALL_OFFS = (0.15, 0.5)
-"""Fall-offs of the candidates' weights, as in :func:`index.modes.candidate_weights`."""
-
 DEFAULT_HYPOTHESES = 7
 """Hypotheses returned unless a caller asks for another number; the confidence is fitted for them,
 and this many decide posture and facing however many are requested. They are the first batch; the
 next one is twice as large, and so on, so that the first k of n are those found when k are
 requested."""
 
+MIN_NEW_POSE_M = 0.055
+"""Mean joint distance from all earlier hypotheses that makes one of a later batch new."""
+
 # If a batch of this many times the number requested adds nothing, it is the last: few distinct
 # poses may fit a person who is hardly seen, and looking for 50 took seconds.
 _MAX_BATCH_GROWTH = 4
 
-MIN_NEW_POSE_M = 0.055
-"""Mean joint distance from all earlier hypotheses that makes one of a later batch new."""
-
-# Number of nearest entries without keypoints; more add few useful modes. A network that ranks the
-# modes can use a few more.
-_CANDIDATES, _RANKED_CANDIDATES = 160, 200
-# With keypoints: number of entries nearest to each rotation of the silhouette, number of entries
-# nearest to the landmarks, and number of the best of both, from which the modes are made.
-_SILHOUETTE_CANDIDATES, _LANDMARK_CANDIDATES, _KEPT_CANDIDATES = 150, 50, 200
-# Fewest candidates of one kind for each hypothesis requested.
-_CANDIDATES_PER_HYPOTHESIS = 20
-# Factor by which the candidates may grow if they hold too few distinct poses.
-_MAX_CANDIDATE_GROWTH = 16
-
 SPARE_MODES = 4
 """Modes computed beyond those requested: a sparse mode may fit best."""
-
-# A person tilted by more than this in the picture is lying rather than standing.
-_MAX_STANDING_TILT_DEG = 30.0
-# Landmarks whose trunk is tilted by less are searched only as they are.
-_MAX_UPRIGHT_TRUNK_DEG = 12.0
-# Smallest scale at which candidates are placed by keypoints.
-_MIN_PX_PER_METRE = 5.0
-
-
-def match_features(
-    candidates: Candidates, modes: Modes, outline_errors: NDArray[np.floating]
-) -> NDArray[np.float64]:
-    """Compute :data:`index.confidence.FEATURES`.
-
-    Parameters
-    ----------
-    modes : Modes
-        M modes of the candidates, ordered by rank.
-    outline_errors : (M,) array
-        Outline distance between the query and the centre of each mode, pixels.
-
-    Returns
-    -------
-    (M, F) float64 array
-    """
-    distances, votes = np.log(modes.distances + 1e-6), np.log(modes.votes + 1e-6)
-    nearest = np.full(len(modes), np.log(candidates.distances[0] + 1e-6))
-    return np.stack(
-        [
-            distances,
-            distances - distances.min(),
-            votes,
-            votes - votes.max(),
-            nearest,
-            np.asarray(outline_errors, np.float64),
-            np.log(np.arange(1, len(modes) + 1)),
-            *np.log(_agreements(candidates, modes) + 1e-3),
-        ],
-        axis=-1,
-    )
-
-
-def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
-    """Weighted shares ``(4, M)`` of the candidates that agree with each mode.
-
-    The share of candidates that agree with a hypothesis is a better predictor of its being right
-    than the fit of the hypothesis itself.
-    """
-    mode_joints = modes.points_normalised[:, :JOINTS]
-    joints = candidates.points_normalised[:, :JOINTS]
-    # Candidates come last, because NumPy is several times slower along short axes.
-    joints = joints.transpose(2, 1, 0).copy()
-    squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
-    squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2
-    errors = np.sqrt(squares).sum(axis=1) / JOINTS
-    agree = [(errors < px).astype(np.float64) for px in AGREEMENT_PX]
-    weights = [candidate_weights(candidates.distances, f) for f in AGREEMENT_FALL_OFFS]
-    return np.stack([a @ w / w.sum() for w in weights for a in agree])
-
-
-def outline_distances(
-    silhouette: NDArray[np.uint8], others: NDArray[np.uint8]
-) -> NDArray[np.float64]:
-    """Mean distance from each outline to the nearest point of the other, averaged both ways.
-
-    Parameters
-    ----------
-    silhouette : (128, 48) uint8 array
-    others : (B, 128, 48) uint8 array
-
-    Returns
-    -------
-    (B,) float64 array
-        Pixels.
-    """
-    silhouettes = np.concatenate([silhouette[None], others])
-    # Shortest paths between two pixels stay within the bounding box of all silhouettes.
-    left, top, width, height = cv2.boundingRect(silhouettes.max(axis=0))
-    outlines = _outlines(silhouettes[:, top : top + max(1, height), left : left + max(1, width)])
-    # Sums of float32 would depend on how many others there are, and on the processor.
-    distances = _distance_transforms(outlines).reshape(len(outlines), -1).astype(np.float64)
-    on_outline = outlines.reshape(len(outlines), -1).astype(np.float64)
-    lengths = np.maximum(on_outline.sum(axis=1), 1)
-    from_others = on_outline[1:] @ distances[0] / lengths[1:]
-    to_others = distances[1:] @ on_outline[0] / lengths[0]
-    return np.asarray((from_others + to_others) / 2)
-
-
-def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Outermost pixels of silhouettes ``(B, H, W)``, found in one tall picture."""
-    count, height, width = silhouettes.shape
-    # A row of background below each separates them.
-    padded = np.zeros((count, height + 1, width), np.uint8)
-    padded[:, :height] = silhouettes != 0
-    eroded = cv2.erode(
-        padded.reshape(-1, width),
-        np.ones((3, 3), np.uint8),
-        borderType=cv2.BORDER_CONSTANT,
-        borderValue=0,
-    ).reshape(padded.shape)
-    return np.asarray((padded != eroded)[:, :height])
-
-
-def _distance_transforms(outlines: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Distance ``(B, H, W)`` of each pixel to the outline; the frame's diagonal if it is empty."""
-    distances = np.empty(outlines.shape, np.float32)
-    for background, distance in zip((~outlines).view(np.uint8), distances, strict=True):
-        cv2.distanceTransform(background, cv2.DIST_L2, 3, distance)
-    distances[~outlines.any(axis=(1, 2))] = np.hypot(HEIGHT, WIDTH)
-    return distances
 
 
 @dataclass(frozen=True)
@@ -267,15 +144,12 @@ def match(
     index: PoseIndex,
     silhouette: NDArray[np.uint8],
     n: int,
-    keypoints: Keypoints | None = None,
+    landmarks: NormalisedLandmarks | None = None,
     *,
     roll_deg: float = 0.0,
     whole: bool = True,
 ) -> Match:
     """Find distinct poses that fit a silhouette, and landmarks if there are any.
-
-    With landmarks, the entries nearest to them are candidates as well, candidates are weighted by
-    their agreement with the landmarks, and the interpolated poses are fitted to them.
 
     Parameters
     ----------
@@ -285,7 +159,7 @@ def match(
         Number of hypotheses. At least :data:`DEFAULT_HYPOTHESES` are returned, for posture and
         facing, but fewer than either if few distinct poses fit.
     roll_deg : float
-        Roll of the camera in the silhouette and the keypoints; not 0 if they were rotated because
+        Roll of the camera in the silhouette and the landmarks; not 0 if they were rotated because
         the silhouette is wider than high. Skeletons are returned in the axes of the camera without
         that roll.
     whole : bool
@@ -297,10 +171,10 @@ def match(
     Match
         The first ``k`` hypotheses do not depend on ``n``.
     """
-    query = _Query(index, silhouette, keypoints, roll_deg, whole)
+    query = _Query(index, silhouette, landmarks, roll_deg, whole)
     size = DEFAULT_HYPOTHESES
     found, features = query.batch(size)
-    voters = slice(DEFAULT_HYPOTHESES if keypoints is None else len(found))
+    voters = slice(DEFAULT_HYPOTHESES if landmarks is None else len(found))
     # For each rank, the number of hypotheses found for a request of that many.
     pools = [len(found)] * min(size, len(found))
     while len(found) < n or size < n:
@@ -321,7 +195,7 @@ def match(
     azimuths = azimuth_deg(np.array([one.points_3d for one in found]))
     confidences = np.array([one.confidence for one in found])
     front_probability = front_share(azimuths[voters], confidences[voters])
-    if keypoints is None:
+    if landmarks is None:
         return Match(found[:count], features[:count], front_probability)
     # A skeleton cannot be likelier right than its heading.
     shares = heading_shares(azimuths, azimuths[voters], confidences[voters])
@@ -338,20 +212,34 @@ def match(
     return Match(hypotheses, features[chosen], front_probability)
 
 
+# Number of nearest entries without landmarks; more add few useful modes. A network that ranks the
+# modes can use a few more.
+_CANDIDATES, _RANKED_CANDIDATES = 160, 200
+# With landmarks: number of entries nearest to each rotation of the silhouette, number of entries
+# nearest to the landmarks, and number of the best of both, from which the modes are made.
+_SILHOUETTE_CANDIDATES, _LANDMARK_CANDIDATES, _KEPT_CANDIDATES = 150, 50, 200
+# Fewest candidates of one kind for each hypothesis requested.
+_CANDIDATES_PER_HYPOTHESIS = 20
+# Factor by which the candidates may grow if they hold too few distinct poses.
+_MAX_CANDIDATE_GROWTH = 16
+# A person tilted by more than this in the picture is lying rather than standing.
+_MAX_STANDING_TILT_DEG = 30.0
+
+
 @dataclass(frozen=True)
 class _Query:
     """One silhouette with its evidence and the index to search; see :func:`match`."""
 
     index: PoseIndex
     silhouette: NDArray[np.uint8]
-    keypoints: Keypoints | None
+    landmarks: NormalisedLandmarks | None
     roll_deg: float
     whole: bool
 
     @cached_property
     def ranking(self) -> NetworkRanking | None:
-        """The network's ranking; None with keypoints, or without a network."""
-        if self.keypoints is not None or self.index.reranker is None:
+        """The network's ranking; None with landmarks, or without a network."""
+        if self.landmarks is not None or self.index.reranker is None:
             return None
         return NetworkRanking.of(self.index.reranker, self.silhouette)
 
@@ -360,20 +248,20 @@ class _Query:
 
         No distance is smaller than ``at_least``, the distance of the last one of earlier batches.
         """
-        index, ranking, keypoints = self.index, self.ranking, self.keypoints
+        index, ranking, landmarks = self.index, self.ranking, self.landmarks
         queries, candidates, modes = (
             self._modes_of_silhouette(n)
-            if keypoints is None
-            else self._modes_with_keypoints(n, keypoints)
+            if landmarks is None
+            else self._modes_with_landmarks(n, landmarks)
         )
         centres = candidates.take(modes.centres)
         rotation_deg = centres.rotation_deg - self.roll_deg
         entry_roll_deg = index.roll_deg(centres.entry_ids, centres.mirrored)
         tilt_deg = wrap_degrees(rotation_deg + entry_roll_deg)
         distances = modes.distances
-        if keypoints is not None:
+        if landmarks is not None:
             # Modes are compared before the fit: a pose that must change far to fit is less likely.
-            agreement = keypoints.compare(modes.points_normalised, modes.points_3d)
+            agreement = landmarks.compare(modes.points_normalised, modes.points_3d)
             distances = fused_distances(distances, agreement, tilt_deg)
         elif ranking is not None:
             distances = ranking.distances(modes)
@@ -384,19 +272,19 @@ class _Query:
             values[nearest] for values in (distances, rotation_deg, tilt_deg)
         )
         errors_px = _outline_errors(index, queries, centres)
-        if keypoints is None:
-            features = match_features(candidates, modes, errors_px)
+        if landmarks is None:
+            features = _features(candidates, modes, errors_px)
             if ranking is not None:
                 features = ranking.features(features, modes, distances)
         else:
-            points_3d, points_normalised = fit_to_keypoints(
-                keypoints, modes.points_3d, modes.points_normalised
+            points_3d, points_normalised = fit_to_landmarks(
+                landmarks, modes.points_3d, modes.points_normalised
             )
             modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
             features = np.empty((len(modes), 0))
         distances = np.maximum(distances, at_least)
         adjusted_m = mean_joint_distance(modes.points_3d, centres.points_3d)
-        if keypoints is None:
+        if landmarks is None:
             confidences = index.calibration(reranked=ranking is not None).probability(features)
         else:
             confidences = fused_confidences(distances, adjusted_m)
@@ -430,7 +318,7 @@ class _Query:
         usual = _CANDIDATES if ranking is None else _RANKED_CANDIDATES
         k = max(usual, _CANDIDATES_PER_HYPOTHESIS * n)
         while True:
-            candidates = find_rotated_candidates(self.index, queries, k)
+            candidates = find_candidates(self.index, queries, k)
             count = n + SPARE_MODES
             if ranking is None:
                 modes = find_modes(candidates, count)
@@ -442,54 +330,48 @@ class _Query:
                 return queries, candidates, modes
             k *= 2
 
-    def _modes_with_keypoints(
-        self, n: int, keypoints: Keypoints
+    def _modes_with_landmarks(
+        self, n: int, landmarks: NormalisedLandmarks
     ) -> tuple[list[RotatedQuery], Candidates, Modes]:
-        """Modes of candidates near the silhouette and the landmarks, weighted by agreement."""
+        """Modes of candidates near the silhouette and the landmarks, weighted by agreement.
+
+        Unless the silhouette is whole, only entries near the landmarks are candidates.
+        """
         growth = max(1, math.ceil(_CANDIDATES_PER_HYPOTHESIS * n / _SILHOUETTE_CANDIDATES))
-        nearest = self._near_landmarks(keypoints, growth)
-        rotations: Sequence[float] = silhouette_rotations(self.silhouette, self.roll_deg)
-        if nearest is not None:
-            rotations = landmark_rotations(rotations, nearest.roll_deg)
+        nearest = self._near_landmarks(landmarks, growth)
+        usual = silhouette_rotations(self.silhouette, self.roll_deg)
+        rotations = landmark_rotations(usual, nearest.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         known = 0
         while True:
-            candidates = self._candidates(queries, nearest, growth)
+            k = growth * _SILHOUETTE_CANDIDATES if self.whole else 0
+            candidates = find_candidates(self.index, queries, k, nearest)
             exhausted, known = len(candidates) <= known, len(candidates)
             candidates, agreement = self._likeliest(
-                candidates, keypoints, growth * _KEPT_CANDIDATES
+                candidates, landmarks, growth * _KEPT_CANDIDATES
             )
             modes = find_modes(candidates, n + SPARE_MODES, agreement=agreement)
             if len(modes) >= n or exhausted or growth >= _MAX_CANDIDATE_GROWTH:
                 return queries, candidates, modes
             growth *= 2
-            nearest = self._near_landmarks(keypoints, growth)
+            nearest = self._near_landmarks(landmarks, growth)
 
-    def _near_landmarks(self, keypoints: Keypoints, growth: int) -> NearestEntries | None:
-        """Entries near the landmarks in three dimensions; None if there are no such landmarks."""
-        if keypoints.limbs_3d is None:
-            return None
-        limbs_3d = rotate_clockwise(keypoints.limbs_3d, -self.roll_deg)
+    def _near_landmarks(self, landmarks: NormalisedLandmarks, growth: int) -> NearestEntries:
+        """Entries near the landmarks in three dimensions, with their rotations in the query."""
+        limbs_3d = rotate_clockwise(landmarks.limbs_3d, -self.roll_deg)
         nearest = self.index.landmark_search.nearest(
             limbs_3d, _likely_rolls(limbs_3d), growth * _LANDMARK_CANDIDATES
         )
-        return seen_from(self.index, nearest, self.roll_deg)
-
-    def _candidates(
-        self, queries: Sequence[RotatedQuery], nearest: NearestEntries | None, growth: int
-    ) -> Candidates:
-        """Entries near the landmarks, and near the silhouette unless it is not whole."""
-        searched = self.whole or nearest is None
-        k = growth * _SILHOUETTE_CANDIDATES if searched else 0
-        return find_rotated_candidates(self.index, queries, k, nearest)
+        entry_roll_deg = self.index.roll_deg(nearest.entry_ids, nearest.mirrored)
+        return replace(nearest, roll_deg=nearest.roll_deg - entry_roll_deg + self.roll_deg)
 
     def _likeliest(
-        self, candidates: Candidates, keypoints: Keypoints, count: int
+        self, candidates: Candidates, landmarks: NormalisedLandmarks, count: int
     ) -> tuple[Candidates, Agreement]:
         """Candidates with the largest weights, ordered by distance, with their agreement."""
         if not self.whole:
-            candidates = _placed_by_keypoints(candidates, keypoints)
-        agreement = keypoints.compare(candidates.points_normalised, candidates.points_3d)
+            candidates = _placed_by_landmarks(candidates, landmarks)
+        agreement = landmarks.compare(candidates.points_normalised, candidates.points_3d)
         distances = candidates.distances if self.whole else np.ones(len(candidates))
         kept = np.argsort(-mode_weights(distances, agreement), kind="stable")[:count]
         kept.sort()  # Back in ascending distance.
@@ -511,6 +393,10 @@ class _Query:
         ]
 
 
+# Landmarks whose trunk is tilted by less are searched only as they are.
+_MAX_UPRIGHT_TRUNK_DEG = 12.0
+
+
 def _likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
     """Rolls of the camera that limbs ``(12, 3)`` suggest: 0, and the tilt of the trunk."""
     hips, shoulders = (limbs_3d[pair].mean(axis=0) for pair in (LIMB_HIPS, LIMB_SHOULDERS))
@@ -519,16 +405,20 @@ def _likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
     return (0.0,) if abs(roll_deg) < _MAX_UPRIGHT_TRUNK_DEG else (0.0, roll_deg)
 
 
-def _placed_by_keypoints(candidates: Candidates, keypoints: Keypoints) -> Candidates:
-    """Candidates placed in the picture by the keypoints, by weighted least squares."""
-    rows = list(keypoints.rows)
-    weights = (keypoints.scores / keypoints.scores.sum())[None, :, None]
+# Smallest scale at which candidates are placed by landmarks.
+_MIN_PX_PER_METRE = 5.0
+
+
+def _placed_by_landmarks(candidates: Candidates, landmarks: NormalisedLandmarks) -> Candidates:
+    """Candidates placed in the picture by the landmarks, by weighted least squares."""
+    rows = list(landmarks.rows)
+    weights = (landmarks.scores / landmarks.scores.sum())[None, :, None]
     plane = candidates.points_3d[..., :2]
     middle = (weights * plane[:, rows]).sum(axis=1, keepdims=True)
-    target = (weights[0] * keypoints.positions).sum(axis=0)
+    target = (weights[0] * landmarks.positions).sum(axis=0)
     from_middle = plane[:, rows] - middle
-    to_keypoints = keypoints.positions - target
-    scale = (weights * from_middle * to_keypoints).sum(axis=(1, 2)) / np.maximum(
+    to_landmarks = landmarks.positions - target
+    scale = (weights * from_middle * to_landmarks).sum(axis=(1, 2)) / np.maximum(
         (weights * from_middle**2).sum(axis=(1, 2)), 1e-9
     )
     placed = (plane - middle) * np.maximum(scale, _MIN_PX_PER_METRE)[:, None, None] + target
@@ -547,3 +437,60 @@ def _outline_errors(
         if rows.any():
             errors_px[rows] = outline_distances(query.silhouette, silhouettes[rows])
     return errors_px
+
+
+# Mean joint distances below which a candidate agrees with a mode.
+_AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
+# Fall-offs of the candidates' weights, as in :func:`index.modes.candidate_weights`.
+_AGREEMENT_FALL_OFFS = (0.15, 0.5)
+
+
+def _features(
+    candidates: Candidates, modes: Modes, outline_errors: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Compute :data:`index.confidence.FEATURES`.
+
+    Parameters
+    ----------
+    modes : Modes
+        M modes of the candidates, ordered by rank.
+    outline_errors : (M,) array
+        Outline distance between the query and the centre of each mode, pixels.
+
+    Returns
+    -------
+    (M, F) float64 array
+    """
+    distances, votes = np.log(modes.distances + 1e-6), np.log(modes.votes + 1e-6)
+    nearest = np.full(len(modes), np.log(candidates.distances[0] + 1e-6))
+    return np.stack(
+        [
+            distances,
+            distances - distances.min(),
+            votes,
+            votes - votes.max(),
+            nearest,
+            np.asarray(outline_errors, np.float64),
+            np.log(np.arange(1, len(modes) + 1)),
+            *np.log(_agreements(candidates, modes) + 1e-3),
+        ],
+        axis=-1,
+    )
+
+
+def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
+    """Weighted shares ``(4, M)`` of the candidates that agree with each mode.
+
+    The share of candidates that agree with a hypothesis is a better predictor of its being right
+    than the fit of the hypothesis itself.
+    """
+    mode_joints = modes.points_normalised[:, :JOINTS]
+    joints = candidates.points_normalised[:, :JOINTS]
+    # Candidates come last, because NumPy is several times slower along short axes.
+    joints = joints.transpose(2, 1, 0).copy()
+    squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
+    squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2
+    errors = np.sqrt(squares).sum(axis=1) / JOINTS
+    agree = [(errors < px).astype(np.float64) for px in _AGREEMENT_PX]
+    weights = [candidate_weights(candidates.distances, f) for f in _AGREEMENT_FALL_OFFS]
+    return np.stack([a @ w / w.sum() for w in weights for a in agree])

@@ -34,16 +34,16 @@ BANDWIDTH_M = 0.08
 
 # Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the density.
 _SUPPRESSION = 1.5
-# Fall-off of the candidates' weights with distance; see :func:`candidate_weights`. Keypoints
+# Fall-off of the candidates' weights with distance; see :func:`candidate_weights`. Landmarks
 # distinguish near candidates better than descriptors do.
-_FALL_OFF, _FALL_OFF_WITH_KEYPOINTS = 0.3, 0.6
+_FALL_OFF, _FALL_OFF_WITH_LANDMARKS = 0.3, 0.6
 # Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off:
 # otherwise an entry that equals the query would outweigh all others.
 _MIN_NEAREST_SHARE = 0.02
-# Exponent of the keypoints' likelihood in the weights: their errors are correlated (left for
+# Exponent of the landmarks' likelihood in the weights: their errors are correlated (left for
 # right).
 _LIKELIHOOD_EXPONENT = 0.5
-# Descriptor distance equivalent to a pixel between a point and its keypoint.
+# Descriptor distance equivalent to a pixel between a point and its landmark.
 _RESIDUAL_WEIGHT = 0.5
 # Ridge of the regression, relative to the variance of a mode's descriptors.
 _RIDGE = 0.45
@@ -115,8 +115,8 @@ def find_modes(
     Parameters
     ----------
     agreement : Agreement, optional
-        How the candidates agree with keypoints; it weights the candidates and pulls modes towards
-        the keypoints.
+        How the candidates agree with landmarks; it weights the candidates and pulls modes towards
+        the landmarks.
     support : (K,) array, optional
         Factors of the candidates' weights.
     fit : callable, optional
@@ -181,7 +181,7 @@ def mode_weights(
     """Weights ``(K,)`` in the density of candidates at ascending distances ``(K,)``."""
     if agreement is None:
         return candidate_weights(distances, _FALL_OFF)
-    weights = candidate_weights(distances, _FALL_OFF_WITH_KEYPOINTS)
+    weights = candidate_weights(distances, _FALL_OFF_WITH_LANDMARKS)
     return weights * agreement.weights(_LIKELIHOOD_EXPONENT)
 
 

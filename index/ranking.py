@@ -90,7 +90,7 @@ class NetworkRanking:
         Parameters
         ----------
         features : (M, 11) float64 array
-            From :func:`index.matching.match_features`.
+            Those of :data:`index.confidence.FEATURES`.
         distances : (M,) float64 array
             From :meth:`distances`.
         """

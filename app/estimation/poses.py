@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from app.vision.geometry import transform_points
 from app.vision.optics import PinholeCamera, place_on_sight_lines, to_line_of_sight
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
-from descriptor.silhouette import is_wide, normalise, principal_axis_deg
-from index.candidates import rotate_silhouette
-from index.landmarks import Keypoints
+from descriptor.silhouette import is_wide, normalise, principal_axis_deg, rotate_silhouette
+from index.landmarks import NormalisedLandmarks
 from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
 
 # Points of the index and their landmarks. The eyes and ears of the index are in other places, so
@@ -43,7 +42,7 @@ MIN_FEET_VISIBILITY, MIN_HEAD_VISIBILITY = 0.35, 0.2
 
 @dataclass(frozen=True)
 class NormalisedPerson:
-    """A person's normalised silhouette and keypoints; wide silhouettes are rotated upright.
+    """A person's normalised silhouette and landmarks; wide silhouettes are rotated upright.
 
     Parameters
     ----------
@@ -86,7 +85,7 @@ class NormalisedPerson:
         feet_visible = visibility[_ANKLES].max() >= MIN_FEET_VISIBILITY
         return bool(feet_visible and visibility[_HEAD].max() >= MIN_HEAD_VISIBILITY)
 
-    def keypoints(self) -> Keypoints | None:
+    def normalised_landmarks(self) -> NormalisedLandmarks | None:
         """The landmarks in the normalised frame, for matching; None if too few are visible."""
         if self.landmarks is None:
             return None
@@ -96,7 +95,7 @@ class NormalisedPerson:
             return None
         to_normalised = np.asarray(cv2.invertAffineTransform(self.to_frame), np.float64)
         positions = self.landmarks.positions[_LANDMARKS][used]
-        return Keypoints(
+        return NormalisedLandmarks(
             tuple(_POINTS[i] for i in used),
             transform_points(to_normalised, positions),
             np.minimum(scores[used], 1.0),

@@ -17,7 +17,7 @@ from descriptor.descriptor import Descriptor, DiagonalDescriptor, DiscriminantDe
 from index.build.builder import assemble
 from index.build.descriptor_learning import Recipe, learn_descriptor, view_joints
 from index.build.simulate import Simulation
-from index.candidates import Candidates, find_candidates
+from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.confidence import Calibration
 from index.matching import SPARE_MODES
 from index.modes import Modes, find_modes
@@ -128,7 +128,8 @@ def first_poses(
     index = assemble(known, descriptor, Calibration.none(), {}, "paper")
     points = np.full((len(silhouettes), count, POINTS, 2), np.inf)
     for row, silhouette in enumerate(silhouettes):
-        modes = ranked_modes(find_candidates(index, silhouette, CANDIDATES), count)
+        query = RotatedQuery.of(silhouette, 0.0)
+        modes = ranked_modes(find_candidates(index, [query], CANDIDATES), count)
         points[row, : len(modes)] = modes.points_normalised
     return points
 

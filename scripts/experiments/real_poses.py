@@ -133,7 +133,7 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
         )
     if way == LANDMARKS:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
-        if normalised.keypoints() is None:
+        if normalised.normalised_landmarks() is None:
             return None
         return fit_poses(estimator.index, person, normalised, camera, DEFAULT_HYPOTHESES)
     scene = Scene(shown.frame, (person,), camera)

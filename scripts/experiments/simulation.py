@@ -27,7 +27,7 @@ from index.build.calibrate import (
 from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
-from index.candidates import RotatedQuery, find_rotated_candidates, silhouette_rotations
+from index.candidates import RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
 from index.posture import LOW, POSTURES, classify_postures
@@ -166,9 +166,7 @@ def nearest_entries(
     ):
         rotations = silhouette_rotations(silhouette, roll_deg)
         rotated = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        found = find_rotated_candidates(index, rotated, DEFAULT_HYPOTHESES).take(
-            slice(DEFAULT_HYPOTHESES)
-        )
+        found = find_candidates(index, rotated, DEFAULT_HYPOTHESES).take(slice(DEFAULT_HYPOTHESES))
         apart_2d = found.points_normalised[:, :JOINTS] - queries.joints_2d[row]
         points_3d = rotate_clockwise(found.points_3d[:, :JOINTS], -roll_deg)
         apart_3d = points_3d - queries.joints_3d[row]

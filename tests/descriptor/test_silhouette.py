@@ -1,4 +1,4 @@
-"""Normalisation to 128x48: what it keeps, what it ignores, and its inverse."""
+"""Silhouettes normalised to 128x48, rotated, compared by their outlines, packed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from descriptor.silhouette import (
     Placement,
     is_wide,
     normalise,
+    outline_distances,
     pack,
     principal_axis_deg,
+    rotate_silhouette,
     unpack,
 )
 
@@ -266,3 +268,99 @@ def test_wide_is_wider_than_high(mask: Mask) -> None:
     assert is_wide(mask) == (width > height)
     assert is_wide(np.pad(255 * mask, 4)) == is_wide(mask[::-1, ::-1]) == is_wide(mask)
     assert is_wide(mask.T) == (height > width)
+
+
+@pytest.mark.parametrize("angle", [-170.0, -90.0, -53.0, 8.0, 90.0, 121.0, 180.0])
+class TestRotate:
+    def test_rotating_back_restores_the_silhouette(self, angle: float) -> None:
+        silhouette = normalise(PERSON)[0]
+        again = rotate_silhouette(rotate_silhouette(silhouette, angle)[0], -angle)[0]
+        # Lying, it is drawn at less than half of the size.
+        assert (again & silhouette).sum() / (again | silhouette).sum() > 0.6
+
+    def test_pixels_map_back_to_the_mask(self, angle: float) -> None:
+        mask = smooth_person(240)
+        rotated, inverse = rotate_silhouette(mask, angle)
+        x, y = np.rint(pixels(rotated) @ inverse[:, :2].T + inverse[:, 2]).astype(int).T
+        assert mask[y, x].mean() > 0.97
+        # All of it: as large, up to the scale.
+        area = rotated.sum() * abs(np.linalg.det(inverse[:, :2]))
+        assert area == pytest.approx(mask.sum(), rel=0.04)
+
+    def test_the_inverse_is_a_rotation_and_a_scale(self, angle: float) -> None:
+        linear = rotate_silhouette(PERSON, angle)[1][:, :2]
+        scale = np.sqrt(np.linalg.det(linear))
+        sine, cosine = np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))
+        # Counterclockwise, with y down.
+        assert_allclose(linear / scale, [[cosine, sine], [-sine, cosine]], atol=1e-9)
+
+    def test_place_and_size_in_the_frame_do_not_matter(self, angle: float) -> None:
+        person = smooth_person(120)
+        masks = (person, np.pad(person, ((60, 9), (0, 20))), 255 * person.repeat(2, 0).repeat(2, 1))
+        first, *others = (rotate_silhouette(mask, angle)[0] for mask in masks)
+        for other in others:
+            assert_differ_only_at_the_outline(first, other)
+
+
+def pixels(silhouette: Mask) -> NDArray[np.float64]:
+    return np.argwhere(silhouette)[:, ::-1].astype(float)
+
+
+def test_rotation_by_zero_normalises() -> None:
+    mask = smooth_person(240)
+    rotated, inverse = rotate_silhouette(mask, 0.0)
+    expected, placement = normalise(mask)
+    assert_differ_only_at_the_outline(rotated, expected)
+    middle = (inverse @ [24, 64, 1])[:2]
+    assert_allclose(placement.to_normalised(middle), [24, 64], atol=placement.scale)
+
+
+@pytest.mark.parametrize("shape", [(12, 1_000_000), (40_000, 3)])
+def test_masks_beyond_the_limits_of_opencv_are_rotated(shape: tuple[int, int]) -> None:
+    mask = np.ones(shape, np.uint8)
+    assert abs(principal_axis_deg(mask)) == pytest.approx(90 if shape[1] > shape[0] else 0, abs=1)
+    rotated, inverse = rotate_silhouette(mask, 90.0)
+    assert rotated.any()
+    rows, columns = np.nonzero(rotated)
+    ends = np.stack([columns, rows], axis=1)[[0, -1]] @ inverse[:, :2].T + inverse[:, 2]
+    assert np.abs(ends).max() == pytest.approx(max(shape), rel=0.1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 20.0, 90.0, -135.0])
+@pytest.mark.parametrize("length", [400, 4_000, 30_000])
+def test_thin_line_stays_unbroken(length: int, angle: float) -> None:
+    """However thin it is in the frame, where it covers no pixel by half."""
+    rotated, inverse = rotate_silhouette(np.ones((length, 3), np.uint8), angle)
+    along = (pixels(rotated) @ inverse[:, :2].T + inverse[:, 2])[:, 1]
+    seen, _ = np.histogram(along, bins=24, range=(0, length))
+    assert seen.all()
+
+
+@pytest.fixture
+def square() -> NDArray[np.uint8]:
+    silhouette = np.zeros((128, 48), np.uint8)
+    silhouette[40:80, 10:30] = 1
+    return silhouette
+
+
+def test_outline_distance_is_symmetric(square: NDArray[np.uint8]) -> None:
+    other = np.roll(square, 5, axis=0)
+    other[60:70] = 0
+    there = outline_distances(square, other[None])[0]
+    assert there == pytest.approx(outline_distances(other, square[None])[0])
+    assert there > 0
+
+
+def test_outline_distance_grows_with_a_shift_and_stays_below_it(square: NDArray[np.uint8]) -> None:
+    shifts = np.arange(1, 15)
+    distances = outline_distances(square, np.stack([np.roll(square, s, axis=1) for s in shifts]))
+    assert (np.diff(distances) > 0).all()
+    # Every outline pixel has its own image at the distance of the shift.
+    assert (distances <= shifts + 0.1).all()
+
+
+def test_outline_distance_of_concentric_squares(square: NDArray[np.uint8]) -> None:
+    inner = np.zeros_like(square)
+    inner[44:76, 14:26] = 1
+    # Sides are 4 px apart, only corners farther.
+    assert_allclose(outline_distances(square, inner[None]), 4, atol=0.3)

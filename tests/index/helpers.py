@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from index.landmarks import Keypoints
+from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
 
@@ -26,17 +26,15 @@ def random_network(seed: int) -> JointNetwork:
     return JointNetwork(tuple(layers))
 
 
-def keypoints_of(
-    points: NDArray[np.floating], points_3d: NDArray[np.floating] | None = None, score: float = 0.9
-) -> Keypoints:
-    """Keypoints on the limbs of a skeleton ``(P, 2)``; with ``(P, 3)``, in depth as well."""
-    positions, scores = np.asarray(points, np.float64)[LIMB_ROWS], np.full(len(LIMB_ROWS), score)
-    if points_3d is None:
-        return Keypoints(tuple(LIMB_ROWS), positions, scores)
+def landmarks_of(
+    points: NDArray[np.floating], points_3d: NDArray[np.floating], score: float = 0.9
+) -> NormalisedLandmarks:
+    """Landmarks on the limbs of a skeleton ``(P, 2)`` and ``(P, 3)``."""
+    scores = np.full(len(LIMB_ROWS), score)
     limbs = np.asarray(points_3d, np.float64)[LIMB_ROWS]
-    return Keypoints(
-        tuple(LIMB_ROWS), positions, scores, limbs - limbs[LIMB_HIPS].mean(axis=0), scores
-    )
+    limbs = limbs - limbs[LIMB_HIPS].mean(axis=0)
+    positions = np.asarray(points, np.float64)[LIMB_ROWS]
+    return NormalisedLandmarks(tuple(LIMB_ROWS), positions, scores, limbs, scores)
 
 
 def joint_error(points: NDArray[np.floating], joints: NDArray[np.floating]) -> float:

@@ -1,73 +1,137 @@
-"""The nearest entries and mirror images: the same as by hand, and symmetric under mirroring."""
+"""The entries nearest to a silhouette in each rotation, the same as by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
-from index.candidates import compare_entries, find_candidates
-from index.skeleton import POINTS, mirror_3d, mirror_normalised
+from descriptor.silhouette import rotate_silhouette
+from index.candidates import (
+    MAX_ROTATIONS,
+    MIN_ROTATION_SHARE,
+    ROTATION_STEP_DEG,
+    RotatedQuery,
+    find_candidates,
+    landmark_rotations,
+    silhouette_rotations,
+)
+from index.search import NearestEntries
+from index.skeleton import POINTS
 from index.store import PoseIndex
 
-QUERIES = range(3, 576, 83)
 ATOL = 1e-4
 """Descriptors are float32, of values about 50."""
 
 
-@pytest.mark.parametrize("number", QUERIES)
-class TestCandidates:
-    def test_mirrored_entry_is_found_as_its_mirror_image(
-        self, toy_index: PoseIndex, number: int
-    ) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number)[:, ::-1], 5)
-        assert (found.entry_ids[0], found.mirrored[0]) == (number, True)
-        assert found.distances[0] == pytest.approx(0, abs=ATOL)
-        entry = toy_index.entry(number)
-        assert_allclose(found.points_3d[0], mirror_3d(entry.points_3d))
-        assert_allclose(found.points_normalised[0], mirror_normalised(entry.points_normalised))
+def bar(height: int, width: int, angle_deg: float = 0.0) -> NDArray[np.uint8]:
+    """A silhouette ``(128, 48)`` of a rectangle that is rotated clockwise."""
+    return rotate_silhouette(np.ones((height, width), np.uint8), angle_deg)[0]
 
-    def test_mirrored_silhouette_has_mirrored_candidates(
-        self, toy_index: PoseIndex, number: int
-    ) -> None:
-        silhouette = toy_index.silhouette(number)
-        here, there = (
-            find_candidates(toy_index, s, 2 * len(toy_index))
-            for s in (silhouette, silhouette[:, ::-1])
-        )
-        assert_allclose(there.distances, here.distances, atol=ATOL)
-        distance = dict(
-            zip(zip(here.entry_ids, here.mirrored, strict=True), here.distances, strict=True)
-        )
-        for entry, mirrored, apart in zip(
-            there.entry_ids, there.mirrored, there.distances, strict=True
-        ):
-            assert distance[entry, not mirrored] == pytest.approx(apart, abs=ATOL)
 
-    def test_equals_brute_force(self, toy_index: PoseIndex, number: int) -> None:
-        found = find_candidates(toy_index, toy_index.silhouette(number), 30)
-        assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
-        both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
-        query = toy_index.descriptor.describe(toy_index.silhouette(number)[None])
-        all_apart = np.linalg.norm(query.astype(np.float64) - both, axis=-1)
-        assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)
+class TestSilhouetteRotations:
+    def test_upright_silhouette_is_searched_upright(self) -> None:
+        assert silhouette_rotations(bar(120, 40), 0.0) == (0.0,)
+
+    @pytest.mark.parametrize("angle", [-60.0, -30.0, 45.0, 75.0])
+    def test_nearly_square_silhouette_is_searched_along_its_axis_as_well(
+        self, angle: float
+    ) -> None:
+        upright, axis, opposite = silhouette_rotations(bar(100, 70, angle), 0.0)
+        assert upright == 0
+        assert axis == pytest.approx(angle, abs=3)
+        assert abs(axis - opposite) == pytest.approx(180)
+
+    @pytest.mark.parametrize("roll", [-90.0, -60.0, 70.0, 90.0])
+    def test_rolled_silhouette_is_searched_both_ways_up(self, roll: float) -> None:
+        assert silhouette_rotations(bar(120, 40), roll) == (0.0, -180.0)
+
+    @pytest.mark.parametrize("roll", [-90.0, -80.0, 85.0, 90.0])
+    def test_hardly_wide_silhouette_is_searched_unrolled_as_well(self, roll: float) -> None:
+        assert silhouette_rotations(bar(60, 50), roll) == (0.0, -180.0, roll)
+
+
+UPRIGHT = (0.0,)
+
+
+@given(
+    rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60),
+    usual=st.sampled_from([UPRIGHT, (0.0, -180.0), (0.0, 37.0, -143.0)]),
+)
+def test_landmark_rotations_are_few_and_the_most_frequent(
+    rolls: list[float], usual: tuple[float, ...]
+) -> None:
+    found = landmark_rotations(usual, np.array(rolls))
+    assert 1 <= len(found) == len(set(found)) <= MAX_ROTATIONS
+
+    def apart(one: float, other: float) -> float:
+        return abs((one - other + 180) % 360 - 180)
+
+    # Each is a usual one or a multiple of a step, within one and a half steps of half a step.
+    for rotation in found:
+        assert rotation in usual or rotation % ROTATION_STEP_DEG == 0
+        assert min(apart(rotation, roll) for roll in rolls) <= ROTATION_STEP_DEG + 1e-6
+    near = [
+        sum(apart(rotation, roll) <= ROTATION_STEP_DEG + 1e-6 for roll in rolls)
+        for rotation in found
+    ]
+    if len(found) > 1:
+        assert all(count >= MIN_ROTATION_SHARE * len(rolls) for count in near)
+
+
+@pytest.mark.parametrize("lean", [-150.0, -90.0, -45.0, 0.0, 30.0, 60.0, 165.0])
+def test_the_most_frequent_rotation_comes_first(lean: float) -> None:
+    rolls = np.random.default_rng(1).normal(lean, 2, 100)
+    assert landmark_rotations(UPRIGHT, rolls)[0] == lean
+
+
+def test_rotations_near_a_usual_one_are_merged_with_it() -> None:
+    assert landmark_rotations((0.0, 37.0), np.array([41.0, 33.0, 37.0, 1.0])) == [37.0, 0.0]
+
+
+@pytest.mark.parametrize("number", range(3, 576, 83))
+def test_candidates_are_the_nearest_entries_and_mirror_images(
+    toy_index: PoseIndex, number: int
+) -> None:
+    silhouette = toy_index.silhouette(number)
+    found = find_candidates(toy_index, [RotatedQuery.of(silhouette, 0.0)], 30)
+    assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
+    both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
+    query = toy_index.descriptor.describe(silhouette[None])
+    all_apart = np.linalg.norm(query.astype(np.float64) - both, axis=-1)
+    assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)
+    for row, (entry_id, mirrored) in enumerate(zip(found.entry_ids, found.mirrored, strict=True)):
+        entry = toy_index.entry(entry_id, mirrored=mirrored)
+        assert_array_equal(found.points_3d[row], entry.points_3d)
+        assert_array_equal(found.points_normalised[row], entry.points_normalised)
 
 
 def test_finds_at_most_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
-    found = find_candidates(toy_index, toy_index.silhouette(0), 10**6)
-    assert len(found) == 2 * len(toy_index)
-    assert_array_equal(np.bincount(found.entry_ids), 2)
+    found = find_candidates(toy_index, [RotatedQuery.of(toy_index.silhouette(0), 0.0)], 10**6)
+    assert_array_equal(np.bincount(found.entry_ids), np.full(len(toy_index), 2))
     assert found.points_3d.shape == (len(found), POINTS, 3)
 
 
-def test_given_entries_have_the_same_distances(toy_index: PoseIndex) -> None:
-    silhouette = toy_index.silhouette(77)
-    found = find_candidates(toy_index, silhouette, 25)
-    shuffled = np.random.default_rng(0).permutation(25)
-    queries = toy_index.descriptor.describe(silhouette[None]).repeat(25, axis=0)
-    again = compare_entries(toy_index, queries, found.entry_ids[shuffled], found.mirrored[shuffled])
-    assert_allclose(again.distances, found.distances[shuffled], atol=ATOL)
-    assert_array_equal(again.entry_ids, found.entry_ids[shuffled])
-    assert_allclose(again.offsets, found.offsets[shuffled], atol=1e-4)
-    assert_allclose(again.points_3d, found.points_3d[shuffled])
-    assert_array_equal(again.in_order().entry_ids, found.entry_ids)
+def test_candidates_of_several_rotations_come_once_and_in_order(toy_index: PoseIndex) -> None:
+    queries = [RotatedQuery.of(toy_index.silhouette(77), rotation) for rotation in (0.0, 15.0)]
+    searched = find_candidates(toy_index, queries, 30)
+    # Of the first rotation, half of them found by the search as well; and the same of the second.
+    upright = searched.rotation_deg == 0
+    near = NearestEntries(
+        np.concatenate([searched.entry_ids[upright][:5], np.arange(5)]),
+        np.concatenate([searched.mirrored[upright][:5], np.zeros(5, bool)]),
+        np.repeat([-3.0, 22.0], 5),
+        np.zeros(10),
+    )
+    found = find_candidates(toy_index, queries, 30, near)
+    keys = np.stack([found.entry_ids, found.mirrored, found.rotation_deg], axis=1)
+    assert len(np.unique(keys, axis=0)) == len(found) and 60 < len(found) <= 65
+    assert (np.diff(found.distances) >= 0).all()
+    given = find_candidates(toy_index, queries, 0, near)
+    assert sorted(given.rotation_deg) == [0.0] * 5 + [15.0] * 5
+    assert_allclose(
+        given.distances, np.linalg.norm(given.offsets.astype(np.float64), axis=1), atol=1e-6
+    )

@@ -7,13 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from descriptor.silhouette import rotate_silhouette
 from index.build.body import Avatar
 from index.build.descriptor_learning import view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
-from index.candidates import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
-from index.landmarks import Keypoints
+from index.landmarks import NormalisedLandmarks
 from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Hypothesis, Match, match
 from index.posture import Posture
 from index.skeleton import (
@@ -28,7 +28,7 @@ from index.skeleton import (
     wrap_degrees,
 )
 from index.store import PoseIndex
-from tests.index.helpers import joint_error, keypoints_of
+from tests.index.helpers import joint_error, landmarks_of
 
 QUERIES = range(0, 576, 61)
 
@@ -203,9 +203,9 @@ class TestPostures:
         assert_allclose(tilts, quarter, atol=10)
 
 
-def keypoints_of_entry(index: PoseIndex, number: int, **changes: float) -> Keypoints:
+def landmarks_of_entry(index: PoseIndex, number: int, **changes: float) -> NormalisedLandmarks:
     entry = index.entry(number)
-    return keypoints_of(entry.points_normalised, entry.points_3d, **changes)
+    return landmarks_of(entry.points_normalised, entry.points_3d, **changes)
 
 
 View = tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]
@@ -223,17 +223,17 @@ def likeliest(found: Match) -> Hypothesis:
     return best
 
 
-def test_keypoints_reduce_the_error(toy_index: PoseIndex, new_views: Simulation) -> None:
+def test_landmarks_reduce_the_error(toy_index: PoseIndex, new_views: Simulation) -> None:
     with_them: list[float] = []
     without: list[float] = []
     for silhouette, in_space, joints in sampled(new_views):
-        for keypoints, errors in ((None, without), (keypoints_of(joints, in_space), with_them)):
-            best = likeliest(match(toy_index, silhouette, 7, keypoints))
+        for landmarks, errors in ((None, without), (landmarks_of(joints, in_space), with_them)):
+            best = likeliest(match(toy_index, silhouette, 7, landmarks))
             errors.append(joint_error(best.points_normalised, joints))
     assert np.mean(with_them) < 0.6 * np.mean(without)
 
 
-def test_keypoints_decide_between_left_and_right(
+def test_landmarks_decide_between_left_and_right(
     toy_index: PoseIndex, new_views: Simulation
 ) -> None:
     correct = []
@@ -241,7 +241,7 @@ def test_keypoints_decide_between_left_and_right(
         padded = np.concatenate([joints, np.zeros((POINTS - JOINTS, 2))])
         deep = np.concatenate([in_space, np.zeros((POINTS - JOINTS, 3))])
         for wanted, depth in ((padded, deep), (exchange_sides(padded), exchange_sides(deep))):
-            best = likeliest(match(toy_index, silhouette, 7, keypoints_of(wanted, depth)))
+            best = likeliest(match(toy_index, silhouette, 7, landmarks_of(wanted, depth)))
             right, wrong = (
                 joint_error(best.points_normalised, p) for p in (wanted, exchange_sides(wanted))
             )
@@ -255,20 +255,20 @@ def test_tilt_of_a_leaning_person(toy_index: PoseIndex, number: int, lean: float
     silhouette, inverse = rotate_silhouette(toy_index.silhouette(number), lean)
     entry = toy_index.entry(number)
     leaning = (entry.points_normalised - inverse[:, 2]) @ np.linalg.inv(inverse[:, :2]).T
-    keypoints = keypoints_of(leaning, rotate_clockwise(entry.points_3d, lean))
-    best = likeliest(match(toy_index, silhouette, 7, keypoints))
+    landmarks = landmarks_of(leaning, rotate_clockwise(entry.points_3d, lean))
+    best = likeliest(match(toy_index, silhouette, 7, landmarks))
     assert abs(best.tilt_deg - lean) < 20
     assert joint_error(best.points_normalised, leaning) < 4
     # Rotated upright, its outline is nearly that of the entry.
     assert best.outline_distance_px < 4
 
 
-def test_uninformative_silhouette_is_matched_by_keypoints(toy_index: PoseIndex) -> None:
-    """A full rectangle, within which only the keypoints show a pose."""
+def test_uninformative_silhouette_is_matched_by_landmarks(toy_index: PoseIndex) -> None:
+    """A full rectangle, within which only the landmarks show a pose."""
     body = np.ones((128, 48), np.uint8)
     for number in (40, 301, 500):
         joints = toy_index.entry(number).points_normalised[:JOINTS]
-        seen = likeliest(match(toy_index, body, 7, keypoints_of_entry(toy_index, number)))
+        seen = likeliest(match(toy_index, body, 7, landmarks_of_entry(toy_index, number)))
         assert joint_error(seen.points_normalised, joints) < 5
         by_silhouette = best_hypotheses(toy_index, body, 7)
         errors = [joint_error(one.points_normalised, joints) for one in by_silhouette]
@@ -276,15 +276,15 @@ def test_uninformative_silhouette_is_matched_by_keypoints(toy_index: PoseIndex) 
 
 
 @pytest.mark.parametrize("number", [7, 202, 480])
-def test_mirrored_keypoints_give_mirrored_hypotheses(toy_index: PoseIndex, number: int) -> None:
+def test_mirrored_landmarks_give_mirrored_hypotheses(toy_index: PoseIndex, number: int) -> None:
     silhouette = toy_index.silhouette(number)
     entry = toy_index.entry(number)
-    here = match(toy_index, silhouette, 5, keypoints_of_entry(toy_index, number)).hypotheses
+    here = match(toy_index, silhouette, 5, landmarks_of_entry(toy_index, number)).hypotheses
     there = match(
         toy_index,
         np.ascontiguousarray(silhouette[:, ::-1]),
         5,
-        keypoints_of(mirror_normalised(entry.points_normalised), mirror_3d(entry.points_3d)),
+        landmarks_of(mirror_normalised(entry.points_normalised), mirror_3d(entry.points_3d)),
     ).hypotheses
     assert there[0].entry_id == here[0].entry_id
     assert there[0].mirrored != here[0].mirrored
@@ -307,10 +307,10 @@ def same(one: Hypothesis, other: Hypothesis) -> bool:
 def test_first_hypotheses_do_not_depend_on_the_number(
     toy_index: PoseIndex, fewer: int, more: int, number: int, evidence: str
 ) -> None:
-    keypoints = None if evidence == "silhouette" else keypoints_of_entry(toy_index, number)
+    landmarks = None if evidence == "silhouette" else landmarks_of_entry(toy_index, number)
     few, many = (
         match(
-            toy_index, toy_index.silhouette(number), n, keypoints,
+            toy_index, toy_index.silhouette(number), n, landmarks,
             whole=evidence != "landmarks, not whole",
         )
         for n in (fewer, more)
@@ -334,12 +334,12 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     upper[round(float(hips[:, 1].mean())) :] = 0
     cut, to_whole = rotate_silhouette(upper, 0.0)
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
-    keypoints = keypoints_of(seen, entry.points_3d)
-    best = likeliest(match(toy_index, cut, 7, keypoints, whole=False))
+    landmarks = landmarks_of(seen, entry.points_3d)
+    best = likeliest(match(toy_index, cut, 7, landmarks, whole=False))
     assert joint_error(best.points_normalised, seen) < 8
     assert joint_error(best.points_3d, entry.points_3d) < 0.15
     # The silhouette affects only the order.
-    other = match(toy_index, np.ones_like(cut), 7, keypoints, whole=False)
+    other = match(toy_index, np.ones_like(cut), 7, landmarks, whole=False)
     assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1
 
 
@@ -353,10 +353,10 @@ def test_rotated_person_has_the_rotated_pose(
     lying, to_entry = rotate_silhouette(toy_index.silhouette(number), angle)
     points = (entry.points_normalised - to_entry[:, 2]) @ np.linalg.inv(to_entry[:, :2]).T
     expected = rotate_clockwise(entry.points_3d, angle)
-    as_it_is = likeliest(match(toy_index, lying, 7, keypoints_of(points, expected)))
+    as_it_is = likeliest(match(toy_index, lying, 7, landmarks_of(points, expected)))
     stood_up = likeliest(
         match(
-            toy_index, toy_index.silhouette(number), 7, keypoints_of_entry(toy_index, number),
+            toy_index, toy_index.silhouette(number), 7, landmarks_of_entry(toy_index, number),
             roll_deg=-angle,
         )
     )  # fmt: skip
@@ -368,7 +368,7 @@ def test_rotated_person_has_the_rotated_pose(
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_keypoints_find_entries_that_were_rolled_upright(
+def test_landmarks_find_entries_that_were_rolled_upright(
     ground_index: PoseIndex, mirrored: bool
 ) -> None:
     actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
@@ -378,8 +378,8 @@ def test_keypoints_find_entries_that_were_rolled_upright(
         silhouette = ground_index.silhouette(number)
         if mirrored:
             silhouette = np.ascontiguousarray(silhouette[:, ::-1])
-        keypoints = keypoints_of(entry.points_normalised, entry.points_3d)
-        best = likeliest(match(ground_index, silhouette, 5, keypoints, roll_deg=entry.roll_deg))
+        landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
+        best = likeliest(match(ground_index, silhouette, 5, landmarks, roll_deg=entry.roll_deg))
         assert (best.entry_id, best.mirrored) == (number, mirrored)
         assert best.tilt_deg == pytest.approx(0, abs=1e-4)
         assert best.posture == "lying"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from index.candidates import Candidates, find_candidates
+from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.modes import DISTINCT_M, Modes, find_modes
 from index.skeleton import JOINTS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
@@ -119,15 +119,19 @@ def test_query_between_known_poses_is_interpolated(where: float) -> None:
     assert_allclose(modes.points_3d[0, wrist], (start + where * step)[wrist], atol=0.02)
 
 
+def nearest(index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
+    return find_candidates(index, [RotatedQuery.of(silhouette, 0.0)], 200)
+
+
 @pytest.mark.parametrize("count", [1, 4, 12, 30])
 def test_modes_made_equal_by_interpolation_are_replaced(toy_index: PoseIndex, count: int) -> None:
     for number in range(0, 576, 23):
-        found = find_candidates(toy_index, toy_index.silhouette(number)[::-1], 200)
+        found = nearest(toy_index, toy_index.silhouette(number)[::-1])
         assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
 
 
 def test_modes_made_equal_by_a_fit_count_as_one(toy_index: PoseIndex) -> None:
-    found = find_candidates(toy_index, toy_index.silhouette(7), 200)
+    found = nearest(toy_index, toy_index.silhouette(7))
 
     def fit(modes: Modes) -> Modes:
         return replace(modes, points_3d=np.repeat(found.points_3d[:1], len(modes), axis=0))

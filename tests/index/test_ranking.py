@@ -1,4 +1,4 @@
-"""The order of hypotheses by a network and by landmarks."""
+"""The order of hypotheses by a network."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.candidates import Candidates, find_candidates
-from index.landmarks import Agreement, Keypoints, fused_distances
+from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.matching import match
 from index.modes import find_modes
 from index.ranking import NetworkRanking
 from index.reranker import RankingModel
 from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
 from index.store import PoseIndex
+from tests.index.helpers import landmarks_of
 
 (HEAD,) = rows("head")
 
@@ -36,7 +36,7 @@ def ranking(reranker: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRan
 
 @pytest.fixture
 def candidates(toy_index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
-    return find_candidates(toy_index, silhouette, 60)
+    return find_candidates(toy_index, [RotatedQuery.of(silhouette, 0.0)], 60)
 
 
 def test_likeliest_mode_keeps_its_distance_and_others_become_farther(
@@ -90,21 +90,12 @@ def test_fit_moves_skeleton_and_picture_alike(
     assert_allclose(pixels - pixels[:, :1], metres * scale, atol=1e-9)
 
 
-def test_network_is_not_used_with_keypoints(toy_index: PoseIndex, reranked: PoseIndex) -> None:
+def test_network_is_not_used_with_landmarks(toy_index: PoseIndex, reranked: PoseIndex) -> None:
     entry = toy_index.entry(5)
-    rows = np.arange(JOINTS)
-    keypoints = Keypoints(tuple(rows.tolist()), entry.points_normalised[:JOINTS], np.ones(JOINTS))
+    landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
     plain, other = (
-        match(index, index.silhouette(5), 3, keypoints) for index in (toy_index, reranked)
+        match(index, index.silhouette(5), 3, landmarks) for index in (toy_index, reranked)
     )
     assert_array_equal(plain.features, other.features)
     for one, same in zip(plain.hypotheses, other.hypotheses, strict=True):
         assert one.silhouette_distance == same.silhouette_distance
-
-
-def test_agreement_shortens_distances_and_tilt_lengthens_them() -> None:
-    agreement = Agreement(np.array([0.0, -8.0, 0.0, 0.0]), np.zeros(4), np.zeros((4, 1, 2)))
-    fused = fused_distances(np.full(4, 2.0), agreement, np.array([0.0, 0.0, 90.0, -90.0]))
-    assert fused[0] == 2
-    assert (fused[1:] > 2).all()
-    assert fused[2] == fused[3]

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from descriptor.silhouette import pack, unpack
+from descriptor.silhouette import outline_distances, pack, unpack
 from index.build.simulate import Simulation
-from index.matching import outline_distances
 from index.silhouettes import Silhouettes, sampled
 from index.store import PoseIndex
 

@@ -64,10 +64,10 @@ def person(angle: float = 0.0, landmarks: Landmarks | None = None) -> Normalised
     return NormalisedPerson.of(silhouette_of(standing(), angle), landmarks)
 
 
-def keypoints_in_frame(one: NormalisedPerson) -> NDArray[np.float64]:
-    keypoints = one.keypoints()
-    assert keypoints is not None
-    return one.points_in_frame(keypoints.positions)
+def landmarks_in_frame(one: NormalisedPerson) -> NDArray[np.float64]:
+    landmarks = one.normalised_landmarks()
+    assert landmarks is not None
+    return one.points_in_frame(landmarks.positions)
 
 
 @pytest.mark.parametrize("angle", [-35.0, -10.0, 0.0, 30.0, 180.0])
@@ -99,18 +99,17 @@ def test_mirror_image_is_normalised_to_the_mirror_image(angle: float) -> None:
 
 
 @ANY_DEG
-def test_keypoints_map_back_to_the_frame(angle: float) -> None:
+def test_landmarks_map_back_to_the_frame(angle: float) -> None:
     observed = seen(angle=angle)
     one = person(angle, observed)
-    keypoints = one.keypoints()
-    assert keypoints is not None
-    shown = [landmark(POINT_NAMES[row]) for row in keypoints.rows]
-    assert_allclose(keypoints_in_frame(one), observed.positions[shown], atol=1e-9)
-    assert_array_equal(keypoints.scores, observed.visibility[shown])
+    landmarks = one.normalised_landmarks()
+    assert landmarks is not None
+    shown = [landmark(POINT_NAMES[row]) for row in landmarks.rows]
+    assert_allclose(landmarks_in_frame(one), observed.positions[shown], atol=1e-9)
+    assert_array_equal(landmarks.scores, observed.visibility[shown])
     # In depth they are turned with the silhouette.
     limbs = observed.metres[rows(*LIMBS, among=LANDMARK_NAMES)]
-    assert keypoints.limbs_3d is not None
-    assert_allclose(rotate_clockwise(keypoints.limbs_3d, -one.roll_deg), limbs, atol=1e-9)
+    assert_allclose(rotate_clockwise(landmarks.limbs_3d, -one.roll_deg), limbs, atol=1e-9)
 
 
 @given(
@@ -144,31 +143,31 @@ def test_silhouette_maps_back_to_the_frame(angle: float) -> None:
     assert area == pytest.approx(mask.sum(), rel=0.03)
 
 
-def test_visible_limbs_nose_and_toes_are_keypoints() -> None:
+def test_visible_limbs_nose_and_toes_are_used() -> None:
     compared = {*LIMBS, "nose", "left_toe", "right_toe"}
-    keypoints = person(landmarks=seen()).keypoints()
-    assert keypoints is not None
-    assert {POINT_NAMES[row] for row in keypoints.rows} == compared
+    landmarks = person(landmarks=seen()).normalised_landmarks()
+    assert landmarks is not None
+    assert {POINT_NAMES[row] for row in landmarks.rows} == compared
     scores = np.full(33, 0.9)
     scores[landmark("left_wrist")] = 0.01
-    fewer = person(landmarks=seen(scores)).keypoints()
+    fewer = person(landmarks=seen(scores)).normalised_landmarks()
     assert fewer is not None
     assert {POINT_NAMES[row] for row in fewer.rows} == compared - {"left_wrist"}
     place = {POINT_NAMES[row]: p for row, p in zip(fewer.rows, fewer.positions, strict=True)}
-    for row, position in zip(keypoints.rows, keypoints.positions, strict=True):
+    for row, position in zip(landmarks.rows, landmarks.positions, strict=True):
         if POINT_NAMES[row] in place:
             assert_allclose(place[POINT_NAMES[row]], position)
 
 
 @pytest.mark.parametrize("visible", [0, 3])
-def test_too_few_landmarks_are_no_keypoints(visible: int) -> None:
+def test_too_few_landmarks_are_not_used(visible: int) -> None:
     scores = np.zeros(33)
     scores[[landmark(name) for name in LIMBS[:visible]]] = 0.9
-    assert person(landmarks=seen(scores)).keypoints() is None
+    assert person(landmarks=seen(scores)).normalised_landmarks() is None
     # An index has no points to compare with the rest of the face.
     scores[1:7] = 0.9
-    assert person(landmarks=seen(scores)).keypoints() is None
-    assert person().keypoints() is None
+    assert person(landmarks=seen(scores)).normalised_landmarks() is None
+    assert person().normalised_landmarks() is None
 
 
 def test_person_without_visible_ankles_or_head_is_not_whole() -> None:
