@@ -81,7 +81,11 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
     header = _checked_header(data, max_pixels)
     pixels = _decode(data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     found: list[ImageWarning] = []
-    if header.format in _JPEG and (missing := _missing_share(pixels)):
+    if (
+        header.format in _JPEG
+        and (missing := _missing_share(pixels))
+        and _lacks_its_end(data, header)
+    ):
         if missing > _MAX_MISSING_SHARE:
             raise ImageError("the JPEG image is broken: most of it is missing")
         found.append("truncated")
@@ -200,6 +204,25 @@ def _missing_share(pixels: NDArray[np.uint8]) -> float:
     if not any((corner == _MISSING).all() for corner in corners):
         return 0.0
     return float((pixels == _MISSING).all(axis=2).mean())
+
+
+_TAIL_BYTES = 64
+
+
+def _lacks_its_end(data: bytes, header: Image.Image) -> bool:
+    """Whether the grey at the end of a JPEG is missing, and not stored.
+
+    The last bytes of its scan belong to the grey itself if it is stored, to the pixels before it if
+    not. So without these bytes, others change. A progressive JPEG has several scans; only its end
+    marker tells.
+    """
+    end = data.find(_END_OF_JPEG, data.rfind(_SCAN_OF_JPEG))
+    if header.info.get("progressive"):
+        return end < 0
+    cut = data[: (end if end >= 0 else len(data)) - _TAIL_BYTES]
+    before, after = (_decode(one, header, cv2.IMREAD_GRAYSCALE) for one in (data, cut))
+    changed = before[before != after]
+    return bool((changed != _MISSING).sum() > (changed == _MISSING).sum())
 
 
 # The range of 16-bit values that is stretched excludes outliers of this percentage, and is at
@@ -405,6 +428,7 @@ class _LimitedReads(io.BytesIO):
 
 
 _JPEG = ("JPEG", "MPO")
+_SCAN_OF_JPEG = b"\xff\xda"
 _END_OF_JPEG = b"\xff\xd9"
 
 

@@ -202,6 +202,16 @@ def test_jpeg_that_lacks_a_part_says_so(orientation: int, end: bytes) -> None:
         decode_image(data[: len(data) // 4] + end, max_pixels=LIMIT)
 
 
+@pytest.mark.parametrize("flags", [(), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)])
+@pytest.mark.parametrize("rows", [0, 64, 192])
+def test_a_jpeg_may_end_in_the_grey_of_missing_parts(rows: int, flags: tuple[int, ...]) -> None:
+    canvas = np.full((256, 256, 3), 128, np.uint8)
+    canvas[:rows] = photograph()[:rows]
+    decoded = decode_image(encode(canvas, ".jpg", *flags), max_pixels=LIMIT)
+    assert (decoded.pixels[rows + 16 :] == 128).all()
+    assert decoded.warnings == ()
+
+
 @pytest.mark.parametrize(("low", "high"), [(0, 1023), (0, 4095), (0, 16383), (7000, 9000)])
 def test_range_of_16_bits_that_is_used_is_stretched(low: int, high: int) -> None:
     grey = np.linspace(0, 1, 10_000).reshape(100, 100)
