@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncGenerator, Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from app.camera import CameraSession
@@ -82,12 +82,15 @@ class VideoSummary:
 
     def __init__(self) -> None:
         self.frames = 0
+        self.damaged = 0
+        """Frames of which the video has lost data."""
         self.tracks: dict[int, TrackSummary] = {}
         self.events: list[Event] = []
 
     def add(self, frame: TrackedFrame) -> None:
         """Add the next frame."""
         self.frames += 1
+        self.damaged += "damaged" in frame.warnings
         self.events += frame.events
         for tracked in frame.persons:
             track = self.tracks.setdefault(
@@ -198,6 +201,8 @@ class VideoRun:
                     frame = await reader.next()
             else:
                 detail = f"the video ended after {self.summary.frames} frames"
+                if self.summary.damaged:
+                    detail += f", {self.summary.damaged} of them damaged"
                 end = VideoEnd("complete", detail)
         except TimeoutError:
             end = VideoEnd("timeout", f"the video took longer than {self._timeout_s:g} seconds")
@@ -229,6 +234,8 @@ class VideoRun:
                 pixel_aspect=self._pixel_aspect or frame.pixel_aspect,
             )
             tracked = self._session.process(upload, frame.timestamp, self._n, job, self._evidence)
+            if frame.damaged:
+                tracked = replace(tracked, warnings=(*tracked.warnings, "damaged"))
             return tracked, write(tracked, frame.number)
 
         tracked, line = await self._executor.run(

@@ -381,6 +381,7 @@ def sequence_end_reply(summary: VideoSummary, end: VideoEnd) -> tracking_schemas
         reason=end.reason,
         detail=end.detail,
         frames=summary.frames,
+        damaged=summary.damaged,
         tracks=[_track_summary(track) for _, track in sorted(summary.tracks.items())],
         events=[_event(event) for event in summary.events],
     )

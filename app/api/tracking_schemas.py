@@ -299,8 +299,8 @@ class VideoUpload(Model):
     """A video."""
 
     video: bytes = Field(
-        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg or MJPEG, of any codec "
-        "that FFmpeg reads."
+        description="AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg, DV, GIF or MJPEG, of any "
+        "codec that FFmpeg reads."
     )
 
 
@@ -355,6 +355,12 @@ class SequenceEnd(Model):
         description="The reason as a sentence.", examples=["the video ended after 795 frames"]
     )
     frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
+    damaged: int = Field(
+        ge=0,
+        description="How many of them have the warning `damaged`: the video has lost data there, "
+        "and people may be missed or imagined.",
+        examples=[0],
+    )
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
     events: list[Event] = Field(
         description="All events, in order; last, with the state `unconfirmed`, those that had "

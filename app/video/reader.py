@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import os
-import re
 import sys
 import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.video import decoder
-from app.video.decoder import END, FRAME, HEADER, TOO_LARGE
-
 _FRAME_TIMEOUT_S = 20.0
 _LAST_LINE_TIMEOUT_S = 1.0
 _BUFFER_BYTES = 2**20
 _MAX_LINE_BYTES = 300
-# FFmpeg's messages name addresses in memory.
-_ADDRESS = re.compile(r" ?@ ?0x[0-9a-f]+")
-_FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg or MJPEG"
-# FFmpeg's message for a Matroska file that is cut off; other formats do not need it.
-_CUT_OFF = "File ended prematurely"
+_FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg, DV, GIF or MJPEG"
+# The decoder is run from here, so that it finds its modules.
+_ROOT = Path(__file__).parents[2]
 
 log = logging.getLogger("app")
 
@@ -51,15 +47,18 @@ class VideoFrame:
     timestamp : float
         Seconds since the video began; ascends.
     pixels : (H, W, 3) uint8 array
-        BGR, as stored.
+        BGR.
     pixel_aspect : float
         Width over height of a pixel.
+    damaged : bool
+        Whether data of the picture is missing or wrong.
     """
 
     number: int
     timestamp: float
     pixels: NDArray[np.uint8]
     pixel_aspect: float = 1.0
+    damaged: bool = False
 
 
 def new_file() -> IO[bytes]:
@@ -84,21 +83,21 @@ async def open_video(
     file.flush()
     file.seek(0)
     process = await asyncio.create_subprocess_exec(
-        # The program is named by its path, which is valid in any working directory.
-        *(sys.executable, "-P", decoder.__file__, f"/dev/fd/{file.fileno()}"),
+        *(sys.executable, "-m", "app.video.decoder", str(file.fileno())),
         *("--stride", str(stride), "--max-pixels", str(max_pixels)),
         *("--max-seconds", str(int(max_seconds) + 1)),
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
         pass_fds=(file.fileno(),),
+        cwd=_ROOT,
         limit=_BUFFER_BYTES,
     )
     assert process.stdout is not None
     assert process.stderr is not None
-    last_line = asyncio.ensure_future(_last_line(process.stderr))
+    logged = asyncio.ensure_future(_log_last_line(process.stderr))
     try:
-        yield VideoReader(process.stdout, max_pixels, last_line=last_line)
+        yield VideoReader(process.stdout, max_pixels)
     finally:
         if process.returncode is None:
             process.kill()
@@ -106,16 +105,16 @@ async def open_video(
         while await process.stdout.read(_BUFFER_BYTES):
             pass
         await process.wait()
-        last_line.cancel()
+        await logged
 
 
-async def _last_line(stream: asyncio.StreamReader) -> str:
-    """The last line that a process writes, once it has ended."""
+async def _log_last_line(stream: asyncio.StreamReader) -> None:
+    """Log the last line that the decoder writes to standard error, if any."""
     tail = b""
     while chunk := await stream.read(_BUFFER_BYTES):
         tail = (tail + chunk)[-_MAX_LINE_BYTES:]
-    line = (tail.decode(errors="replace").strip().splitlines() or [""])[-1]
-    return _ADDRESS.sub("", "".join(filter(str.isprintable, line)))
+    if lines := tail.decode(errors="replace").strip().splitlines():
+        log.warning("decoding a video: %s", "".join(filter(str.isprintable, lines[-1])))
 
 
 class VideoReader:
@@ -126,21 +125,14 @@ class VideoReader:
     stream : StreamReader
         Standard output of the decoder.
     max_pixels : int
-        Limit on a frame, for messages.
+        Limit on a frame.
     timeout_s : float
         Limit on the time between two frames.
-    last_line : Future of str, optional
-        Last line that the decoder writes to standard error.
     """
 
     def __init__(
-        self,
-        stream: asyncio.StreamReader,
-        max_pixels: int,
-        timeout_s: float = _FRAME_TIMEOUT_S,
-        last_line: asyncio.Future[str] | None = None,
+        self, stream: asyncio.StreamReader, max_pixels: int, timeout_s: float = _FRAME_TIMEOUT_S
     ) -> None:
-        self._last_line = last_line
         self._stream = stream
         self._max_pixels = max_pixels
         self._timeout_s = timeout_s
@@ -158,46 +150,29 @@ class VideoReader:
             async with asyncio.timeout(self._timeout_s):
                 return await self._next()
         except asyncio.IncompleteReadError:
-            raise self._broken("the decoder gave up", await self._said()) from None
+            raise self._broken("one that the decoder gave up on") from None
         except TimeoutError:
-            found = f"no frame within {self._timeout_s:g} seconds"
-            raise self._broken(found, await self._said()) from None
+            raise self._broken(f"no frame within {self._timeout_s:g} seconds") from None
 
     async def _next(self) -> VideoFrame | None:
-        header = HEADER.unpack(await self._stream.readexactly(HEADER.size))
-        kind, number, width, height, timestamp, aspect = header
-        if kind == TOO_LARGE:
+        head = json.loads(await self._stream.readuntil(b"\n"))
+        if "end" in head:
+            if head["end"] is None:
+                return None
+            raise self._broken(head["end"])
+        width, height = head.pop("width"), head.pop("height")
+        if width * height > self._max_pixels:
             raise VideoError(
                 "too_large",
                 f"video: expected frames of at most {self._max_pixels} pixels, "
                 f"got {width}x{height}",
             )
-        if kind == END:
-            said = await self._said()
-            if not number:
-                raise self._broken("something else or a broken one", said)
-            if width:
-                raise self._broken(f"{number} of {width} frames", said)
-            if _CUT_OFF in said:
-                raise self._broken(f"one that ends after {number} frames", said)
-            return None
-        assert kind == FRAME
         pixels = await self._stream.readexactly(width * height * 3)
         self._read += 1
         picture = np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
-        return VideoFrame(number, timestamp, picture, aspect)
+        return VideoFrame(pixels=picture, **head)
 
-    async def _said(self) -> str:
-        """The last line that the decoder writes; empty if it does not end in time."""
-        if self._last_line is None:
-            return ""
-        # The decoder may hang, or have children that do.
-        await asyncio.wait((self._last_line,), timeout=_LAST_LINE_TIMEOUT_S)
-        return self._last_line.result() if self._last_line.done() else ""
-
-    def _broken(self, found: str, said: str) -> VideoError:
-        """The error for a video that ends early; what the decoder said goes to the log."""
-        if said:
-            log.info("a video cannot be read: %s", said)
+    def _broken(self, found: str) -> VideoError:
+        """The error for a video that ends early."""
         expected = "the whole video" if self._read else f"a video ({_FORMATS})"
         return VideoError("undecodable", f"video: expected {expected}, got {found}")

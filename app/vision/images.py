@@ -27,9 +27,10 @@ warnings.filterwarnings("ignore", module="PIL")
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
-ImageWarning = Literal["dark", "stretched", "truncated"]
+ImageWarning = Literal["dark", "stretched", "truncated", "damaged"]
 """``dark``: the picture is too dark to show much; ``stretched``: a 16-bit image used only part of
-its range, which was stretched; ``truncated``: the end of the image is missing."""
+its range, which was stretched; ``truncated``: the end of the image is missing; ``damaged``: a frame
+of a video whose data is incomplete or wrong."""
 
 
 class ImageError(ValueError):

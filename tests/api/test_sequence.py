@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import anyio
+import cv2
 import httpx
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message
 
-from app.api.tracking_schemas import SequenceEnd, SequenceFrame
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackedPerson
 from app.http.routing import request_state
 from app.routes import sequence
 from tests.conftest import Photo, Server, Serving, running_server
+from tests.golden.pictures import walk
 from tests.support.service import check_problem, eventually, sample
-from tests.support.videos import noisy_frames, numbered_frames, write_video
+from tests.support.videos import Scan, noisy_frames, numbered_frames, write_video
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +49,10 @@ def parse(response: httpx.Response) -> tuple[list[SequenceFrame], SequenceEnd]:
     return [SequenceFrame.model_validate_json(line) for line in frames], (
         SequenceEnd.model_validate_json(end)
     )
+
+
+def box_of(person: TrackedPerson) -> list[float]:
+    return [person.box.x, person.box.y, person.box.width, person.box.height]
 
 
 class TestLines:
@@ -88,7 +95,33 @@ class TestLines:
         frames, end = parse(post(client, data[: len(data) // 2]))
         assert 0 < len(frames) < 10
         assert (end.reason, end.frames) == ("broken", len(frames))
-        assert f"{len(frames)} of 10 frames" in end.detail
+        assert f"cut off or damaged after {len(frames)} frames" in end.detail
+
+    def test_damaged_frames_are_marked_and_counted(
+        self, client: TestClient, tmp_path: Path, photo: Photo
+    ) -> None:
+        data = write_video(tmp_path / "v.ts", [photo.frame] * 8, "libx264", options={"g": "1"})
+        lost = len(data) // 188 // 2 * 188
+        frames, end = parse(post(client, data[:lost] + data[lost + 5 * 188 :]))
+        damaged = ["damaged" in frame.image.warnings for frame in frames]
+        assert 0 < sum(damaged) < 8 and end.damaged == sum(damaged)
+        assert (end.reason, f"{sum(damaged)} of them damaged" in end.detail) == ("complete", True)
+
+    @pytest.mark.parametrize(
+        ("codec", "name", "scan"),
+        [("libx264", "v.ts", "tff"), ("mpeg2video", "v.mpg", "bff"), ("dvvideo", "v.dv", "bff")],
+    )
+    def test_an_interlaced_video_shows_the_same_people(
+        self, client: TestClient, tmp_path: Path, codec: str, name: str, scan: Scan
+    ) -> None:
+        film = [cv2.resize(frame, (720, 576)).astype(np.uint8) for frame, _ in walk(8)]
+        flags = {"flags": "+ildct+ilme"}
+        shown = write_video(tmp_path / "shown.ts", film[::2], "libx264", fps=25)
+        woven = write_video(tmp_path / name, film, codec, fps=25, scan=scan, options=flags)
+        expected, got = (parse(post(client, video, n=1))[0] for video in (shown, woven))
+        for one, other in zip(expected, got, strict=True):
+            (person,), same = one.persons, other.persons
+            assert [box_of(person)] == [pytest.approx(box_of(p), abs=25) for p in same]
 
     def test_a_video_that_takes_too_long_ends_with_a_line(
         self, serving: Serving, long_video: bytes

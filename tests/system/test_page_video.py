@@ -101,7 +101,7 @@ class Cameras:
 @pytest.fixture
 def clip(tmp_path: Path) -> str:
     """A video of two seconds, which browsers play."""
-    write_video(tmp_path / "clip.webm", numbered_frames(20), codec="VP80")
+    write_video(tmp_path / "clip.webm", numbered_frames(20), codec="libvpx")
     return str(tmp_path / "clip.webm")
 
 
@@ -191,7 +191,7 @@ def test_a_missing_key_restarts_the_video(page: Any, clip: str) -> None:
 
 
 def test_what_the_browser_cannot_play_the_service_reads(page: Any, tmp_path: Path) -> None:
-    walkers(tmp_path, "clip.avi", codec="MJPG")
+    walkers(tmp_path, "clip.avi", codec="mjpeg")
     with page.expect_response("**/sequence?*") as sent:
         page.set_input_files("#file", str(tmp_path / "clip.avi"))
     page.get_by_text("The end, after 20 frames").wait_for()
@@ -404,7 +404,7 @@ def test_the_webcam_is_a_session_until_it_is_stopped(page: Any) -> None:
     assert times == sorted(set(times))
 
 
-def walkers(tmp_path: Path, name: str = "walkers.webm", codec: str = "VP80") -> str:
+def walkers(tmp_path: Path, name: str = "walkers.webm", codec: str = "libvpx") -> str:
     frame = cv2.imread(str(WALKERS))
     write_video(tmp_path / name, [frame] * 20, codec=codec)
     return str(tmp_path / name)

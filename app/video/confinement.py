@@ -1,0 +1,83 @@
+"""The limits of the process that decodes a video: it computes, reads what is open, and writes."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import resource
+import struct
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+_MEMORY_BYTES = 640 * 1024**2
+_NICENESS = 5
+
+# Of each machine: its number for seccomp, and that of the system call seccomp.
+_MACHINES = {"x86_64": (0xC000003E, 317), "aarch64": (0xC00000B7, 277)}
+
+# The system calls that decoding needs, with their numbers on each machine.
+_ALLOWED = (
+    ("read", 0, 63), ("write", 1, 64), ("close", 3, 57), ("lseek", 8, 62),
+    ("mmap", 9, 222), ("munmap", 11, 215), ("mremap", 25, 216), ("mprotect", 10, 226),
+    ("madvise", 28, 233), ("brk", 12, 214), ("futex", 202, 98), ("sched_yield", 24, 124),
+    ("clock_gettime", 228, 113), ("getrandom", 318, 278), ("rt_sigaction", 13, 134),
+    ("rt_sigprocmask", 14, 135), ("rt_sigreturn", 15, 139), ("exit", 60, 93),
+    ("exit_group", 231, 94),
+)  # fmt: skip
+
+
+def limit_resources(max_seconds: int) -> None:
+    """Limit memory and processor time, and let no file or socket be opened from now on."""
+    os.nice(_NICENESS)
+    # If memory runs out, the kernel ends this process first.
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000")
+    for kind, limit in (
+        (resource.RLIMIT_DATA, _MEMORY_BYTES),
+        (resource.RLIMIT_CPU, max_seconds),
+        (resource.RLIMIT_NOFILE, 0),
+        (resource.RLIMIT_FSIZE, 0),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (limit if hard < 0 else min(limit, hard),) * 2)
+
+
+def forbid_system_calls() -> None:
+    """Let all system calls fail that decoding does not need, by seccomp.
+
+    Nothing can then be opened, sent, run or forked, and no other process be traced or ended.
+
+    Raises
+    ------
+    OSError
+        If this system cannot do that.
+    """
+    machine = os.uname().machine
+    if sys.platform != "linux" or sys.maxsize < 2**32 or machine not in _MACHINES:
+        raise OSError(errno.ENOSYS, f"expected Linux on {' or '.join(_MACHINES)}")
+    number, seccomp = _MACHINES[machine]
+    allowed = [call[1 + list(_MACHINES).index(machine)] for call in _ALLOWED]
+    load, if_equal, answer = 0x20, 0x15, 0x06
+    program = [
+        # The machine, then the number of the call; jumps count the steps in between.
+        (load, 0, 0, 4),
+        (if_equal, 0, len(allowed) + 1, number),
+        (load, 0, 0, 0),
+        *((if_equal, len(allowed) - step, 0, call) for step, call in enumerate(allowed)),
+        (answer, 0, 0, 0x00050000 | errno.EPERM),
+        (answer, 0, 0, 0x7FFF0000),
+    ]
+    steps = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in program))
+    libc = ctypes.CDLL(None, use_errno=True)
+    no_new_privileges, set_filter, of_all_threads = 38, 1, 1
+    refused = libc.prctl(no_new_privileges, 1, 0, 0, 0) or libc.syscall(
+        seccomp,
+        set_filter,
+        of_all_threads,
+        struct.pack("HP", len(program), ctypes.addressof(steps)),
+    )
+    if refused:
+        raise OSError(ctypes.get_errno(), "the kernel refuses seccomp")

@@ -1,0 +1,276 @@
+"""The frames of a video as its maker meant them, decoded by FFmpeg (PyAV)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from typing import IO, NamedTuple
+
+import av
+
+# PyAV imports these once a file has subtitles, when a confined process can import no more.
+import av.subtitles.codeccontext
+import av.subtitles.stream
+import numpy as np
+from av.filter import Graph
+from av.stream import Disposition
+from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
+from av.video.stream import VideoStream
+from numpy.typing import NDArray
+
+# A frame rate above the maximum is treated as wrong and replaced by the default.
+_DEFAULT_FPS = 25.0
+_MAX_FPS = 1000.0
+_MAX_TIMESTAMP_S = 1e9
+_MIN_PIXEL_ASPECT = 0.25
+MIN_STEP_S = 1e-3
+"""Least time between two frames; a camera session takes none that are closer."""
+
+# FFmpeg's messages. Containers other than MP4 and Matroska mark the last packet as corrupt.
+_CUT_OFF = ("partial file", "File ended prematurely")
+_NO_INDEX = "moov atom not found"
+
+_UNFINISHED = "an MP4 or MOV whose index (moov) is missing: the file is incomplete"
+NOT_A_VIDEO = "something else or a broken one"
+
+
+class UnreadableError(ValueError):
+    """A video, or the rest of it, cannot be read; the message says what was found."""
+
+
+class TooLargeError(ValueError):
+    """A frame has too many pixels."""
+
+    def __init__(self, width: int, height: int) -> None:
+        super().__init__(f"{width}x{height}")
+        self.width, self.height = width, height
+
+
+class Frame(NamedTuple):
+    """A frame of a video.
+
+    Parameters
+    ----------
+    number : int
+        Number in the video, from 0.
+    timestamp : float
+        Seconds since the first frame; ascends.
+    damaged : bool
+        Whether data is missing or wrong, in this frame or in one that it builds on.
+    pixel_aspect : float
+        Width over height of a pixel of the upright picture.
+    pixels : (H, W, 3) uint8 array
+        The upright picture, BGR.
+    """
+
+    number: int
+    timestamp: float
+    damaged: bool
+    pixel_aspect: float
+    pixels: NDArray[np.uint8]
+
+
+class Video:
+    """A video that is open for decoding, on one thread.
+
+    Parameters
+    ----------
+    source : str or file
+        A path, an address or a file.
+    options : dict of str, optional
+        FFmpeg's options for opening it.
+    timeout_s : float, optional
+        Limit on the wait for an address.
+
+    Raises
+    ------
+    UnreadableError
+        If it is not a video.
+    """
+
+    def __init__(
+        self,
+        source: str | IO[bytes],
+        options: dict[str, str] | None = None,
+        timeout_s: float | None = None,
+    ) -> None:
+        av.logging.set_level(av.logging.ERROR)
+        av.logging.set_skip_repeated(False)
+        with av.logging.Capture() as messages:
+            try:
+                self._container = av.open(source, "r", options=options or {}, timeout=timeout_s)
+            except av.FFmpegError as error:
+                unfinished = any(_NO_INDEX in text for *_, text in messages)
+                raise UnreadableError(_UNFINISHED if unfinished else NOT_A_VIDEO) from error
+        streams = [one for one in self._container.streams.video if one.codec_context is not None]
+        if not streams:
+            raise UnreadableError("a file without pictures")
+        self._stream: VideoStream = max(streams, key=_moves)
+        self._stream.codec_context.thread_count = 1
+        self._is_cut_off = _ended_early(messages)
+        self._to_bgr = VideoReformatter()
+
+    def close(self) -> None:
+        """Close the source."""
+        self._container.close()
+
+    @property
+    def fps(self) -> float:
+        """Frames a second on average."""
+        fps = float(self._stream.average_rate or 0)
+        return fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS
+
+    def frames(self, stride: int = 1, max_pixels: float = math.inf) -> Iterator[Frame]:
+        """Decode the video and yield every ``stride``-th frame.
+
+        Raises
+        ------
+        UnreadableError
+            If the video, or the rest of it, cannot be read.
+        TooLargeError
+            If a frame has more than ``max_pixels``.
+        """
+        codec, clock, count = self._stream.codec_context, Clock(1 / self.fps), 0
+        _check_size(codec.width, codec.height, max_pixels)
+        pictures = self._pictures()
+        # The fields of HEVC come one by one, as pictures of half the height.
+        for picture in pictures if codec.name == "hevc" else _deinterlaced(pictures):
+            timestamp, number, count = clock.timestamp(picture.time), count, count + 1
+            if number % stride == 0:
+                _check_size(picture.width, picture.height, max_pixels)
+                aspect, pixels = self._aspect(picture), self._upright(picture)
+                yield Frame(number, timestamp, picture.opaque == [True], aspect, pixels)
+        if self._is_cut_off:
+            raise UnreadableError(f"one that is cut off or damaged after {count} frames")
+        if not count:
+            raise UnreadableError(NOT_A_VIDEO)
+
+    def _upright(self, picture: VideoFrame) -> NDArray[np.uint8]:
+        """Return the pixels of a picture, BGR."""
+        stored = self._to_bgr.reformat(picture, format="bgr24", threads=1)
+        rows = np.frombuffer(memoryview(stored.planes[0]), np.uint8).reshape(stored.height, -1)
+        pixels = rows[:, : 3 * stored.width].reshape(stored.height, stored.width, 3)
+        return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(picture)))
+
+    def _aspect(self, picture: VideoFrame) -> float:
+        """Width over height of an upright pixel; 1 unless the file announces a plausible one."""
+        aspect = float(self._stream.sample_aspect_ratio or 1)
+        if not _MIN_PIXEL_ASPECT <= aspect <= 1 / _MIN_PIXEL_ASPECT:
+            aspect = 1.0
+        if picture.interlaced_frame:  # A field of HEVC.
+            aspect /= 2
+        return 1 / aspect if _quarter_turns(picture) % 2 else aspect
+
+    def _pictures(self) -> Iterator[VideoFrame]:
+        """Yield pictures as stored; ``opaque`` holds whether they are damaged."""
+        incomplete = failed = damaged = False
+        with av.logging.Capture() as messages:
+            try:
+                for packet in self._container.demux(self._stream):
+                    self._is_cut_off |= _ended_early(messages)
+                    messages.clear()
+                    if packet.size:
+                        incomplete = packet.is_corrupt
+                    pictures: list[VideoFrame] = []
+                    try:
+                        pictures = packet.decode()
+                    except av.FFmpegError:
+                        failed = True
+                    failed |= packet.is_corrupt or bool(messages)
+                    for picture in pictures:
+                        # Damage lasts until a picture that builds on no other.
+                        damaged = (
+                            failed or picture.is_corrupt or (damaged and not picture.key_frame)
+                        )
+                        failed = False
+                        # A filter passes it on. PyAV knows it by its identity: a new list each.
+                        picture.opaque = [damaged]
+                        yield picture
+            except av.FFmpegError:
+                incomplete = True
+        self._is_cut_off |= incomplete or failed
+
+
+def _ended_early(messages: list[tuple[int, str, str]]) -> bool:
+    """Whether FFmpeg has said that the file ends before its container does."""
+    return any(words in text for *_, text in messages for words in _CUT_OFF)
+
+
+def _check_size(width: int, height: int, max_pixels: float) -> None:
+    if width * height > max_pixels:
+        raise TooLargeError(width, height)
+
+
+def _moves(stream: VideoStream) -> tuple[bool, bool]:
+    """Rank a stream above cover pictures, which may lack their mark."""
+    return not stream.disposition & Disposition.attached_pic, stream.frames != 1
+
+
+def _quarter_turns(picture: VideoFrame) -> int:
+    """Counterclockwise, from the picture as stored to the upright one."""
+    return round(picture.rotation / 90) % 4
+
+
+def _deinterlaced(pictures: Iterable[VideoFrame]) -> Iterator[VideoFrame]:
+    """Replace each interlaced picture by one of the moment of its first field."""
+    # A filter takes pictures of one size and format.
+    for _, alike in groupby(pictures, lambda one: (one.width, one.height, one.format.name)):
+        graph = None
+        for picture in alike:
+            if graph is None and picture.interlaced_frame:
+                graph = _deinterlacer(picture)
+            if graph is None:
+                yield picture
+            else:
+                graph.vpush(picture)
+                yield from _filtered(graph)
+        if graph is not None:
+            graph.vpush(None)
+            yield from _filtered(graph)
+
+
+def _deinterlacer(picture: VideoFrame) -> Graph:
+    """Make a filter of pictures like this one; those that are not interlaced pass unchanged."""
+    graph = Graph()
+    graph.threads = 1
+    source = graph.add_buffer(
+        width=picture.width,
+        height=picture.height,
+        format=picture.format,
+        time_base=picture.time_base,
+    )
+    bwdif = graph.add("bwdif", "mode=send_frame:deint=interlaced")
+    graph.link_nodes(source, bwdif, graph.add("buffersink")).configure()
+    return graph
+
+
+def _filtered(graph: Graph) -> Iterator[VideoFrame]:
+    """Take out the pictures that are ready."""
+    try:
+        while True:
+            yield graph.vpull()
+    except (BlockingIOError, EOFError):
+        return
+
+
+class Clock:
+    """Ascending timestamps: the video's own or, where they do not ascend, from its frame rate."""
+
+    def __init__(self, interval_s: float) -> None:
+        self._interval_s = interval_s
+        self._began_s = 0.0
+        self._last_s: float | None = None
+
+    def timestamp(self, reported_s: float | None) -> float:
+        """Seconds of a frame since the first one, given the time that the video states."""
+        if self._last_s is None:
+            self._began_s, self._last_s = reported_s or 0.0, 0.0
+            return 0.0
+        elapsed_s = -math.inf if reported_s is None else reported_s - self._began_s
+        if self._last_s < elapsed_s < _MAX_TIMESTAMP_S:
+            self._last_s = max(elapsed_s, self._last_s + MIN_STEP_S)
+        else:
+            self._last_s += self._interval_s
+        return self._last_s

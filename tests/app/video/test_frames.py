@@ -1,0 +1,272 @@
+"""Videos of many kinds, whole, cut off and damaged, become the frames that their maker meant."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app import camera
+from app.video.frames import MIN_STEP_S, Clock, Frame, TooLargeError, UnreadableError, Video
+from tests.conftest import WALKERS
+from tests.support.videos import Picture, Scan, numbered_frames, write_video
+
+INTERLACED = {"flags": "+ildct+ilme"}
+FAST = {"libvpx": {"deadline": "realtime"}, "libvpx-vp9": {"deadline": "realtime"}}
+
+
+def pan(count: int = 8, height: int = 288, width: int = 360) -> list[Picture]:
+    """Grey frames of a street over which the camera pans by eight pixels a frame."""
+    street = cv2.cvtColor(np.asarray(cv2.imread(str(WALKERS)), np.uint8), cv2.COLOR_BGR2GRAY)
+    # A field has no detail of a single line.
+    grey = cv2.blur(cv2.resize(street, (width, height)), (1, 3))
+    return [np.repeat(np.roll(grey, 8 * n, 1)[..., None], 3, 2) for n in range(count)]
+
+
+def frames_of(video: bytes) -> list[Frame]:
+    """The frames of a video, up to where it cannot be read."""
+    frames: list[Frame] = []
+    with suppress(UnreadableError):
+        frames.extend(Video(io.BytesIO(video)).frames())
+    return frames
+
+
+def difference(got: Picture, expected: Picture) -> float:
+    return float(np.abs(got.astype(float) - expected).mean())
+
+
+@pytest.mark.parametrize(
+    ("codec", "name", "scans"),
+    [
+        ("libx264", "v.ts", ("prog", "tff", "bff")),
+        ("mpeg2video", "v.mpg", ("prog", "tff", "bff")),
+        ("mpeg4", "v.avi", ("prog", "tff", "bff")),
+        ("dvvideo", "v.dv", ("prog", "tff", "bff")),
+        ("prores_ks", "v.mov", ("prog", "tff", "bff")),
+        ("ffv1", "v.mkv", ("prog", "tff", "bff")),
+        ("libx265", "v.mp4", ("prog",)),
+        ("mjpeg", "v.avi", ("prog",)),
+        ("libvpx", "v.webm", ("prog",)),
+        ("libvpx-vp9", "v.webm", ("prog",)),
+        ("libsvtav1", "v.mkv", ("prog",)),
+    ],
+)
+def test_every_codec_shows_the_frames_without_interlacing(
+    tmp_path: Path, codec: str, name: str, scans: tuple[Scan, ...]
+) -> None:
+    film = pan(8, 576, 720) if codec == "dvvideo" else pan()
+    for scan in scans:
+        options = FAST.get(codec, {}) if scan == "prog" else INTERLACED
+        video = write_video(tmp_path / name, film, codec, 25, scan=scan, options=options)
+        frames = frames_of(video)
+        shown = film if scan == "prog" else film[::2]
+        assert [round(frame.timestamp * 25) for frame in frames] == [*range(len(shown))]
+        assert not any(frame.damaged for frame in frames)
+        # Colours are rounded by up to 3; two moments in one picture differ by 6 at least.
+        assert max(map(difference, (frame.pixels for frame in frames), shown)) < 4, scan
+
+
+def test_fields_of_hevc_are_pictures_of_half_the_height(tmp_path: Path) -> None:
+    fields = [frame[n % 2 :: 2] for n, frame in enumerate(pan(4))]
+    options = {"x265-params": "log-level=none:interlace=tff"}
+    frames = frames_of(write_video(tmp_path / "v.mkv", fields, "libx265", options=options))
+    assert [frame.pixel_aspect for frame in frames] == [0.5] * 4
+    assert max(map(difference, (frame.pixels for frame in frames), fields)) < 4
+
+
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
+def test_pictures_are_upright(tmp_path: Path, quarter_turns: int) -> None:
+    (frame,) = frames_of(
+        write_video(tmp_path / "v.mp4", pan(1), "libx264", quarter_turns=quarter_turns)
+    )
+    assert difference(frame.pixels, np.rot90(pan(1)[0], quarter_turns)) < 4
+
+
+@pytest.mark.parametrize(
+    ("pixels", "full_range", "black", "white"),
+    [("yuv420p", True, 0, 255), ("yuv420p", False, 16, 235), ("yuv420p10le", False, 64, 940)],
+)
+def test_black_and_white_are_those_of_the_video(
+    tmp_path: Path, pixels: str, full_range: bool, black: int, white: int
+) -> None:
+    grey = 128 if white < 256 else 512
+    planes = np.full((96, 64), grey, np.uint8 if white < 256 else np.uint16)
+    planes[:64] = np.where(np.arange(64) < 32, black, white)
+    picture = av.VideoFrame.from_ndarray(planes, pixels)
+    picture.color_range = 2 if full_range else 1
+    with av.open(str(tmp_path / "v.mkv"), "w") as out:
+        stream = out.add_stream("ffv1", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 64, pixels
+        stream.codec_context.color_range = picture.color_range
+        out.mux([*stream.encode(picture), *stream.encode()])
+    (frame,) = frames_of((tmp_path / "v.mkv").read_bytes())
+    assert frame.pixels[32, [0, 63]].tolist() == [[0] * 3, [255] * 3]
+
+
+@pytest.mark.parametrize("name", ["v.avi", "v.mkv", "v.mp4"])
+def test_times_are_those_of_the_video(tmp_path: Path, name: str) -> None:
+    times_s = [0.0, 0.1, 0.2, 0.9, 1.0, 1.5]
+    video = write_video(tmp_path / name, pan(6), "mpeg4", times_s=times_s)
+    assert [frame.timestamp for frame in frames_of(video)] == pytest.approx(times_s)
+
+
+def test_an_animated_gif_is_a_video(tmp_path: Path) -> None:
+    frames = frames_of(write_video(tmp_path / "v.gif", pan(5), "gif"))
+    assert [round(frame.timestamp, 2) for frame in frames] == [0.0, 0.1, 0.2, 0.3, 0.4]
+
+
+def remuxed(video: bytes, path: Path, cut_s: float = 0.0, cover: bool = False) -> bytes:
+    """Copy a video: without what comes before a time, or with a picture as its first stream."""
+    with av.open(io.BytesIO(video)) as source, av.open(str(path), "w") as out:
+        pictures = source.streams.video[0]
+        if cover:
+            still = out.add_stream("mjpeg", rate=1)
+            still.width, still.height, still.pix_fmt = 64, 48, "yuvj420p"
+        copy = out.add_stream_from_template(pictures)
+        if cover:
+            out.mux(still.encode(av.VideoFrame(64, 48, "yuvj420p")))
+            out.mux(still.encode())
+        for packet in source.demux(pictures):
+            if packet.dts is not None:
+                packet.pts -= round(cut_s / packet.time_base)
+                packet.dts -= round(cut_s / packet.time_base)
+                packet.stream = copy
+                out.mux(packet)
+    return path.read_bytes()
+
+
+def test_what_an_edit_list_hides_is_not_shown(tmp_path: Path) -> None:
+    whole = write_video(tmp_path / "v.mp4", numbered_frames(12), "libx264")
+    frames = list(Video(io.BytesIO(remuxed(whole, tmp_path / "cut.mp4", cut_s=0.5))).frames())
+    assert [frame.pixels.mean().round(-1) for frame in frames] == [*range(50, 120, 10)]
+    assert frames[0].timestamp == 0
+
+
+def test_a_cover_picture_is_not_the_video(tmp_path: Path) -> None:
+    whole = write_video(tmp_path / "v.mp4", pan(5), "libx264")
+    assert len(frames_of(remuxed(whole, tmp_path / "cover.mp4", cover=True))) == 5
+
+
+@pytest.mark.parametrize("data", [b"", b"?", b"RIFF\xff\xff\xff\xffAVI LIST", b"\x00" * 5000])
+def test_other_bytes_are_not_a_video(data: bytes) -> None:
+    with pytest.raises(UnreadableError, match="something else or a broken one"):
+        next(Video(io.BytesIO(data)).frames())
+
+
+def test_frames_of_too_many_pixels_are_not_decoded(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "v.avi", numbered_frames(3))
+    assert len(list(Video(io.BytesIO(video)).frames(max_pixels=48 * 64))) == 3
+    with pytest.raises(TooLargeError, match="64x48"):
+        next(Video(io.BytesIO(video)).frames(max_pixels=48 * 64 - 1))
+
+
+def cut_off(video: bytes, tenth: int) -> str:
+    """What is found in a video of which the rest is missing."""
+    with pytest.raises(UnreadableError) as raised:
+        list(Video(io.BytesIO(video[: len(video) * tenth // 11])).frames())
+    return str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "container"),
+    [
+        ("v.avi", "mjpeg", ""),
+        ("v.mkv", "libx264", ""),
+        ("v.webm", "libvpx", ""),
+        ("v.flv", "libx264", ""),
+        ("v.mp4", "libx264", "faststart"),
+        ("v.mp4", "libx264", "frag_keyframe+empty_moov"),
+        ("v.mov", "prores_ks", "faststart"),
+    ],
+)
+def test_a_video_that_is_cut_off_says_so(
+    tmp_path: Path, name: str, codec: str, container: str
+) -> None:
+    flags = {"movflags": container} if container else {}
+    video = write_video(tmp_path / name, pan(12), codec, options=FAST.get(codec), container=flags)
+    assert len(list(Video(io.BytesIO(video)).frames())) == 12
+    found = [cut_off(video, tenth) for tenth in range(1, 11)]
+    assert all(
+        re.fullmatch(r"one that is cut off or damaged after \d+ frames", one) for one in found
+    ), found
+    counts = [int(one.split()[-2]) for one in found]
+    assert counts == sorted(counts) and 12 > counts[-1] > counts[0]
+
+
+def test_an_mp4_without_its_index_says_so(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "v.mp4", pan(12), "libx264")
+    assert {cut_off(video, tenth) for tenth in range(1, 11)} == {
+        "an MP4 or MOV whose index (moov) is missing: the file is incomplete"
+    }
+
+
+def flipped(video: bytes, seed: int) -> bytes:
+    """Flip eight bits, none of them in the first twentieth, where headers are."""
+    rng, data = np.random.default_rng(seed), np.frombuffer(video, np.uint8).copy()
+    data[rng.integers(len(data) // 20, len(data), 8)] ^= np.uint8(1) << rng.integers(
+        8, size=8, dtype=np.uint8
+    )
+    return data.tobytes()
+
+
+def thinned(video: bytes, seed: int) -> bytes:
+    """Lose a twentieth of the packets of a transport stream, none of the first ten."""
+    packets = np.frombuffer(video, np.uint8).reshape(-1, 188)
+    kept = np.random.default_rng(seed).random(len(packets)) > 0.05
+    kept[:10] = True
+    return packets[kept].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("codec", "name", "damage"),
+    [
+        ("libx264", "v.mp4", flipped),
+        ("mpeg4", "v.mp4", flipped),
+        ("ffv1", "v.mkv", flipped),
+        ("libx264", "v.ts", thinned),
+        ("mpeg2video", "v.ts", thinned),
+    ],
+)
+def test_frames_that_look_wrong_are_damaged(
+    tmp_path: Path, codec: str, name: str, damage: Callable[[bytes, int], bytes]
+) -> None:
+    video = write_video(tmp_path / name, pan(24), codec)
+    whole = {round(frame.timestamp, 3): frame.pixels for frame in frames_of(video)}
+    wrong = [
+        frame.damaged
+        for seed in range(4)
+        for frame in frames_of(damage(video, seed))
+        if (expected := whole.get(round(frame.timestamp, 3))) is None
+        or difference(frame.pixels, expected) > 2
+    ]
+    # A flipped bit is not always an error to the codec.
+    assert len(wrong) > 10 and np.mean(wrong) > 0.8
+
+
+def test_damage_ends_with_a_picture_that_builds_on_no_other(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "v.ts", pan(24), "libx264", options={"g": "8", "bf": "0"})
+    packets = np.frombuffer(video, np.uint8).reshape(-1, 188)
+    lost = np.delete(packets, len(packets) // 2, axis=0).tobytes()
+    damaged = "".join("!" if frame.damaged else "." for frame in frames_of(lost))
+    assert re.fullmatch(r"\.{7,}!{1,9}\.{8}", damaged), damaged
+
+
+@given(
+    st.lists(st.none() | st.floats(allow_nan=False), min_size=1, max_size=20), st.floats(1e-3, 1.0)
+)
+def test_timestamps_always_ascend(reported: list[float | None], interval_s: float) -> None:
+    clock = Clock(interval_s)
+    times = [clock.timestamp(one) for one in reported]
+    assert times[0] == 0
+    assert camera.MIN_STEP_S == MIN_STEP_S
+    assert all(second >= first + MIN_STEP_S * (1 - 1e-6) for first, second in pairwise(times))
