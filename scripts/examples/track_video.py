@@ -2,17 +2,20 @@
 
     python -m scripts track-video VIDEO OUT.mp4 [--stride 1] [--sheet FILE]
 
-The video is MPEG-4 Part 2, which players show and most browsers do not. A service answers the same
-results as JSON to ``POST /sequence``.
+The video is H.264, which players and browsers show. A service answers the same results as JSON to
+``POST /sequence``.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +28,14 @@ from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
+from app.video.frames import Frame, UnreadableError, Video
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
-from scripts.datasets import read_frames
 from scripts.helpers import check_outputs
 
 SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
 EVENT_SHOWN_S = 2.0
-_USUAL_FPS = 25.0
 _WHITE = (255, 255, 255)
 
 Picture = NDArray[np.uint8]
@@ -108,52 +110,60 @@ def contact_sheet(cells: Sequence[Picture]) -> Picture:
     return np.vstack(rows)
 
 
-def frames_of(video: Path, stride: int) -> Iterator[tuple[float, Picture]]:
-    """Yield time in seconds and BGR pixels of every ``stride``-th frame."""
-    fps, number = _fps(cv2.VideoCapture(str(video))), -1
-    for number, pixels in read_frames(video):
-        if number % stride == 0:
-            yield number / fps, pixels
-    if number < 0:
-        raise SystemExit(f"track-video: expected a video that OpenCV reads, got {video}")
+def frames_of(video: Path, stride: int) -> Iterator[Frame]:
+    """Yield every ``stride``-th frame, up to where the video cannot be read."""
+    frame = None
+    try:
+        for frame in Video(str(video)).frames(stride):
+            yield frame
+    except UnreadableError as error:
+        if frame is None:
+            raise SystemExit(f"track-video: expected a video, got {error}: {video}") from error
+        print(f"track-video: expected the whole video, got {error}: {video}", file=sys.stderr)
 
 
-def annotated(
-    video: Path, stride: int, max_frames: int | None, estimator: Estimator
-) -> Iterator[Picture]:
-    """Follow the people of a video and yield its frames with what is known of them."""
+def annotated(frames: Iterable[Frame], estimator: Estimator) -> Iterator[tuple[float, Picture]]:
+    """Follow the people of a video and yield times and frames with what is known of them."""
     session, annotator = CameraSession(estimator), Annotator()
-    for timestamp, pixels in islice(frames_of(video, stride), max_frames):
-        tracked = session.process(Upload(pixels), timestamp, DEFAULT_HYPOTHESES, Job())
-        yield annotator.draw(tracked)
+    for frame in frames:
+        upload = Upload(frame.pixels, pixel_aspect=frame.pixel_aspect)
+        tracked = session.process(upload, frame.timestamp, DEFAULT_HYPOTHESES, Job())
+        yield frame.timestamp, annotator.draw(tracked)
 
 
-def write_video(pictures: Iterator[Picture], path: Path, fps: float, shown: int) -> list[Picture]:
-    """Write a video, and return :data:`SHEET_FRAMES` of its first ``shown`` frames, made small."""
+def write_video(pictures: Iterable[tuple[float, Picture]], path: Path) -> int:
+    """Write pictures with their times as a video, and return how many there are."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    for_sheet = set(np.linspace(0, shown - 1, SHEET_FRAMES).round().astype(int).tolist())
-    cells: list[Picture] = []
-    writer = None
-    for number, picture in enumerate(pictures):
-        height, width = picture.shape[:2]
-        if writer is None:
-            codec = cv2.VideoWriter.fourcc(*"mp4v")
-            writer = cv2.VideoWriter(str(path), codec, fps, (width, height))
-            if not writer.isOpened():
-                raise SystemExit(f"track-video: expected a place to write to, got {path}")
-        writer.write(picture)
-        if number in for_sheet:
-            size = (CELL_PX, CELL_PX * height // width)
-            shrunk = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-            cells.append(np.asarray(shrunk, np.uint8))
-    if writer is not None:
-        writer.release()
-    return cells
+    written = 0
+    # The index comes first, so that a browser need not load the whole video before it plays.
+    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as out:
+        stream = out.add_stream("h264", options={"crf": "20"})
+        stream.pix_fmt, stream.codec_context.time_base = "yuv420p", Fraction(1, 1000)
+        for timestamp, picture in pictures:
+            # Colours have half the resolution, so sizes are even.
+            height, width = (length // 2 * 2 for length in picture.shape[:2])
+            if not written:
+                stream.height, stream.width = height, width
+            frame = av.VideoFrame.from_ndarray(picture[:height, :width], "bgr24")
+            frame.time_base, frame.pts = Fraction(1, 1000), round(1000 * timestamp)
+            out.mux(stream.encode(frame))
+            written += 1
+        out.mux(stream.encode())
+    return written
 
 
-def _fps(capture: cv2.VideoCapture) -> float:
-    fps = capture.get(cv2.CAP_PROP_FPS)
-    return fps if 0 < fps < 1000 else _USUAL_FPS
+def contact_sheet_of(video: Path, frames: int) -> Picture:
+    """Return a contact sheet of :data:`SHEET_FRAMES` of the frames of a video."""
+    shown = set(np.linspace(0, frames - 1, SHEET_FRAMES).round().astype(int).tolist())
+    return contact_sheet(
+        [_shrunk(frame.pixels) for frame in Video(str(video)).frames() if frame.number in shown]
+    )
+
+
+def _shrunk(picture: Picture) -> Picture:
+    height, width = picture.shape[:2]
+    size = (CELL_PX, CELL_PX * height // width)
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -169,12 +179,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.stride < 1 or (options.max_frames is not None and options.max_frames < 1):
         parser.error("--stride and --max-frames: expected at least 1")
     check_outputs((options.out, options.sheet), (options.video,))
-    capture = cv2.VideoCapture(str(options.video))
-    frames = -(-max(1, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) // options.stride)
     estimator = load_estimator(Settings(index=options.index))
-    pictures = annotated(options.video, options.stride, options.max_frames, estimator)
-    shown = min(frames, options.max_frames or frames)
-    cells = write_video(pictures, options.out, _fps(capture) / options.stride, shown)
-    if options.sheet and cells:
-        sheet = contact_sheet(cells)
+    frames = islice(frames_of(options.video, options.stride), options.max_frames)
+    written = write_video(annotated(frames, estimator), options.out)
+    if options.sheet:
+        sheet = contact_sheet_of(options.out, written)
         cv2.imwrite(str(options.sheet), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    print(f"track-video: {written} frames in {options.out}")

@@ -233,8 +233,6 @@ def _home_assistant(options: argparse.Namespace) -> HomeAssistant | None:
 
 def _watch(bridge: Bridge, outbox: Outbox, options: argparse.Namespace) -> None:
     """Watch until a file ends or the program is stopped; then wait for deliveries."""
-    # Streams over UDP lose parts of frames.
-    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "rtsp_transport;tcp")
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         bridge.watch(Source(options.source), options.fps)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,8 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.video.frames import UnreadableError, Video
 from scripts.watch_camera.common import say
 
+STREAM_TIMEOUT_S = 10.0
 RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0)
 
 
@@ -52,40 +56,48 @@ class Source:
     def _read(self) -> None:
         attempt = 0
         while True:
-            capture = self._open()
             before = self._number
-            self._read_from(capture)
-            capture.release()
+            try:
+                self._read_once()
+            except UnreadableError as error:
+                if self.is_file:
+                    say(f"expected a whole video, got {error}")
             if self.is_file:
                 break
             attempt = 0 if self._number > before else attempt + 1
             wait_s = RECONNECT_AFTER_S[min(attempt, len(RECONNECT_AFTER_S) - 1)]
-            say(f"{self._source} gives no frame; trying again in {wait_s:g} s")
+            # Without the password.
+            name = re.sub("://.*@", "://", self._source)
+            say(f"{name} gives no frame; trying again in {wait_s:g} s")
             time.sleep(wait_s)
         with self._changed:
             self._ended = True
             self._changed.notify()
 
-    def _open(self) -> cv2.VideoCapture:
-        if self._source.isdecimal():
-            return cv2.VideoCapture(int(self._source))
-        timeouts = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 10_000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 10_000)
-        return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, timeouts)
-
-    def _read_from(self, capture: cv2.VideoCapture) -> None:
-        interval_s = 1 / (capture.get(cv2.CAP_PROP_FPS) or 25.0)
+    def _read_once(self) -> None:
         began = time.monotonic()
-        while True:
-            read, pixels = capture.read()
-            if not read:
-                return
+        for elapsed_s, pixels in self._pictures():
             moment = time.monotonic()
             if self.is_file:
                 # Play it as fast as it was filmed.
-                moment = began + self._number * interval_s
+                moment = began + elapsed_s
                 time.sleep(max(0.0, moment - time.monotonic()))
             with self._changed:
-                timestamp = self._clock_ahead_s + moment
-                self._newest = Frame(self._number, timestamp, np.asarray(pixels, np.uint8))
+                self._newest = Frame(self._number, self._clock_ahead_s + moment, pixels)
                 self._changed.notify()
             self._number += 1
+
+    def _pictures(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Yield seconds since the first frame, 0 for a device, and pixels."""
+        if self._source.isdecimal():
+            device = cv2.VideoCapture(int(self._source))
+            while (read := device.read())[0]:
+                yield 0.0, np.asarray(read[1], np.uint8)
+            device.release()
+            return
+        # A file's name may look like an address. Streams over UDP lose parts of frames.
+        address = f"file:{self._source}" if self.is_file else self._source
+        options = {} if self.is_file else {"rtsp_transport": "tcp"}
+        with closing(Video(address, options, STREAM_TIMEOUT_S)) as video:
+            for frame in video.frames():
+                yield frame.timestamp, frame.pixels

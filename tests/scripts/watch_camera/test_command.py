@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 from urllib.parse import parse_qs, urlsplit
 
@@ -15,8 +16,8 @@ import cv2
 import httpx
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from app.video.frames import UnreadableError
 from scripts.watch_camera import command
 from scripts.watch_camera import service as service_module
 from scripts.watch_camera import source as source_module
@@ -137,35 +138,33 @@ class Stream:
 
     def __init__(self, lengths: list[int], silent: threading.Event) -> None:
         self._lengths, self._silent = lengths, silent
-        self._left = 0
 
     def open(self, *_: object) -> Stream:
-        self._left = self._lengths.pop(0)
         return self
 
-    def get(self, _: int) -> float:
-        return 0.0
-
-    def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
-        if not self._left and not self._lengths:
+    def frames(self) -> Iterator[SimpleNamespace]:
+        for _ in range(self._lengths.pop(0)):
+            yield SimpleNamespace(timestamp=0.0, pixels=np.zeros((4, 4, 3), np.uint8))
+        if not self._lengths:
             self._silent.set()
             threading.Event().wait()
-        self._left -= 1
-        return self._left >= 0, np.zeros((4, 4, 3), np.uint8)
+        raise UnreadableError("a broken one")
 
-    def release(self) -> None:
+    def close(self) -> None:
         pass
 
 
 def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     silent = threading.Event()
     monkeypatch.setattr(source_module, "RECONNECT_AFTER_S", (0.0,))
-    monkeypatch.setattr(source_module.cv2, "VideoCapture", Stream([3, 0, 2], silent).open)
-    source = source_module.Source("rtsp://camera")
+    monkeypatch.setattr(source_module, "Video", Stream([3, 0, 2], silent).open)
+    source = source_module.Source("rtsp://user:secret@camera/1")
     assert silent.wait(10)
     assert next(source.frames()).number == 4
+    said = capsys.readouterr().err
+    assert "rtsp://camera/1 gives no frame" in said and "secret" not in said
 
 
 def test_a_real_service_follows_a_file(
