@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from tests.golden.answers import FOLDER, ask_all, differences, file_of, pretty, read
-from tests.golden.requests import requests
+from tests.golden.requests import kept_requests
 
 SHOWN = 12
 
@@ -14,7 +14,7 @@ def main() -> int:
     """Ask, compare, write; answers that agree within the tolerance are left as they are."""
     FOLDER.mkdir(exist_ok=True)
     got, changed = ask_all(), 0
-    for request in requests():
+    for request in kept_requests():
         stored, answer = read(request.name), got[request.name]
         found = list(differences(stored, answer, request.exact))
         if not found:

@@ -55,17 +55,18 @@ def services() -> Iterator[Mapping[str, TestClient]]:
 
 
 def ask_all() -> dict[str, Any]:
-    """Send all requests, one after the other; return the answers by their names."""
+    """Send all requests, one after the other; return the answers that are kept by their names."""
+    answers = {}
     with services() as clients:
-        return {
-            request.name: answer_of(
-                request,
-                clients[request.service].request(
-                    request.method, request.path, params=request.params, **request.options
-                ),
+        for request in requests():
+            response = clients[request.service].request(
+                request.method, request.path, params=request.params, **request.options
             )
-            for request in requests()
-        }
+            if request.kept:
+                answers[request.name] = answer_of(request, response)
+            else:
+                assert response.status_code == 200, response.text
+    return answers
 
 
 def answer_of(request: Request, response: Any) -> dict[str, Any]:

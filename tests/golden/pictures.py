@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import cv2
 import numpy as np
@@ -60,6 +62,58 @@ def arms_raised() -> Picture:
 def lying() -> Picture:
     """The one who stands, on the side."""
     return np.ascontiguousarray(np.rot90(standing()))
+
+
+def _turned(lines: Sequence[Sequence[Point]], about: Point, degrees: float) -> list[Any]:
+    """Lines of a figure, turned about a point; whole pixels, hence the same on every processor."""
+    turn = np.deg2rad(degrees)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return [np.rint((np.array(line) - about) @ matrix.T + about).astype(int) for line in lines]
+
+
+def falling(degrees: float) -> Picture:
+    """The one who stands, tilted to the right about the feet by ``degrees``: ``(360, 400)``."""
+    torso = ((112, 110), (128, 110), (130, 190), (110, 190), (112, 110), (120, 190))
+    arms = ((80, 200), (88, 150), (105, 110), (135, 110), (152, 150), (160, 200))
+    legs = ((112, 190), (104, 320)), ((128, 190), (136, 320))
+    *limbs, head = _turned((torso, arms, *legs, ((120, 78),)), (120, 320), degrees)
+    canvas = np.zeros((360, 400), np.uint8)
+    for limb in limbs:
+        cv2.polylines(canvas, [limb], False, 1, 22)
+    cv2.circle(canvas, (int(head[0][0]), int(head[0][1])), 22, 1, -1)
+    return canvas
+
+
+def falls() -> Iterator[Picture]:
+    """Two people at ten frames a second for 4 s: both stand for 1.5 s, fall in 0.7 s, and lie.
+
+    Labels ``(360, 800)``: 1 falls in the left half, 2 a little later in the right half.
+    """
+    for step in range(40):
+        first, second = (np.clip((step - begin) / 7, 0, 1) * 86 for begin in (15, 18))
+        yield np.hstack([falling(first), 2 * falling(second)])
+
+
+def crossing() -> Iterator[Picture]:
+    """Two people who walk past each other at ten frames a second for 2.5 s: ``(340, 640)``.
+
+    The one who walks to the left is nearer, and hides the other half-way.
+    """
+    near = standing()
+    far = cv2.resize(near, (192, 256), interpolation=cv2.INTER_NEAREST)
+    for step in range(25):
+        canvas = np.zeros((340, 640), np.uint8)
+        canvas[40:296, 20 + 16 * step : 212 + 16 * step][far == 1] = 1
+        canvas[10:330, 400 - 16 * step : 640 - 16 * step][near == 1] = 2
+        if np.count_nonzero(canvas == 1) < np.count_nonzero(far) / 2:
+            canvas[canvas == 1] = 0  # A sliver of a person is no mask that a caller would send.
+        yield canvas
+
+
+def greeting() -> Iterator[Picture]:
+    """A person at ten frames a second who stands, raises both arms from 1.5 to 3 s, and stands."""
+    for step in range(45):
+        yield arms_raised() if 15 <= step < 30 else standing()
 
 
 def crowd() -> Picture:

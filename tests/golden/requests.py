@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -29,6 +30,8 @@ class Request:
         photographs round differently, hence their answers are compared to a tolerance.
     service : str
         ``open``; or ``locked``, which asks for a key and never gets to loading its index.
+    kept : bool
+        Whether the answer is stored; frames in between only lead up to others.
     options : dict
         Of the client: ``files``, ``data``, ``json``, ``content`` or ``headers``.
     """
@@ -39,6 +42,7 @@ class Request:
     params: Mapping[str, Any] = field(default_factory=dict)
     exact: bool = True
     service: str = "open"
+    kept: bool = True
     options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -50,16 +54,26 @@ def requests() -> tuple[Request, ...]:
         *_photographs(),
         *_session("masks", exact=True),
         *_session("photographs", exact=False),
+        *_masks("falls", pictures.falls(), kept=range(9, 40, 10), zones=_BED),
+        *_masks("crossing", pictures.crossing(), kept=range(0, 25, 3)),
+        *_masks("greeting", pictures.greeting(), kept=(14, 24, 29, 44)),
+        *_named_by_caller(),
+        *_wide_angle(),
         *_video(),
         *_index(),
         *_errors(),
     )
 
 
+def kept_requests() -> list[Request]:
+    """Return those whose answers are stored."""
+    return [request for request in requests() if request.kept]
+
+
 def _post(name: str, files: dict[str, bytes], path: str = "/pose", **kwargs: Any) -> Request:
-    exact = kwargs.pop("exact", True)
-    data = kwargs.pop("data", {})
-    return Request(name, "POST", path, kwargs, exact=exact, options={"files": files, "data": data})
+    exact, kept = kwargs.pop("exact", True), kwargs.pop("kept", True)
+    options = {"files": files, "data": kwargs.pop("data", {})}
+    return Request(name, "POST", path, kwargs, exact=exact, kept=kept, options=options)
 
 
 def _silhouettes() -> Iterator[Request]:
@@ -146,6 +160,57 @@ def _session(camera: str, exact: bool) -> Iterator[Request]:
     )
     yield Request(f"{camera}-7-forgotten", "DELETE", path)
     yield Request(f"{camera}-8-unknown", "GET", path)
+
+
+_BED = [{"name": "bed", "kind": "rest", "polygon": [[400, 0], [800, 0], [800, 360], [400, 360]]}]
+
+
+def _masks(
+    camera: str,
+    masks: Iterable[pictures.Picture],
+    kept: Container[int],
+    zones: Sequence[object] = (),
+) -> Iterator[Request]:
+    """Ten masks a second before a camera, then all events; some of the frames' answers."""
+    path = f"/cameras/{camera}"
+    yield Request(f"{camera}-zones", "PUT", path, options={"json": {"zones": list(zones)}})
+    for step, mask in enumerate(masks):
+        yield _post(
+            f"{camera}-{step:02}",
+            {"mask": png(mask)},
+            f"{path}/frames",
+            n=1,
+            joints="compact",
+            data={"timestamp": str(step / 10)},
+            kept=step in kept,
+        )
+    yield Request(f"{camera}-events", "GET", f"{path}/events")
+
+
+def _named_by_caller() -> Iterator[Request]:
+    """Boxes with the caller's identities, which change places in the list."""
+    boxes, names = [[130, 158, 50, 114], [220, 145, 50, 107]], ["ann", "bob"]
+    for step in range(3):
+        data = {"boxes": json.dumps(boxes), "track_ids": json.dumps(names)}
+        yield _post(
+            f"named-{step}",
+            {"frame": STREET},
+            "/cameras/named/frames",
+            n=1,
+            joints="none",
+            data={**data, "timestamp": str(step)},
+            exact=False,
+        )
+        boxes, names = boxes[::-1], names[::-1]
+
+
+def _wide_angle() -> Iterator[Request]:
+    """A photograph and a camera whose lens is known and whose pixels are twice as wide as high."""
+    optics = {"fov_deg": 72, "pixel_aspect": 2, "n": 1}
+    narrow = png(pictures.crowd()[:, ::2])
+    yield _post("wide-angle", {"mask": narrow}, **optics, evidence="silhouette")
+    yield _post("wide-angle-street", {"frame": STREET}, fov_deg=72, n=1, exact=False)
+    yield _post("wide-angle-camera", {"mask": narrow}, "/cameras/wide/frames", **optics)
 
 
 def _video() -> Iterator[Request]:

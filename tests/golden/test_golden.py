@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.golden.answers import FOLDER, ask_all, differences, read
-from tests.golden.requests import Request, requests
+from tests.golden.requests import Request, kept_requests
 
 SHOWN = 20
 
@@ -18,14 +18,14 @@ def got() -> dict[str, Any]:
     return ask_all()
 
 
-@pytest.mark.parametrize("request_", requests(), ids=lambda request: request.name)
+@pytest.mark.parametrize("request_", kept_requests(), ids=lambda request: request.name)
 def test_the_answer_is_the_golden_one(got: dict[str, Any], request_: Request) -> None:
     found = list(differences(read(request_.name), got[request_.name], request_.exact))
     assert not found, "\n".join([f"{len(found)} differences", *found[:SHOWN]])
 
 
 def test_every_answer_has_its_request() -> None:
-    names = [request.name for request in requests()]
+    names = [request.name for request in kept_requests()]
     assert sorted(names) == sorted(file.stem for file in FOLDER.glob("*.json"))
 
 
