@@ -37,6 +37,11 @@ GZIP_FROM_BYTES = 1400
 # levels take longer.
 GZIP_LEVEL = 1
 
+# The largest configuration of a camera that is accepted has 57 kB.
+MAX_JSON_BYTES = 256_000
+# Frames of 4 MB from 32 cameras at once.
+HELD_FRAMES_BYTES = 128 * 1024**2
+
 _SWEEP_EVERY_S = 10.0
 
 DESCRIPTION = """
@@ -127,6 +132,24 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     """Add the middleware, the innermost first."""
     settings, queue = runtime.settings, runtime.executor.queue
+    configurations = UploadLimits(
+        MAX_JSON_BYTES, settings.upload_timeout_s, MAX_JSON_BYTES * settings.max_requests
+    )
+    frames = UploadLimits(
+        settings.max_upload_bytes,
+        settings.upload_timeout_s,
+        max(HELD_FRAMES_BYTES, 2 * settings.max_upload_bytes),
+    )
+    videos = UploadLimits(
+        settings.max_video_bytes,
+        settings.video_upload_timeout_s,
+        settings.max_sequences * settings.max_video_bytes,
+    )
+
+    def limits_of(scope: Scope) -> UploadLimits:
+        if scope["method"] != "POST":
+            return configurations
+        return videos if scope["path"] == sequence.PATH else frames
 
     def check(scope: Scope, identity: Identity) -> None:
         # Frames of a video wait until there is room for them.
@@ -137,10 +160,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     app.add_middleware(
         AdmissionMiddleware,
         check=check,
-        limits=UploadLimits(settings.max_upload_bytes, settings.upload_timeout_s),
-        limits_of_paths={
-            sequence.PATH: UploadLimits(settings.max_video_bytes, settings.video_upload_timeout_s)
-        },
+        limits_of=limits_of,
         max_open=settings.max_requests,
     )
     if settings.cors_origins:

@@ -27,7 +27,8 @@ from index.posture import Posture as PostureLabel
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock in seconds, earlier than today in milliseconds."""
 
-MAX_TRACK_ID_CHARACTERS, MAX_ZONES, MAX_CORNERS = 64, 32, 64
+MAX_TRACK_ID_CHARACTERS = MAX_NAME_CHARACTERS = 64
+MAX_ZONES, MAX_CORNERS = 32, 64
 
 
 class TrackUpload(FrameUpload):
@@ -55,7 +56,10 @@ class Zone(Model):
     """A region of a camera's image."""
 
     name: str = Field(
-        min_length=1, max_length=64, description="Unique for the camera.", examples=["bed"]
+        min_length=1,
+        max_length=MAX_NAME_CHARACTERS,
+        description="Unique for the camera.",
+        examples=["bed"],
     )
     kind: ZoneKind = Field(
         description="`rest`: a bed or a sofa, where lying is normal: neither `lying` nor `fell` "

@@ -1,4 +1,4 @@
-"""Admission: limits on the number, size and duration of uploads.
+"""Admission: limits on the number, size, memory and duration of uploads.
 
 FastAPI reads a whole body before a route's code runs, so the limits are plain ASGI middleware. A
 refused upload costs neither parsing nor memory, so under overload the cores are left to accepted
@@ -8,8 +8,7 @@ frames.
 from __future__ import annotations
 
 import asyncio
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -23,7 +22,7 @@ MIN_BYTES_PER_S = 4096
 """An upload slower than this after the grace period is aborted."""
 
 CALLER_SHARE = 0.75
-"""Share of the open uploads that one caller may have."""
+"""Share of the open uploads, and of their memory, that one caller may have."""
 
 STALLED_S = 1.0
 """An upload without data for this long makes room for another one."""
@@ -31,17 +30,21 @@ STALLED_S = 1.0
 
 @dataclass(frozen=True)
 class UploadLimits:
-    """Limits of one request body.
+    """Limits of request bodies of one kind.
 
     Parameters
     ----------
     max_bytes : int
+        Of one body.
     upload_timeout_s : float
-        Longest time to receive it.
+        Longest time to receive one.
+    max_held_bytes : int
+        Of all bodies of the kind together that are received or worked on at the same time.
     """
 
     max_bytes: int
     upload_timeout_s: float
+    max_held_bytes: int
 
 
 class _Upload:
@@ -77,6 +80,7 @@ class _Upload:
     def abort(self) -> None:
         """Make :meth:`next` time out now."""
         if self._timeout is not None:
+            self.received = 0
             self._last = asyncio.get_running_loop().time()
             self._timeout.reschedule(self._last)
 
@@ -89,10 +93,8 @@ class AdmissionMiddleware:
     app : ASGI application
     check : callable
         Raises :class:`app.scheduling.job.BusyError` if the request would be refused later.
-    limits : UploadLimits
-        Limits of most paths.
-    limits_of_paths : mapping
-        Limits of other paths.
+    limits_of : callable
+        Returns the limits of a request's body.
     max_open : int
         Largest number of requests with a body that are received or answered at the same time.
     """
@@ -102,14 +104,12 @@ class AdmissionMiddleware:
         app: ASGIApp,
         *,
         check: Callable[[Scope, Identity], None],
-        limits: UploadLimits,
-        limits_of_paths: Mapping[str, UploadLimits],
+        limits_of: Callable[[Scope], UploadLimits],
         max_open: int,
     ) -> None:
         self.app = app
         self._check = check
-        self._limits = limits
-        self._limits_of_paths = limits_of_paths
+        self._limits_of = limits_of
         self._max_open = max_open
         self._uploads: set[_Upload] = set()
 
@@ -118,7 +118,7 @@ class AdmissionMiddleware:
         if scope["type"] != "http" or scope["method"] not in ("POST", "PUT", "PATCH"):
             await self.app(scope, receive, send)
             return
-        limits = self._limits_of_paths.get(scope["path"], self._limits)
+        limits = self._limits_of(scope)
         refusal = self._refusal(scope, limits)
         if refusal is not None:
             await ProblemResponse(refusal)(scope, receive, send)
@@ -136,8 +136,8 @@ class AdmissionMiddleware:
             self._check(scope, identity)
         except BusyError as error:
             return busy(error)
-        if self._is_crowded(identity.caller):
-            return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
+        if not _has_room(self._uploads, lambda _: 1, self._max_open, identity.caller):
+            return _too_many()
         headers = dict(scope["headers"])
         encoding = headers.get(b"content-encoding", b"identity")
         if encoding.lower() != b"identity":
@@ -148,15 +148,11 @@ class AdmissionMiddleware:
             return _too_large(limits)
         return None
 
-    def _is_crowded(self, caller: Caller) -> bool:
-        """Whether the caller may not open an upload, and no stalled one makes room for it.
-
-        Either as many are open as allowed, or the caller has reached its share of them.
-        """
-        own = [upload for upload in self._uploads if upload.caller == caller]
-        if len(own) >= math.ceil(CALLER_SHARE * self._max_open):
-            return not _make_room(own)
-        return len(self._uploads) >= self._max_open and not _make_room(self._uploads)
+    def _has_memory(self, upload: _Upload) -> bool:
+        """Whether there is memory for an upload to go on."""
+        alike = [other for other in self._uploads if other.limits == upload.limits]
+        most = upload.limits.max_held_bytes
+        return _has_room(alike, lambda other: other.received, most, upload.caller)
 
     async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
         refusal: ProblemError | None = None
@@ -180,6 +176,9 @@ class AdmissionMiddleware:
             if upload.received > upload.limits.max_bytes:
                 refusal = _too_large(upload.limits)
                 raise refusal
+            if not self._has_memory(upload):
+                refusal = _too_many()
+                raise refusal
             return message
 
         async def replacing_send(message: Message) -> None:
@@ -194,13 +193,27 @@ class AdmissionMiddleware:
         await self.app(scope, counting_receive, replacing_send)
 
 
-def _make_room(uploads: Iterable[_Upload]) -> bool:
+def _has_room(
+    uploads: Collection[_Upload], size: Callable[[_Upload], int], most: int, caller: Caller
+) -> bool:
+    """Whether one caller's upload may take more room; if need be, a stalled one makes it."""
+    own = [upload for upload in uploads if upload.caller == caller]
+    if sum(map(size, own)) >= CALLER_SHARE * most:
+        return _make_room(own)
+    return sum(map(size, uploads)) < most or _make_room(uploads)
+
+
+def _make_room(uploads: Collection[_Upload]) -> bool:
     """Abort the upload that has been silent for longest, if that is long enough."""
     stalled = max(uploads, key=_Upload.silent_s, default=None)
     if stalled is None or stalled.silent_s() < STALLED_S:
         return False
     stalled.abort()
     return True
+
+
+def _too_many() -> ProblemError:
+    return overloaded("too many uploads at once; try again shortly", "too_many_uploads")
 
 
 def _too_large(limits: UploadLimits) -> ProblemError:

@@ -13,6 +13,9 @@ from starlette.types import Scope
 
 from app.api.replies import camera_reply, events_reply, settings_from, track_reply
 from app.api.tracking_schemas import (
+    MAX_CORNERS,
+    MAX_NAME_CHARACTERS,
+    MAX_ZONES,
     CameraConfiguration,
     CameraEvents,
     CameraList,
@@ -173,10 +176,20 @@ async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
         return events_reply(camera.camera_id, runtime_of(request).sessions.events(camera))
 
 
+# Values of a configuration: all corners of all zones, and commas in their names.
+_MAX_VALUES = 2 * MAX_ZONES * (MAX_CORNERS + MAX_NAME_CHARACTERS)
+
+
 # The configuration is parsed here, after the key is checked, so that any error is one sentence.
 async def _read_configuration(request: Request) -> CameraConfiguration:
+    body = await request.body()
+    # Values are counted before they are parsed: a hundred thousand would keep all other clients
+    # waiting.
+    if (count := body.count(b",")) > _MAX_VALUES:
+        most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
+        raise ProblemError(422, f"zones: expected {most}, got {count} values", field="zones")
     try:
-        return CameraConfiguration.model_validate_json(await request.body())
+        return CameraConfiguration.model_validate_json(body)
     except ValidationError as error:
         first = error.errors()[0]
         if first["type"] == "json_invalid" or not first["loc"]:

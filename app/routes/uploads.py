@@ -89,7 +89,7 @@ _TRACK_IDS = TypeAdapter(
 )
 _TIMESTAMP = TypeAdapter[float](Timestamp)
 
-_MAX_BOX_CHARACTERS = 256  # Spaces and line breaks included.
+_MAX_ITEM_CHARACTERS = 256  # Of a box or a track id, spaces and line breaks included.
 
 
 def _documented(form: type[FrameUpload]) -> dict[str, Any]:
@@ -119,13 +119,13 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
     async with request.form() as form:
         check_fields(form, model.model_fields)
         boxes, timestamp = text_of(form, "boxes"), text_of(form, "timestamp")
-        track_ids = text_of(form, "track_ids")
+        track_ids, settings = text_of(form, "track_ids"), runtime_of(request).settings
         upload = Upload(
             await file_of(form, "frame"),
             mask=await file_of(form, "mask"),
             background=await file_of(form, "background"),
-            boxes=_parse_boxes(boxes, runtime_of(request).settings) if boxes else None,
-            track_ids=_parse_track_ids(track_ids) if track_ids else None,
+            boxes=_parse_boxes(boxes, settings) if boxes else None,
+            track_ids=_parse_track_ids(track_ids, settings) if track_ids else None,
         )
         return upload, _parse_timestamp(timestamp) if timestamp else None
 
@@ -166,9 +166,7 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
     count, most = text.count("[") - 1, settings.max_persons
     if count > most:
         raise UploadError("boxes", "misfit", f"expected at most {most} persons, got {count}")
-    if len(text) > most * _MAX_BOX_CHARACTERS:
-        longest = f"a list of at most {most * _MAX_BOX_CHARACTERS} characters"
-        raise UploadError("boxes", "misfit", f"boxes: expected {longest}, got {len(text)}")
+    _check_length("boxes", text, settings)
     try:
         boxes = _BOXES.validate_json(text)
     except ValidationError as error:
@@ -189,7 +187,15 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
     return [Box(*numbers) for numbers in boxes]
 
 
-def _parse_track_ids(text: str) -> list[str]:
+def _check_length(field: str, text: str, settings: Settings) -> None:
+    most = settings.max_persons * _MAX_ITEM_CHARACTERS
+    if len(text) > most:
+        longest = f"a list of at most {most} characters"
+        raise UploadError(field, "misfit", f"{field}: expected {longest}, got {len(text)}")
+
+
+def _parse_track_ids(text: str, settings: Settings) -> list[str]:
+    _check_length("track_ids", text, settings)
     try:
         return [str(track_id) for track_id in _TRACK_IDS.validate_json(text)]
     except ValidationError:

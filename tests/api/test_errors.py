@@ -95,6 +95,9 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
     (413, "too_large"): [
         ("/pose", form(frame=png(np.zeros((12_000, 12_000), np.uint8))), "frame", ""),
     ],
+    (413, "too_many_bytes"): [
+        ("PUT /cameras/yard", {"content": b" " * 256_001}, None, "at most 256000 bytes"),
+    ],
     (415, "unsupported_media_type"): [
         *(("/pose", body(b"{}", media_type), None, "multipart/form-data or image/*")
           for media_type in ("application/json", "video/mp4", "")),
@@ -121,6 +124,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ('["17", 17]', "each once, got '17' twice"),
         )),
         (YARD, form(frame=FRAME, track_ids='["17"]'), "track_ids", "no boxes"),
+        (YARD, track("[1," + " " * 900_000), "track_ids", "at most 12800 characters"),
         ("/pose", form(frame=FRAME, mask=MASK, boxes=BOX), "boxes", ""),
         ("/pose", form(frame=FRAME, mask=MASK, background=FRAME), "background", ""),
         ("/pose", form(mask=MASK, boxes=BOX), "boxes", ""),
@@ -196,6 +200,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             (zones(colour="red"), "zones[0].colour", "not permitted"),
             (zones(ZONE, ZONE), "zones", "'door' twice"),
             (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "expected at most 32 values, got 33"),
+            (zones(*[{}] * 60_000), "zones", "at most 32 zones of 64 corners"),
             ({"json": {"zones": "door"}}, "zones", "a list"),
             ({"json": {"zones": [{}]}}, "zones[0].name", "a value"),
             ({"content": json.dumps({"zones": [ZONE]}).replace("240", "1e999")},

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import uvicorn
 from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.http.protocol import HttpProtocol
@@ -20,16 +21,29 @@ pytestmark = pytest.mark.anyio
 HEAD = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
 
 
+DONE = PlainTextResponse("done")
+
+
+async def reading(scope: Scope, receive: Receive, send: Send) -> None:
+    """Read the body before the answer."""
+    while (await receive()).get("more_body"):
+        pass
+    await DONE(scope, receive, send)
+
+
 class Hasty(HttpProtocol):
     """A protocol with short timeouts."""
 
     head_timeout_s = 0.5
     max_head_bytes = 1000
+    max_tiny_chunks = 10
 
 
 @asynccontextmanager
-async def connection() -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    config = uvicorn.Config(PlainTextResponse("done"), http=Hasty, log_config=None)
+async def connection(
+    app: ASGIApp = DONE,
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    config = uvicorn.Config(app, http=Hasty, log_config=None)
     config.load()
     state = ServerState()
     loop = asyncio.get_running_loop()
@@ -116,6 +130,43 @@ async def test_huge_headers_are_refused(parts: list[bytes]) -> None:
     found = problem(await talk(*parts))
     assert found["status"] == 431
     assert "1000 bytes" in found["detail"]
+
+
+POST = b"POST / HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
+
+
+async def test_chunks_of_any_size_are_read_if_few() -> None:
+    tiny, large = b"1\r\nx\r\n", b"800\r\n" + b"x" * 2048 + b"\r\n"
+    answer = await talk(
+        POST, 9 * tiny, 99 * (large + tiny), b"0\r\nX-After: 1\r\n\r\n", HEAD + b"\r\n"
+    )
+    assert answer.count(b"HTTP/1.1 200 OK") == 2
+
+
+async def test_many_tiny_chunks_are_refused() -> None:
+    async with connection(reading) as (reader, writer):
+        writer.write(POST + 11 * b"1\r\nx\r\n")
+        found = problem(await reader.read())
+    assert found["status"] == 400
+    assert "64 bytes on average" in found["detail"]
+
+
+@pytest.mark.parametrize("after", [b"X-Many: 1\r\n" * 99, b"X-Long: " + b"x" * 999])
+async def test_huge_headers_after_a_body_are_refused(after: bytes) -> None:
+    async with connection(reading) as (reader, writer):
+        writer.write(POST + b"1\r\nx\r\n0\r\n")
+        await asyncio.sleep(0.05)
+        for part in (after[:500], after[500:]):
+            writer.write(part)
+            await asyncio.sleep(0.001)
+        assert problem(await reader.read())["status"] == 431
+
+
+async def test_requests_before_their_answers_are_bounded() -> None:
+    async with connection(reading) as (reader, writer):
+        writer.write(POST + b"0\r\n\r\n" + 99 * (HEAD + b"\r\n"))
+        found = problem(await reader.read())
+    assert "at most 16 requests" in found["detail"]
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,8 @@ async def answer(
 async def reading(scope: Scope, receive: Receive, send: Send) -> None:
     response = PlainTextResponse("done")
     try:
-        await receive()
+        while (await receive()).get("more_body"):
+            pass
     except ProblemError:  # As the framework does if a body cannot be read.
         response = PlainTextResponse("cannot be read", 400)
     await response(scope, receive, send)
@@ -66,8 +67,9 @@ def admission(
     return AdmissionMiddleware(
         reading,
         check=refuse if full else lambda scope, identity: None,
-        limits=UploadLimits(100, timeout_s),
-        limits_of_paths={"/sequence": UploadLimits(1000, timeout_s)},
+        limits_of=lambda scope: UploadLimits(
+            {"/pose": 100, "/sequence": 1000}[scope["path"]], timeout_s, 300
+        ),
         max_open=max_open,
     )
 
@@ -112,35 +114,65 @@ def test_one_caller_cannot_take_all_places() -> None:
 
 
 class StalledUploads:
-    """Requests whose bodies never arrive, where there is room for some."""
+    """Requests whose bodies never arrive as a whole, where there is room for some."""
 
     def __init__(self, max_open: int = 2) -> None:
         self.admission = admission(max_open=max_open, timeout_s=30)
         self.statuses: list[int] = []
 
-    async def stall(self) -> None:
+    async def stall(self, begun: bytes = b"", caller: str = "") -> None:
+        parts = [{"type": "http.request", "body": begun, "more_body": True}] if begun else []
+
+        async def receive() -> Message:
+            return parts.pop() if parts else await anyio.sleep_forever()
+
         async def send(message: Message) -> None:
             if message["type"] == "http.response.start":
                 self.statuses.append(message["status"])
 
-        await self.admission(scope_of(), anyio.sleep_forever, send)
+        await self.admission(scope_of(caller=caller), receive, send)
 
 
-def test_stalled_uploads_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    stalled = StalledUploads()
+async def stalled_and_more(
+    stalled: StalledUploads, begun: tuple[bytes, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Uploads stall; while they have only just begun, one more is refused; then it is answered."""
+    async with anyio.create_task_group() as tasks:
+        for part in begun:
+            tasks.start_soon(stalled.stall, part)
+        await anyio.wait_all_tasks_blocked()
+        monkeypatch.setattr("app.http.admission.STALLED_S", 60.0)
+        assert (await answer(stalled.admission))[0] == 503
+        monkeypatch.setattr("app.http.admission.STALLED_S", 0.0)
+        for _ in range(3):
+            assert (await answer(stalled.admission))[0] == 200
+            await anyio.wait_all_tasks_blocked()
+        assert stalled.statuses == [408] * len(stalled.statuses) != []
+        tasks.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("begun", [(b"", b""), (b"x" * 100, b"x" * 100, b"x" * 24)])
+def test_stalled_uploads_make_room_for_others(
+    begun: tuple[bytes, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stalled = StalledUploads(2 if b"" in begun else 9)
+    anyio.run(stalled_and_more, stalled, begun, monkeypatch)
+
+
+def test_uploads_have_a_limit_of_memory_in_common() -> None:
+    """Of 300 bytes together, 225 for one caller."""
+    stalled = StalledUploads(9)
 
     async def ask() -> None:
         async with anyio.create_task_group() as tasks:
-            for _ in range(2):
-                tasks.start_soon(stalled.stall)
-            await anyio.wait_all_tasks_blocked()
-            monkeypatch.setattr("app.http.admission.STALLED_S", 60.0)
-            assert (await answer(stalled.admission))[0] == 503  # They have only just begun.
-            monkeypatch.setattr("app.http.admission.STALLED_S", 0.0)
-            for _ in range(3):
-                assert (await answer(stalled.admission))[0] == 200
+            for count, caller in ((2, "one"), (1, "two"), (1, "one")):
+                for _ in range(count):
+                    tasks.start_soon(stalled.stall, b"x" * 90, caller)
                 await anyio.wait_all_tasks_blocked()
-            assert stalled.statuses == [408] * len(stalled.statuses) != []
+            assert stalled.statuses == [503]
+            tasks.start_soon(stalled.stall, b"x" * 90, "three")
+            await anyio.wait_all_tasks_blocked()
+            assert stalled.statuses == [503, 503]
             tasks.cancel_scope.cancel()
 
     anyio.run(ask)
