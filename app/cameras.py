@@ -49,7 +49,7 @@ class CameraTraffic:
 
 
 class TooManyCamerasError(ValueError):
-    """A caller has configured as many cameras as allowed."""
+    """A caller has configured as many cameras as allowed, all of which have sent frames."""
 
 
 @dataclass(frozen=True)
@@ -259,22 +259,28 @@ class CameraSessions:
     def configure(self, key: CameraKey, settings: CameraSettings) -> CameraSummary:
         """Set zones and optics of a camera, from its next frame on.
 
+        If the caller has settings for as many other cameras as there may be sessions, the one that
+        was configured longest ago of those that have sent no frame is forgotten.
+
         Raises
         ------
         TooManyCamerasError
-            If the caller has settings for as many other cameras as there may be sessions.
+            If all of them have sent frames.
         """
         with self._lock:
-            others = sum(k.caller == key.caller for k in self._settings.keys() - {key})
+            others = [k for k in self._settings if k.caller == key.caller and k != key]
             matters = settings != _NO_SETTINGS or key.camera_id in self._configured
-            if matters and others >= self._max_sessions:
-                raise TooManyCamerasError(
-                    f"expected zones of at most {self._max_sessions} cameras, got one more"
-                )
+            if matters and len(others) >= self._max_sessions:
+                unused = next((k for k in others if k not in self._events), None)
+                if unused is None:
+                    raise TooManyCamerasError(
+                        f"expected at most {self._max_sessions} cameras with zones or optics, got "
+                        "one more; forget one first"
+                    )
+                del self._settings[unused]
+            self._settings.pop(key, None)  # So that the newest is the last.
             if matters:
                 self._settings[key] = settings
-            else:
-                self._settings.pop(key, None)
             self._drop_events()
             return self._summary(key)
 

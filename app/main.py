@@ -162,6 +162,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
         check=check,
         limits_of=limits_of,
         max_open=settings.max_requests,
+        origins=settings.cors_origins,
     )
     if settings.cors_origins:
         app.add_middleware(

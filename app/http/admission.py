@@ -1,4 +1,4 @@
-"""Admission: limits on the number, size, memory and duration of uploads.
+"""Admission: limits on the origin, number, size, memory and duration of uploads.
 
 FastAPI reads a whole body before a route's code runs, so the limits are plain ASGI middleware. A
 refused upload costs neither parsing nor memory, so under overload the cores are left to accepted
@@ -11,10 +11,12 @@ import asyncio
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.errors import ProblemError, ProblemResponse, busy, overloaded
 from app.http.identity import Caller, Identity, identity_of
+from app.messages import shortened
 from app.scheduling.job import BusyError
 
 UPLOAD_GRACE_S = 5.0
@@ -97,6 +99,8 @@ class AdmissionMiddleware:
         Returns the limits of a request's body.
     max_open : int
         Largest number of requests with a body that are received or answered at the same time.
+    origins : collection of str
+        Origins whose pages may send uploads, besides the service's own; ``*`` means all.
     """
 
     def __init__(
@@ -106,11 +110,13 @@ class AdmissionMiddleware:
         check: Callable[[Scope, Identity], None],
         limits_of: Callable[[Scope], UploadLimits],
         max_open: int,
+        origins: Collection[str] = (),
     ) -> None:
         self.app = app
         self._check = check
         self._limits_of = limits_of
         self._max_open = max_open
+        self._origins = origins
         self._uploads: set[_Upload] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -131,19 +137,26 @@ class AdmissionMiddleware:
             self._uploads.discard(upload)
 
     def _refusal(self, scope: Scope, limits: UploadLimits) -> ProblemError | None:
-        identity = identity_of(scope)
+        identity, headers = identity_of(scope), Headers(scope=scope)
+        if is_foreign(headers, self._origins):
+            return ProblemError(
+                403,
+                "expected a page of this service or of an origin that it allows, "
+                f"got {shortened(headers['origin'])}",
+                reason="foreign_origin",
+            )
         try:
             self._check(scope, identity)
         except BusyError as error:
             return busy(error)
         if not _has_room(self._uploads, lambda _: 1, self._max_open, identity.caller):
             return _too_many()
-        headers = dict(scope["headers"])
-        encoding = headers.get(b"content-encoding", b"identity")
-        if encoding.lower() != b"identity":
-            got = encoding.decode("latin-1")[:40]
-            return ProblemError(415, f"expected a body without Content-Encoding, got {got}")
-        length = headers.get(b"content-length", b"")
+        encoding = headers.get("content-encoding", "identity")
+        if encoding.lower() != "identity":
+            return ProblemError(
+                415, f"expected a body without Content-Encoding, got {encoding[:40]}"
+            )
+        length = headers.get("content-length", "")
         if length.isdigit() and int(length) > limits.max_bytes:
             return _too_large(limits)
         return None
@@ -191,6 +204,28 @@ class AdmissionMiddleware:
                 await ProblemResponse(refusal)(scope, receive, send)
 
         await self.app(scope, counting_receive, replacing_send)
+
+
+def is_foreign(headers: Headers, allowed: Collection[str]) -> bool:
+    """Whether a browser sends a request for a page of an origin that is not allowed to.
+
+    Browsers let every page send a form to every address, even to one that only this machine can
+    reach [1]_. They compare the origins themselves over HTTPS, and say so in ``Sec-Fetch-Site``;
+    otherwise the host is compared. Other clients send no ``Origin``.
+
+    References
+    ----------
+    .. [1] OWASP, "Cross-Site Request Forgery Prevention", fetch metadata and standard headers.
+    """
+    origin = headers.get("origin")
+    if origin is None or origin in allowed or "*" in allowed:
+        return False
+    if (site := headers.get("sec-fetch-site")) is not None:
+        return site not in ("same-origin", "none")
+    scheme, _, host = origin.partition("://")
+    default_port = {"http": ":80", "https": ":443"}.get(scheme, "")
+    own = [headers[name].lower() for name in ("host", "x-forwarded-host") if name in headers]
+    return host not in [name.removesuffix(default_port) for name in own]
 
 
 def _has_room(

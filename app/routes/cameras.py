@@ -86,7 +86,7 @@ def _set_session_header(request: Request, state: SessionState) -> None:
     summary="The people in the next frame of a camera, over time",
     response_model=TrackResponse,
     dependencies=[Depends(_session_header)],
-    responses=documented(400, 401, 404, 408, 409, 413, 415, 422, 503),
+    responses=documented(400, 401, 403, 404, 408, 409, 413, 415, 422, 503),
     openapi_extra=DOCUMENTED_TRACK_UPLOAD,
 )
 async def track_frame(
@@ -205,7 +205,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     operation_id="configure_camera",
     summary="Configure a camera",
     dependencies=[NoQuery],
-    responses=documented(401, 422),
+    responses=documented(401, 403, 408, 409, 413, 422, 503),
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -225,13 +225,14 @@ async def configure_camera(
     From the next frame on, persons and events name the zones they are in. A new configuration
     replaces the whole previous one and, for this caller, the one in the service's file. It
     outlives the camera's session but not the service: to keep it across restarts, put it in the
-    file.
+    file. A caller may configure as many cameras as there may be sessions; beyond that, one that has
+    sent no frame is forgotten for the new one.
     """
     try:
         settings = settings_from(configuration)
         return camera_reply(runtime_of(request).sessions.configure(camera, settings))
     except TooManyCamerasError as error:
-        raise ProblemError(422, f"zones: {error}", field="zones") from None
+        raise ProblemError(409, str(error), reason="too_many_cameras") from None
 
 
 @router.delete(

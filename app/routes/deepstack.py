@@ -28,7 +28,7 @@ router = APIRouter(
     prefix="/v1/vision",
     tags=["compatibility"],
     dependencies=[NoQuery, NamesCamera],
-    responses=documented(400, 401, 408, 413, 415, 422, 503),
+    responses=documented(400, 401, 403, 408, 413, 415, 422, 503),
 )
 
 _DOCUMENTED: dict[str, Any] = {

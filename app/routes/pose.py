@@ -22,7 +22,7 @@ from index.skeleton import KEYPOINT_SETS
 router = APIRouter(
     tags=["pose"],
     dependencies=[RequireKey, GivenOnce, NamesCamera],
-    responses=documented(400, 401, 408, 413, 415, 422, 503),
+    responses=documented(400, 401, 403, 408, 413, 415, 422, 503),
 )
 
 PNG: dict[int | str, dict[str, Any]] = {

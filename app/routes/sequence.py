@@ -128,7 +128,7 @@ async def _open(
                 "application/octet-stream": {"schema": {"type": "string", "format": "binary"}}
             },
         },
-        **documented(400, 401, 408, 413, 415, 422, 503),
+        **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
     openapi_extra=_DOCUMENTED,
 )

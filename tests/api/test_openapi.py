@@ -102,7 +102,7 @@ def test_optional_fields_of_forms_are_optional_for_generators(document: dict[str
 
 def test_errors_are_documented_as_problems(document: dict[str, Any]) -> None:
     pose = document["paths"]["/pose"]["post"]["responses"]
-    assert set(pose) == {"200", "400", "401", "408", "413", "415", "422", "503"}
+    assert set(pose) == {"200", "400", "401", "403", "408", "413", "415", "422", "503"}
     for status in set(pose) - {"200"}:
         schema = pose[status]["content"]["application/problem+json"]["schema"]
         assert schema == {"$ref": "#/components/schemas/Problem"}

@@ -82,14 +82,27 @@ class TestConfigure:
             assert configure(client, LEFT, headers=first).status_code == 200
             check_problem(client.get("/cameras/yard", headers=second), 404)
             check_problem(configure(client, {"name": 1}), 401)
-            # Each caller may have as many cameras as sessions.
-            assert configure(client, LEFT, camera="gate", headers=first).status_code == 200
-            refused = configure(client, LEFT, camera="roof", headers=first)
-            assert "at most 2 cameras" in check_problem(refused, 422, "zones")
-            assert configure(client, RIGHT, camera="gate", headers=first).status_code == 200
-            assert configure(client, LEFT, camera="roof", headers=second).status_code == 200
-            assert configure(client, camera="gate", headers=first).status_code == 200
-            assert configure(client, LEFT, camera="roof", headers=first).status_code == 200
+
+    def test_cameras_that_never_sent_a_frame_make_room(
+        self, serving: Serving, photo: Photo
+    ) -> None:
+        def configured() -> list[str]:
+            return [camera["camera_id"] for camera in client.get("/cameras").json()["cameras"]]
+
+        with serving(max_cameras=2) as client:
+            for camera in ("yard", "gate", "yard", "roof"):
+                assert configure(client, LEFT, camera=camera).status_code == 200
+            assert configured() == ["roof", "yard"]
+            send(client, photo, "yard")
+            assert configure(client, LEFT, camera="gate").status_code == 200
+            assert configured() == ["gate", "yard"]
+            send(client, photo, "gate")
+            refused = configure(client, LEFT, camera="roof")
+            assert "at most 2 cameras" in check_problem(refused, 409)
+            assert refused.json()["reason"] == "too_many_cameras"
+            assert configure(client, RIGHT, camera="gate").status_code == 200
+            assert configure(client, camera="gate").status_code == 200
+            assert configure(client, LEFT, camera="roof").status_code == 200
 
 
 class TestFile:
